@@ -15,8 +15,7 @@ from cvxshear import InputError, NoSolutionError, backends
 from cvxshear.backends import Backend, BenchmarkProgram, cvxpy_backend, solvers
 from cvxshear.backends.benchmark import condition_number
 from cvxshear.backends.export import export
-from cvxshear.backends.qpsolvers_backend import Qpsolvers
-from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
+from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Qpsolvers, Solver
 from cvxshear.methods import programs_of
 from cvxshear.programs import LeastSquares
 

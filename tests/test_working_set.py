@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from cvxshear import InputError, backends
-from cvxshear.backends.qpsolvers_backend import Qpsolvers
+from cvxshear.backends.solvers import Qpsolvers
 from cvxshear.programs import LeastSquares
 
 

@@ -36,8 +36,7 @@ NEARLY = 1e-5
 accepted, as a program that is scaled badly leaves a sound solver there; the minimizer itself must be accepted."""
 
 MET = 1e-9
-"""Largest violation of a constraint of a solution that is accepted, relative to the sizes of its terms: what a file
-declares exactly holds to nine digits."""
+"""Largest accepted violation of a constraint, relative to the sizes of its terms: exact statements hold to 9 digits."""
 
 ACCURATE = 1e-6
 """Error of an unknown, relative to its size, above which the exact minimizer takes the answer's place, and above which
@@ -47,12 +46,10 @@ IMMATERIAL = 1e-3
 """Error of an unknown that matters to nobody, in standard deviations that the rows' residual gives it."""
 
 TIME_LIMIT = 60.0
-"""Seconds after which a solver is given up. What takes longer on programs of this size does not end: HiGHS has been
-seen to cycle on one of 30 unknowns."""
+"""Seconds after which a solver is given up: programs of this size that take longer do not end (HiGHS has cycled)."""
 
 FAR_SLACK = 1e3
-"""Slack at zero, in scaled units of order one, above which an inequality is moved in for a solve: solvers lose digits
-to right sides of different orders."""
+"""Slack at zero, in scaled units, above which an inequality is moved in for a solve: far right sides cost digits."""
 
 
 class Backend(ABC):

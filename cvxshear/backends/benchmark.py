@@ -181,15 +181,10 @@ def compare(
 
 
 def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
-    return ProgramKind(
-        kind,
-        len(programs),
-        max(each.program.unknowns for each in programs),
-        max(len(each.program.R) for each in programs),
-        max(len(each.program.equalities[1]) for each in programs),
-        max(len(each.program.inequalities[1]) for each in programs),
-        _largest([condition_number(each.program) for each in programs]),
-    )
+    all_of_kind = [each.program for each in programs]
+    sizes = [(p.unknowns, len(p.R), len(p.equalities[1]), len(p.inequalities[1])) for p in all_of_kind]
+    condition = _largest([condition_number(program) for program in all_of_kind])
+    return ProgramKind(kind, len(programs), *map(max, zip(*sizes, strict=True)), condition=condition)
 
 
 def condition_number(program: LeastSquares) -> float | None:

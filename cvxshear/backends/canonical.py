@@ -147,13 +147,9 @@ class Canonical:
         if solution is None:
             return self
         y, w = solution.equality_multipliers, solution.inequality_multipliers
-        scaled = Answer(
-            self.to_z(solution.x),
-            y[self._independent] / (self._tau**2 * self._equality_scale),
-            w / (self._tau**2 * self._inequality_scale),
-            solution.status,
-            solution.iterations,
-        )
+        y = y[self._independent] / (self._tau**2 * self._equality_scale)
+        w = w / (self._tau**2 * self._inequality_scale)
+        scaled = Answer(self.to_z(solution.x), y, w, solution.status, solution.iterations)
         return dataclasses.replace(self, start=scaled)
 
     def to_z(self, x: Floats) -> Floats:

@@ -4,8 +4,6 @@ Nothing of the scaling that the solver worked on enters here, so that a mistake 
 shows. Each residual is a difference of terms and is compared to their sizes, which makes it free of units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

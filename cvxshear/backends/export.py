@@ -1,7 +1,5 @@
 """Programs as files: as they are, and as a test set of qpbenchmark (github.com/qpsolvers/qpbenchmark)."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -7,8 +7,6 @@ unknowns. Where the data leave a direction open the Hessian is singular, and the
 Every answer is certified; where it fails the next solver is asked.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from functools import cache
@@ -18,8 +16,7 @@ import numpy as np
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.backends.certificate import Assembled, Solution
-from cvxshear.backends.qpsolvers_backend import Qpsolvers
-from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Solver
+from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Qpsolvers, Solver
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 

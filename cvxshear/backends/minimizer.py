@@ -33,8 +33,7 @@ ACTIVE_SETS = 10
 """Sets of active inequalities that are tried; a guess that is nearly right needs one or two."""
 
 UNDETERMINED = 1e-13
-"""Reciprocal condition number of evenly weighted rows on the null space of the active constraints, below which they
-leave a direction open: a few hundred roundings."""
+"""Reciprocal condition number, on the active constraints' null space, of rows that leave a direction open: rounding."""
 
 CORRECTIONS = 2
 """Corrections of the answer by the closed form. The first one has the rounding of an answer; what the second

@@ -1,7 +1,5 @@
 """The command line."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import suppress
 from typing import Annotated, Any
@@ -32,17 +30,9 @@ app = typer.Typer(
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
-    frames.identify,
-    frames.loop,
-    recorded.predict,
-    recorded.reconstruct,
-    before.modes,
-    before.new,
-    before.check,
-    studies.backends,
-    planning.plan,
-    studies.reproduce,
-):
+    frames.identify, frames.loop, recorded.predict, recorded.reconstruct, before.modes, before.new, before.check,
+    studies.backends, planning.plan, studies.reproduce,
+):  # fmt: skip
     app.command()(documented(command))
 study.command()(documented(studies.noise))
 app.add_typer(study, name="study")

@@ -1,7 +1,5 @@
 """Options of the commands, and the files that they name, checked against each other before a command runs."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import re

@@ -1,7 +1,5 @@
 """The commands that compute many times over: the paper's tables, the noise study, all backends on the same programs."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -5,8 +5,6 @@ semicolons, tabs, commas or blanks; a decimal comma is understood where no comma
 without a date, become seconds since the first; a column of dates alone is left out.
 """
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io

@@ -1,7 +1,5 @@
 """How files that a user names are opened: no folder, no endless pipe, no more than a stated size."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterator

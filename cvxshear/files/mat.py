@@ -5,8 +5,6 @@ HDF5 offers, MATLAB writes groups and data sets that stand in the file itself un
 The rest (links by name, other files, other filters) is refused before anything is read.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

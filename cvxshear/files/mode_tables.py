@@ -8,8 +8,6 @@ Only the frequency and one floor at least must be there; an empty cell of a shap
 Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

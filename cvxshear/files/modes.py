@@ -1,7 +1,5 @@
 """From record files to one measurement: their modes, a configuration each, and what they say of the frame."""
 
-from __future__ import annotations
-
 import dataclasses
 import glob
 import re
@@ -276,13 +274,11 @@ def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
     for test in tests:
         for key, value in {"stories": test.modes.stories, **test.frame}.items():
             if key in frame and not _same(frame[key], value):
+                remedy = "records of one frame must agree, and one of them is enough to say it"
+                if key == "stories":
+                    remedy = "say record: stories in each file whose top floor has no sensor"
                 raise InputError(
-                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; "
-                    + (
-                        "say record: stories in each file whose top floor has no sensor"
-                        if key == "stories"
-                        else "records of one frame must agree, and one of them is enough to say it"
-                    )
+                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; {remedy}"
                 )
             frame.setdefault(key, value)
             said.setdefault(key, test.file)

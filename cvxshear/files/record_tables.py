@@ -1,12 +1,9 @@
 """What the tables of a record file say: its channels, its runs, and where the samples of a run stand without gaps."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +13,7 @@ from cvxshear.files.columns import Columns, sampling_rate_of
 from cvxshear.files.formats import refuse_data
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.data_frames import FEWEST_SAMPLES, LEAST_USED, TIME_NAMES
+from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, sound_pieces
 from cvxshear.records.record import RECORDED_QUANTITIES, Channel
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -215,8 +212,7 @@ def pieces_of(
         columns.check(item.name, item.place or path.name)
     name = time_column_of(declared, columns)
     sound: Bools = np.all(np.isfinite(columns.values[:, [columns.names.index(item.name) for item in needed]]), axis=1)
-    # A break stands before each row that does not follow the one before.
-    breaks = np.zeros(len(columns.values), dtype=np.bool_)
+    breaks: list[int] = []
     if name is None:
         rate = rate_of(declared, columns)
     else:
@@ -225,31 +221,22 @@ def pieces_of(
         steps = np.diff(time[sound])
         jumps = np.flatnonzero(steps > LONG_STEP * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
         if 0 < jumps.size <= MOST_GAPS * len(time) and np.all(steps > 0):
-            breaks[np.flatnonzero(sound)[jumps + 1]] = True
+            breaks = np.flatnonzero(sound)[jumps + 1].tolist()
     first, last = _asked(columns, name, declared, run)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], sound, [False]]).astype(int)) != 0)
-    stretches = [slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
-    pieces = []
-    for stretch in stretches:
-        cuts = [stretch.start, *(stretch.start + np.flatnonzero(breaks[stretch])).tolist(), stretch.stop]
-        pieces += [slice(max(a, first), min(b, last)) for a, b in pairwise(sorted(set(cuts)))]
-    lengths = [max(0, each.stop - each.start) for each in pieces]
-    longest = max(lengths, default=0)
-    kept = [each for each, length in zip(pieces, lengths, strict=True) if length >= max(FEWEST_SAMPLES, longest / 4)]
-    wanted, used = last - first, sum(each.stop - each.start for each in kept)
-    if used < LEAST_USED * wanted or (not kept and longest == wanted):
+    kept = sound_pieces(sound, breaks, slice(first, last))
+    whole = kept == [slice(first, last)]
+    for item in needed if whole else ():
         # Whatever is wrong with the whole is said by those who read it.
-        kept = [slice(first, last)]
-        for item in needed:
-            columns.rows(kept[0]).column(item.name, item.place or path.name)
+        columns.rows(kept[0]).column(item.name, item.place or path.name)
     if name is not None:
         rate = rate_of(declared, columns.rows(max(kept, key=lambda each: each.stop - each.start)))
-    if len(kept) == 1 and kept[0] == slice(first, last):
+    if whole:
         return kept, rate, ""
+    used = sum(each.stop - each.start for each in kept)
     told = ", ".join(f"{each.start / rate:.4g} to {each.stop / rate:.4g} s" for each in kept)
     return kept, rate, (
-        f"{wanted - used} of {wanted} samples are missing or stand between gaps; the longest sound pieces are used as "
-        f"runs of their own: {told}"
+        f"{last - first - used} of {last - first} samples are missing or stand between gaps; the longest sound pieces "
+        f"are used as runs of their own: {told}"
     )  # fmt: skip
 
 

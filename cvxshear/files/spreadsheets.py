@@ -1,7 +1,5 @@
 """Tables of spreadsheet programs: workbooks are read here, and cells written, as CSV or as a workbook."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

@@ -3,8 +3,6 @@
 Their texts stand in the folder `blank`; a record file marks what follows from the names and numbers of its columns.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re
@@ -367,12 +365,9 @@ def _as_in_japan(found: Sequence[Guess]) -> list[Guess]:
     roof = any(ROOF.search(each.column) for each in found)
     at_ground = numbers.count(1) == 1 and roof and not grounds
     if not any(numbers) or not (at_ground or (len(grounds) == 1 and any(basement) and 1 not in numbers)):
-        return [
-            dataclasses.replace(each, why=f"; {number - 1} where 1F is at the ground, as in Japan")
-            if number > 1
-            else each
-            for each, number in zip(found, numbers, strict=True)
-        ]
+        why = "; {} where 1F is at the ground, as in Japan"
+        pairs = zip(found, numbers, strict=True)
+        return [dataclasses.replace(each, why=why.format(n - 1)) if n > 1 else each for each, n in pairs]
     return [
         each if not number
         else dataclasses.replace(each, role="ground", floor=0, why=" (1F, as in Japan; 1 where it is above ground)")

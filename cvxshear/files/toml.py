@@ -1,7 +1,5 @@
 """The measurement file: an experiment as TOML, read and written."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -82,8 +82,7 @@ SAME_SHAPE = 1e-12
 """Squared sine of the angle between two shapes below which they are the same one."""
 
 ENTRIES_OF_A_COPY = 3
-"""Equal entries from which on a row is a copy of another: where floors are missing two modes may look alike in one or
-two."""
+"""Equal entries that make a row a copy of another: where floors are missing two modes may share one or two."""
 
 
 def copied_rows(shapes: Floats) -> tuple[int, int] | None:

@@ -15,8 +15,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SHAPE_TOLERANCE = 0.03
-"""Difference, relative to a mode's largest entry, by which a real frame's shapes stray from a shear frame's besides the
-noise."""
+"""Difference, over a mode's largest entry, by which a real frame's shapes stray from a shear frame's besides noise."""
 
 FREQUENCY_TOLERANCE = 0.02
 """Relative difference by which a real frame's frequencies stray from a shear frame's besides the noise."""

@@ -16,8 +16,6 @@ is of the order of the modes' lack of orthogonality, and nothing for exact modes
 one-shot answer.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -65,15 +63,9 @@ def two_stage(
         Fewer steps to the same masses, see above.
     """
     history, converged = iterated(test, start_mass(test, initial_mass), backend, tolerance, accelerate=accelerate)
-    mass = history[-1]
-    return finished(
-        test,
-        mass,
-        backend,
-        iterations=len(history) - 1,
-        history=np.array(history) - test.configuration.added_mass,
-        reason=Ending.CORRECTION if converged else Ending.ITERATION_LIMIT,
-    )
+    net, steps = np.array(history) - test.configuration.added_mass, len(history) - 1
+    reason = Ending.CORRECTION if converged else Ending.ITERATION_LIMIT
+    return finished(test, history[-1], backend, iterations=steps, history=net, reason=reason)
 
 
 def correction(
@@ -153,13 +145,8 @@ def one_shot(test: CompleteTest, backend: Backend) -> SingleIdentification:
     # Each row is a mass times the shapes' error: its standard deviation goes with the mean floor mass.
     row_std = test.shape_std * test.total / test.experiment.stories
     mass, iterations = solved(test, program, "floor_mass", row_std, backend)
-    return finished(
-        test,
-        mass,
-        backend,
-        iterations=iterations,
-        reason=Ending.SOLVED if iterations <= MOST_ROUNDS else Ending.ITERATION_LIMIT,
-    )
+    reason = Ending.SOLVED if iterations <= MOST_ROUNDS else Ending.ITERATION_LIMIT
+    return finished(test, mass, backend, iterations=iterations, reason=reason)
 
 
 def _refuse_priors(test: CompleteTest, method: str) -> None:

@@ -1,7 +1,5 @@
 """The identification by a method, a backend and priors; and every backend on the programs that identification makes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 What they need, the story stiffnesses once the masses are known (Eqs. 20-24), and what they return.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Modes that were identified elsewhere: plain arrays, results of pyOMA2 and of sdypy-EMA."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -70,7 +68,8 @@ def from_arrays(
         raise InputError(f"floors must have {width} entries, one a column of mode_shapes, not {places.size}")
     by_floor, by_frequency = np.argsort(places), np.argsort(values)
     shapes = shapes[by_frequency][:, by_floor]
-    real = np.array([_real(shape) for shape in shapes])
+    # A real shape stands as it is, sign and all.
+    real = np.array([real_shape(shape) if np.any(shape.imag) else shape.real for shape in shapes])
     frequency = _spread(frequency_std, ASSUMED_FREQUENCY_STD, (count,), "frequency_std")[by_frequency]
     entries = _spread(mode_shape_std, ASSUMED_SHAPE_STD, (count, width), "mode_shape_std")[by_frequency][:, by_floor]
     damping = _spread(damping_ratios, 0.0, (count,), "damping_ratios")[by_frequency]
@@ -131,17 +130,13 @@ def from_pyoma(
             "the pyOMA2 object holds no modes (Fn, Phi): run the algorithm and choose modes first, by mpe or a cluster"
         )
     frequencies = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
-    std = getattr(result, "Fn_std", None)
-    damping = getattr(result, "Xi", None)
-    return from_arrays(
-        frequencies,
-        np.atleast_2d(np.asarray(shapes).T),
-        floors=floors,
-        stories=stories,
-        damping_ratios=None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
-        frequency_std=None if std is None else np.atleast_1d(std) / frequencies,
-        name=name,
-    )
+    std, damping = getattr(result, "Fn_std", None), getattr(result, "Xi", None)
+    known = {
+        "damping_ratios": None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
+        "frequency_std": None if std is None else np.atleast_1d(std) / frequencies,
+    }
+    rows = np.atleast_2d(np.asarray(shapes).T)
+    return from_arrays(frequencies, rows, floors=floors, stories=stories, name=name, **known)
 
 
 def from_sdypy(
@@ -178,14 +173,9 @@ def from_sdypy(
     missing = np.flatnonzero(~(values > 0))
     if missing.size:
         raise InputError(f"the sdypy model found no pole for mode {missing[0] + 1}: select another frequency for it")
-    return from_arrays(
-        values,
-        np.atleast_2d(np.asarray(constants).T),
-        floors=floors,
-        stories=stories,
-        damping_ratios=np.clip(np.atleast_1d(np.asarray(model.nat_xi, dtype=np.float64)), 0.0, None),
-        name=name,
-    )
+    damping = np.clip(np.atleast_1d(np.asarray(model.nat_xi, dtype=np.float64)), 0.0, None)
+    rows = np.atleast_2d(np.asarray(constants).T)
+    return from_arrays(values, rows, floors=floors, stories=stories, damping_ratios=damping, name=name)
 
 
 def _finite(value: ArrayLike, where: str, dimensions: int) -> Complexes:
@@ -210,8 +200,3 @@ def _spread(value: ArrayLike | None, default: float, shape: tuple[int, ...], whe
     if not np.all(np.isfinite(array)) or np.any(array < 0):
         raise InputError(f"{where} must be finite and not negative")
     return array
-
-
-def _real(shape: Complexes) -> Floats:
-    """Return a real shape as it stands, sign and all, and the moduli and signs of a complex one."""
-    return shape.real.copy() if not np.any(shape.imag) else real_shape(shape)

@@ -1,13 +1,12 @@
 """How modes agree with the measured functions, and with a second opinion: another method's, a peer's, or peaks."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cvxshear.data.pairing import mac
 from cvxshear.modal.adapters import from_arrays
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Finding
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Bools, Complexes, Floats
@@ -56,14 +55,8 @@ def frequency_domain_decomposition(functions: Functions, count: int, stories: in
     before, at, after = (height[places + step] for step in (-1, 0, 1))
     step = functions.frequencies[1] - functions.frequencies[0]
     frequencies = functions.frequencies[places] + 0.5 * step * (before - after) / (before - 2 * at + after)
-    return from_arrays(
-        frequencies,
-        left[places, :, 0],
-        floors=functions.floors,
-        stories=stories,
-        frequency_std=step / np.sqrt(12.0) / frequencies,
-        name=FDD,
-    )
+    std, shapes = step / np.sqrt(12.0) / frequencies, left[places, :, 0]
+    return from_arrays(frequencies, shapes, floors=functions.floors, stories=stories, frequency_std=std, name=FDD)
 
 
 def _saddle(height: Floats, place: int) -> float:
@@ -103,40 +96,18 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
         numbers = {"mode": mode, "method": other.name}
         if not near.size:
             closest = int(np.argmin(np.abs(changes)))
-            found.append(
-                Finding(
-                    "second opinion",
-                    f"{other.name} has no mode {mode}, {frequency:.4g} Hz; its nearest is "
-                    f"{other.frequencies[closest]:.4g} Hz, MAC {alike[closest]:.3f}",
-                    {**numbers, "agrees": False},
-                )
-            )
+            near_by = {"own": frequency, "nearest": other.frequencies[closest], "alike": alike[closest]}
+            found.append(finding("second opinion/none", {**numbers, "agrees": False}, **near_by))
             continue
         place = int(near[np.argmin(np.abs(changes[near]))])
         seen.add(place)
-        found.append(
-            Finding(
-                "second opinion",
-                f"{other.name} has mode {mode} at {other.frequencies[place]:.5g} Hz "
-                f"({100 * changes[place]:+.2f} %), MAC {alike[place]:.4f}",
-                {
-                    **numbers,
-                    "agrees": True,
-                    "frequency": float(other.frequencies[place]),
-                    "change": float(changes[place]),
-                    "mac": float(alike[place]),
-                },
-            )
-        )
-    found += [
-        Finding(
-            "second opinion",
-            f"{other.name} has a mode at {frequency:.4g} Hz that is not among these",
-            {"method": other.name, "agrees": False, "frequency": frequency},
-        )
-        for place, frequency in enumerate(other.frequencies.tolist())
-        if place not in seen
-    ]
+        its_own, change, same = (float(each[place]) for each in (other.frequencies, changes, alike))
+        numbers |= {"agrees": True, "frequency": its_own, "change": change, "mac": same}
+        found.append(finding("second opinion", numbers))
+    for place, frequency in enumerate(other.frequencies.tolist()):
+        if place not in seen:
+            numbers = {"method": other.name, "agrees": False, "frequency": frequency}
+            found.append(finding("second opinion/another", numbers))
     return found
 
 

@@ -1,8 +1,7 @@
 """Frequencies that depend on amplitude: strong parts of a record against weak ones, a whole decay against its end."""
 
-from __future__ import annotations
-
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import special
@@ -12,6 +11,7 @@ from cvxshear.modal.frf import ImpulseSource
 from cvxshear.modal.picking import Parts, Values
 from cvxshear.modal.realization import Impulse
 from cvxshear.modal.result import ModalResult
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Finding
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
@@ -21,8 +21,7 @@ SIGNIFICANT = 3.0
 SMALLEST_CHANGE = 1e-3
 """Relative change of a frequency that is said: four degrees of temperature change a steel frame's by as much."""
 SCATTERED = 2.5
-"""The same of the scatter that the two halves have by themselves, by Student's t, besides: of a dozen blocks it is
-known to a fifth."""
+"""The same of the halves' own scatter, by Student's t, besides: a dozen blocks tell it to a fifth."""
 ALL_TOGETHER = 4.0
 """Standard deviations that the changes of all modes have together, their sum over the root of their number: one of 88
 simulated records of linear frames reached 3.0, and their root mean square was 1.2."""
@@ -36,31 +35,30 @@ FEWEST_BLOCKS = 8
 """Blocks of which half, four, still determine the modes and show how they scatter."""
 
 
-def amplitude_findings(setting: Replication, result: ModalResult) -> list[Finding]:
+def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     """Modes whose frequency differs between strong and weak motion by more than chance allows."""
     if setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS:
-        return _strong_against_weak(setting, result)
-    if setting.source.impulse() is not None:
-        return _early_against_late(setting, result)
-    return []
+        yield from _strong_against_weak(setting, result)
+    elif setting.source.impulse() is not None:
+        yield from _early_against_late(setting, result)
 
 
-def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Finding]:
+def _strong_against_weak(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     energies = setting.source.energies
     strong = energies > np.median(energies)
     first, second = _log_frequencies(setting, strong), _log_frequencies(setting, ~strong)
     if first is None or second is None:
-        return []
+        return
     ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
     changes = first - second
     large = np.abs(changes) > np.maximum(SIGNIFICANT * 2 * result.frequency_std, SMALLEST_CHANGE)
     scattered = (ratio > STRONGER) & (result.frequency_std > SMALLEST_CHANGE)
     if not np.any(large | scattered):
         # How the halves scatter, which takes as long as all the rest, could not make anything of that.
-        return []
+        return
     stronger, weaker = _scatter(setting, strong), _scatter(setting, ~strong)
     if stronger is None or weaker is None:
-        return []
+        return
     (first_std, first_freedom), (second_std, second_freedom) = stronger, weaker
     # Noise that the stronger half hardly shows may be a tenth of the weaker: each half says itself how it scatters.
     student = special.stdtrit(np.minimum(first_freedom, second_freedom), special.ndtr(SCATTERED))
@@ -71,26 +69,16 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> list[Find
     # A sweep may pass a mode in the weaker half; then all blocks together still tell it better than that half.
     scatter = np.minimum(first_std, result.frequency_std)
     suspected = scattered & (scatter > np.maximum(SCATTERS * second_std, SMALLEST_CHANGE))
-    found = []
     for place in np.flatnonzero(certain | suspected).tolist():
         mode, change = int(result.modes[place]), float(changes[place])
         numbers = {"mode": mode, "std": float(std[place]), "amplitude_ratio": ratio}
         if certain[place]:
-            numbers["change"] = change
-            said = (
-                f"{np.exp(first[place]):.4f} Hz in the stronger half of the record, {np.exp(second[place]):.4f} Hz in "
-                f"the weaker ({100 * change:+.2f} %, {abs(score[place]):.1f} standard deviations, those of all modes "
-                f"together {abs(together):.1f}; {ratio:.1f} times the motion): the frequency depends on amplitude, and "
-                "the one reported is a mean"
-            )
+            yield finding(
+                "amplitude", {**numbers, "change": change}, strong=np.exp(first[place]), weak=np.exp(second[place]),
+                score=abs(score[place]), together=abs(together),
+            )  # fmt: skip
         else:
-            said = (
-                f"the frequency scatters by {100 * first_std[place]:.2g} % in the stronger half of the record and by "
-                f"{100 * second_std[place]:.2g} % in the weaker, with {ratio:.1f} times the motion; noise makes it the "
-                "other way, so it may depend on amplitude, as in a frame of which a story yields"
-            )
-        found.append(Finding("amplitude", f"mode {mode}: {said}", numbers))
-    return found
+            yield finding("amplitude/scatter", numbers, strong=first_std[place], weak=second_std[place])
 
 
 def _scatter(setting: Replication, half: Bools) -> tuple[Floats, Floats] | None:
@@ -117,29 +105,20 @@ def _logarithms(setting: Replication, values: Values | None) -> Floats | None:
     return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
 
 
-def _early_against_late(setting: Replication, result: ModalResult) -> list[Finding]:
+def _early_against_late(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     """Compare the impulse response from its start with the same once it has decayed to a third."""
     later = _later(setting, None)
     if later is None:
-        return []
+        return
     change = np.log(result.frequencies) - later
     if np.all(np.abs(change) < SMALLEST_CHANGE):
-        return []
+        return
     std = np.maximum(result.frequency_std * _grown(setting, result), _std_of_change(setting))
-    found = []
     for place, mode in enumerate(result.modes):
         bound = SIGNIFICANT * std[place]
         if abs(change[place]) > max(bound, SMALLEST_CHANGE):
-            found.append(
-                Finding(
-                    "amplitude",
-                    f"mode {mode}: {result.frequencies[place]:.4f} Hz over the whole decay, "
-                    f"{np.exp(later[place]):.4f} Hz in its later part ({100 * change[place]:+.2f} %, chance allows "
-                    f"{100 * bound:.2f} %): the frequency depends on amplitude",
-                    {"mode": int(mode), "change": float(change[place]), "chance": float(bound)},
-                )
-            )
-    return found
+            numbers = {"mode": int(mode), "change": float(change[place]), "chance": float(bound)}
+            yield finding("amplitude/decay", numbers, whole=result.frequencies[place], later=np.exp(later[place]))
 
 
 def _grown(setting: Replication, result: ModalResult) -> Floats:

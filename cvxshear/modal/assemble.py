@@ -1,7 +1,5 @@
 """The result, from the parameters of the modes and their covariance."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

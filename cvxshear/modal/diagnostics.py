@@ -1,9 +1,7 @@
 """What the identified modes say about the record: clocks, signs, swaps, resolution, reciprocity, amplitude."""
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy import optimize, stats
@@ -14,9 +12,10 @@ from cvxshear.modal.frf import FrfSource
 from cvxshear.modal.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
 from cvxshear.modal.result import OVERLOOKED_KIND, ModalResult
 from cvxshear.records.clocks import Segments, straight
+from cvxshear.records.findings import finding
 from cvxshear.records.floors import ROTATES
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
-from cvxshear.util.quantities import listed, ranged, significant
+from cvxshear.util.quantities import listed, numbered, significant
 from cvxshear.util.typing import Floats, Ints
 
 A_MODE = 0.3
@@ -58,15 +57,8 @@ def overlooked_modes(
         if not 0 < place < len(modes) or moved[-1] > stories:
             continue
         below, above, at = modes[place - 1], modes[place], listed([f"{each:.4g}" for each in resonances])
-        findings.append(
-            Finding(
-                OVERLOOKED_KIND,
-                f"between modes {below} and {above} lies a resonance that is not among them, at {at} Hz; if it is a "
-                f"mode of the frame, what is called mode {above} is mode {above + 1}, and so on (written as "
-                f"other_modes, with a probability of {100 * share:.0f} %)",
-                {"frequency": resonances[0], "modes": moved.tolist(), "probability": share},
-            )
-        )
+        numbers = {"frequency": resonances[0], "modes": moved.tolist(), "probability": share}
+        findings.append(finding(OVERLOOKED_KIND, numbers, below=below, above=above, at=at, next=above + 1))
     return findings
 
 
@@ -79,8 +71,7 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
 CLOCK_CERTAIN = 4.5
 """Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
 STRAIGHT = 0.5
-"""Of the phases of a channel: a straight line through the origin must explain three quarters of their squares, or else
-they are no clock's."""
+"""Share of a channel's phases that a clock's straight line may leave: it explains three quarters of their squares."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
@@ -112,57 +103,36 @@ def modal_findings(
     *,
     wanted: int,
     turning: Callable[[float], float] | None = None,
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Everything the modes say about the record they came from.
 
     `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
     """
-    found = clock_findings(record, result, full)
-    found += resolution_findings(record, result)
-    found += reciprocity_findings(full, setting)
-    found += hit_findings(record, setting)
-    found += driving_point_findings(full, setting)
-    found += amplitude_findings(setting, result)
-    found += _mode_findings(record, result, setting, wanted)
+    yield from clock_findings(record, result, full)
+    yield from resolution_findings(record, result)
+    yield from reciprocity_findings(full, setting)
+    yield from hit_findings(record, setting)
+    yield from driving_point_findings(full, setting)
+    yield from amplitude_findings(setting, result)
+    yield from _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
-    found += [
-        Finding(
-            "rotation",
-            f"mode {mode}: {100 * share:.0f} % of the motion at its frequency is rotation, by the difference of "
-            "sensors on one floor; its shape is that of the floors without it",
-            {"mode": mode, "share": share},
-        )
-        for mode, share in zip(result.modes.tolist(), shares, strict=False)
-        if share > ROTATES
-    ]
+    for mode, share in zip(result.modes.tolist(), shares, strict=False):
+        if share > ROTATES:
+            yield finding("rotation", {"mode": mode, "share": share})
     if lost:
-        found.append(
-            Finding(
-                "std",
-                f"without {lost} of the {len(setting.source.groups)} {setting.source.unit}s some mode was not found; "
-                "the standard deviations rest on the others",
-                {"lost": lost},
-            )
-        )
-    return found
+        yield finding("std", {"lost": lost}, count=len(setting.source.groups), unit=setting.source.unit)
 
 
 def found_twice(item: PoleCandidate) -> Finding:
     """Report a second stable pole with the shape of another, which comes back in every piece of the record."""
-    return Finding(
-        "split mode",
-        f"{item.frequency:.4f} Hz is {item.reason}; the frame has one mode there: its frequency changed during the "
-        "record, or two states or directions are in it",
-        {"frequency": item.frequency},
-    )
+    return finding("split mode", {"frequency": item.frequency}, why=item.reason)
 
 
-def clock_findings(record: Record, result: ModalResult, full: Details) -> list[Finding]:
+def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterator[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
     names = list(result.clock_offsets)
     segments = Segments.of(record) if isinstance(record, TimeRecord) else None
-    found = []
     for (name, (late, std)), left, before in zip(
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
@@ -175,29 +145,16 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> list[F
             first, second = names.index(name), full.clocks.reference
             if not straight(segments, first, second, late):
                 continue
-        found.append(
-            Finding(
-                "clock offset",
-                f'the clock of "{name}" is {abs(late) * 1e3:.2f} ms {"late" if late > 0 else "early"} '
-                f'(std {significant(std * 1e3, 2)} ms) against that of "{names[full.clocks.reference]}": '
-                f"a phase of {turn:.1f} degrees at the highest mode; phases of {before:.1f} degrees before, {left:.1f} "
-                "after a straight line over frequency",
-                {
-                    "channel": name,
-                    "seconds": late,
-                    "std": std,
-                    "turn_degrees": turn,
-                    "before_degrees": before,
-                    "left_degrees": left,
-                },
-            )
-        )
-    return found
+        degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
+        yield finding(
+            "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
+            late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
+            reference=names[full.clocks.reference],
+        )  # fmt: skip
 
 
-def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
+def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
     """Report a record too short for the damping, or the ambient statistics, that are claimed of it."""
-    found = []
     if isinstance(record, FrfRecord):
         resolution = record.step
     else:
@@ -205,65 +162,36 @@ def resolution_findings(record: Record, result: ModalResult) -> list[Finding]:
     for mode, frequency, damping in zip(result.modes, result.frequencies, result.damping_ratios, strict=True):
         width = 2 * damping * frequency
         if resolution > width:
-            found.append(
-                Finding(
-                    "resolution",
-                    f"mode {mode}: a resolution of {resolution:.3g} Hz is coarser than the half-power bandwidth of "
-                    f"{width:.3g} Hz; its damping rests on the model of exponential decay, not on the line's width",
-                    {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)},
-                )
-            )
+            yield finding("resolution", {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)})
     if not isinstance(record, FrfRecord) and record.input == "none":
         periods = record.duration * float(result.frequencies[0])
         if periods < FEWEST_PERIODS:
-            found.append(
-                Finding(
-                    "resolution",
-                    f"{record.duration:.0f} s hold {periods:.0f} periods of the lowest mode; ambient vibration asks "
-                    f"for {FEWEST_PERIODS} at least",
-                    {"periods": periods, "duration": record.duration},
-                )
-            )
-    return found
+            numbers = {"periods": periods, "duration": record.duration}
+            yield finding("resolution/ambient", numbers, needed=FEWEST_PERIODS)
 
 
-def reciprocity_findings(full: Details, setting: Replication) -> list[Finding]:
+def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Finding]:
     """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
     if full.products is None or setting.base:
-        return []
+        return
     places = {int(floor): place for place, floor in enumerate(setting.floors)}
     driven = {int(floor): column for column, floor in enumerate(full.driven)}
-    found = []
     for low, high in itertools.combinations(sorted(set(places) & set(driven)), 2):
         up = full.products[:, places[high], driven[low]]
         down = full.products[:, places[low], driven[high]]
-        ratio = np.linalg.norm(up - down) / (0.5 * (np.linalg.norm(up) + np.linalg.norm(down)))
+        ratio = float(np.linalg.norm(up - down) / (0.5 * (np.linalg.norm(up) + np.linalg.norm(down))))
         each = np.abs(np.abs(up) - np.abs(down)) / (0.5 * (np.abs(up) + np.abs(down)))
         if each.max() > UNRECIPROCAL:
-            worst = int(np.argmax(each))
-            found.append(
-                Finding(
-                    "reciprocity",
-                    f"force at floor {low}, response at floor {high}, and the reverse differ by up to "
-                    f"{100 * each.max():.1f} % (mode {worst + 1}; {100 * ratio:.1f} % over all modes, phase included): "
-                    "a calibration or a driving point is off by that much, and so are masses that rest on it; the "
-                    "standard deviations of the shapes allow for it",
-                    {
-                        "floors": [low, high],
-                        "largest": float(each.max()),
-                        "over_all": float(ratio),
-                        "by_mode": each.tolist(),
-                    },
-                )
-            )
-    return found
+            largest, worst = float(each.max()), int(np.argmax(each)) + 1
+            numbers = {"floors": [low, high], "largest": largest, "over_all": ratio, "by_mode": each.tolist()}
+            yield finding("reciprocity", numbers, low=low, high=high, worst=worst)
 
 
-def hit_findings(record: Record, setting: Replication) -> list[Finding]:
+def hit_findings(record: Record, setting: Replication) -> Iterator[Finding]:
     """Name hits that the frame answers otherwise than the other hits at the same floor: another floor was hit."""
-    source, found = setting.source, []
+    source = setting.source
     if isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
-        return []
+        return
     for floor in source.floors.tolist():
         places = [place for place, item in enumerate(source.spectra) if item.floor == floor]
         answers = [source.spectra[place].response_force.ravel() for place in places]
@@ -272,19 +200,11 @@ def hit_findings(record: Record, setting: Replication) -> list[Finding]:
         alike = (units @ units.conj().T).real > ALIKE
         others = np.flatnonzero(~alike[int(np.argmax(alike.sum(axis=1)))])
         if others.size:
-            names = listed([f'"{record.runs[places[place]].name}"' for place in others])
-            found.append(
-                Finding(
-                    "hit",
-                    f"the frame answers to {names} otherwise than to the other hits at floor {floor}: was another "
-                    "floor hit, or the hammer turned round? Each [[run]] of the record file says its input_floor",
-                    {"floor": floor, "runs": [record.runs[places[place]].name for place in others]},
-                )
-            )
-    return found
+            runs = [record.runs[places[place]].name for place in others]
+            yield finding("hit", {"floor": floor, "runs": runs}, names=listed([f'"{name}"' for name in runs]))
 
 
-def driving_point_findings(full: Details, setting: Replication) -> list[Finding]:
+def driving_point_findings(full: Details, setting: Replication) -> Iterator[Finding]:
     """Name declared driving points at which a mode's residue is negative: the force acted elsewhere.
 
     The residue of mode r with response and force at one floor is phi^2 / (2 i omega), phi real: its sign is the same in
@@ -292,8 +212,7 @@ def driving_point_findings(full: Details, setting: Replication) -> list[Finding]
     was hit; candidates are the floors at which none does.
     """
     if full.products is None or setting.base or full.scales is not None:
-        return []
-    found = []
+        return
     for column, floor in enumerate(full.driven.tolist()):
         # phi of the floor that was hit, up to a positive factor in each mode.
         there = np.einsum("ri,ri->r", full.products[:, :, column].real, full.real) / np.sum(full.real**2, axis=1)
@@ -308,76 +227,36 @@ def driving_point_findings(full: Details, setting: Replication) -> list[Finding]
             said, change = "as if the force's sensor were turned round", "give that channel sign = -1"
         else:
             said, change = "and at no other floor with a sensor are they right", "check input_floor and the channels"
-        found.append(
-            Finding(
-                "scale",
-                f"modes answer to the force at floor {floor} with the wrong sign there, {said}: {change}; the shapes "
-                "are right, their scale is left out, and masses come out per kilogram of the frame until it is mended",
-                {"floor": floor, "positive_at": right},
-            )
-        )
-    return found
+        yield finding("scale", {"floor": floor, "positive_at": right}, as_if=said, change=change)
 
 
-def _mode_findings(record: Record, result: ModalResult, setting: Replication, wanted: int) -> list[Finding]:
-    found = []
+def _mode_findings(record: Record, result: ModalResult, setting: Replication, wanted: int) -> Iterator[Finding]:
     sweep = setting.sweep
     by_signs = len(record.channels) == record.stories > 1
     # Fewer than there are stories, by a count or picked by hand, and all of them found.
     asked = len(sweep.chosen) == wanted < record.stories
     if by_signs and len(sweep.chosen) < record.stories:
         absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
-        found.append(
-            Finding(
-                "missing mode",
-                f"{_modes(absent)} of {record.stories} {'was' if len(absent) == 1 else 'were'} "
-                + ("not asked for" if asked else "not found in the record"),
-                {"modes": absent},
-            )
-        )
+        yield finding(
+            "missing mode", {"modes": absent}, which=numbered("mode", absent), stories=record.stories,
+            were="was" if len(absent) == 1 else "were", asked="not asked for" if asked else "not found in the record",
+        )  # fmt: skip
     if len(record.channels) < record.stories and len(sweep.chosen) < record.stories:
-        found.append(
-            Finding(
-                "missing mode",
-                f"{len(sweep.chosen)} of {record.stories} modes "
-                + ("were asked for" if asked else "were found")
-                + f", and {len(record.channels)} of {record.stories} floors are measured: they are taken to be the "
-                f"lowest that their changes of sign allow ({listed([str(mode) for mode in result.modes])}), which the "
-                "record cannot show",
-                {"measured": len(record.channels), "stories": record.stories},
-            )
-        )
-    found.extend(
-        Finding(
-            "other mode",
-            f"{item.frequency:.3f} Hz is stable as well, with {100 * item.energy:.2g} % of the energy, and is "
-            + ("not among the modes asked for" if asked else OTHER),
-            {"frequency": item.frequency, "energy": item.energy},
-        )
-        for item in sweep.candidates
-        if item.physical and not any(item is other for other in sweep.chosen)
-    )
+        numbers, were = listed([str(mode) for mode in result.modes]), "were asked for" if asked else "were found"
+        sizes = {"measured": len(record.channels), "stories": record.stories}
+        yield finding("missing mode/few sensors", sizes, count=len(sweep.chosen), were=were, numbers=numbers)
+    for item in sweep.candidates:
+        if item.physical and not any(item is other for other in sweep.chosen):
+            what = "not among the modes asked for" if asked else OTHER
+            yield finding("other mode", {"frequency": item.frequency, "energy": item.energy}, what=what)
     # A model of noise has poles of rotation as well.
     faint = FAINT * max(item.energy for item in sweep.candidates)
-    found.extend(
-        Finding("rotation", f"{item.frequency:.3f} Hz is set aside: {item.reason}", {"frequency": item.frequency})
-        for item in sweep.candidates
-        if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint
-    )
+    for item in sweep.candidates:
+        if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint:
+            yield finding("rotation/pole", {"frequency": item.frequency}, why=item.reason)
     for mode, phase in zip(result.modes, result.lost_phase, strict=True):
         if phase > COMPLEX:
-            found.append(
-                Finding(
-                    "complex mode",
-                    f"mode {mode} is complex: its real normal mode leaves out {phase:.1f} degrees of phase",
-                    {"mode": int(mode), "degrees": float(phase)},
-                )
-            )
-    return found
-
-
-def _modes(numbers: list[int]) -> str:
-    return f"mode{'' if len(numbers) == 1 else 's'} {ranged(numbers)}"
+            yield finding("complex mode", {"mode": int(mode), "degrees": float(phase)})
 
 
 def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
@@ -419,13 +298,6 @@ def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
         return []
     if min(second, misfit(1.0, place)) < least + stats.chi2.isf(IMPROBABLE_GAIN, 1):
         return []
-    floor = int(floors[place])
     what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
-    return [
-        Finding(
-            "cable",
-            f'floor {floor} {what} in "{after.name}" as against "{before.name}", in every mode by the same factor and '
-            "no other floor with it: a cable, a sensor or a calibration explains that, and it is no damage",
-            {"floor": floor, "gain": gain, "records": [before.name, after.name]},
-        )
-    ]
+    numbers = {"floor": int(floors[place]), "gain": gain, "records": [before.name, after.name]}
+    return [finding("cable", numbers, what=what, after=after.name, before=before.name)]

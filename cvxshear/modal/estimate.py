@@ -1,7 +1,5 @@
 """From the chosen poles to everything that is reported of a mode, on all the data or on a part of it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,18 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from cvxshear.modal.frf import (
-    FrfSource,
-    ImpulseSource,
-    modal_products,
-    modal_scale,
-    participations,
-    residues,
-    unwrapped,
-)
+from cvxshear.modal import frf
+from cvxshear.modal.clock_offsets import Offsets, offsets, undone
 from cvxshear.modal.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import DampedModes, Impulse, Source
-from cvxshear.records.clocks import Offsets, offsets, undone
+from cvxshear.records.findings import finding
 from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signed_projection
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.util.errors import InputError
@@ -132,13 +123,8 @@ def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts
     """Doubt a mode whose standard deviations, over its largest entry and relative, say that it is none."""
     if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
         return {}
-    return {
-        item.members: (
-            f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} % over the record's "
-            "pieces",
-            of_frequency <= LARGEST_FREQUENCY_STD,
-        )
-    }
+    scatter = f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} %"
+    return {item.members: (f"{scatter} over the record's pieces", of_frequency <= LARGEST_FREQUENCY_STD)}
 
 
 def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
@@ -162,8 +148,7 @@ NO_CHANGE = 1e-9
 SURROGATES = 20
 """Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
 FEW_PIECES = 6
-"""Pieces of a record: the scatter of fewer is too small too often to stand alone (that of three by half in one of
-five)."""
+"""Pieces of a record: the scatter of fewer is too small too often (that of three by half in one case of five)."""
 LAST_SAMPLE = 4000
 """Of an impulse response, for its residues; a longer one has decayed."""
 
@@ -249,30 +234,22 @@ class Details(DampedModes):
 def details(setting: Replication, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
     """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
     products, driven = _products(setting, values, keep)
-    turned = None if products is None else participations(products, values.shapes)
-    clocks = offsets(
-        values.eigenvalues,
-        values.shapes,
-        turned,
-        None if reference is None else reference.clocks.reference,
-        setting.source.sampling_rate,
-        setting.loud,
-    )
+    turned = None if products is None else frf.participations(products, values.shapes)
+    right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
+    clocks = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
     # A projection is taken of what was recorded, offsets and all; its signs still are those of true clocks.
-    real = np.array(
-        [
-            real_shape(shape) if setting.rule == "magnitude" else signed_projection(raw, shape)
-            for raw, shape in zip(values.shapes, straight, strict=True)
-        ]
-    )
+    if setting.rule == "magnitude":
+        real = np.array([real_shape(shape) for shape in straight])
+    else:
+        real = np.array([signed_projection(*both) for both in zip(values.shapes, straight, strict=True)])
     places = np.argmax(np.abs(real if reference is None else reference.real), axis=1)
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
     if products is not None and not setting.base:
         found = [
-            modal_scale(_turned_back(each, value, clocks), shape, setting.floors, driven)
+            frf.modal_scale(_turned_back(each, value, clocks), shape, setting.floors, driven)
             for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
         ]
         known = [scale for scale in found if scale is not None]
@@ -292,11 +269,11 @@ def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple
         return None, np.zeros(0, dtype=np.int64)
     rate = setting.source.sampling_rate
     sequence = impulse.sequence[:LAST_SAMPLE]
-    amplitudes = residues(sequence, values.eigenvalues, rate, impulse.start)
+    amplitudes = frf.residues(sequence, values.eigenvalues, rate, impulse.start)
     if impulse.wrapped:
-        amplitudes = unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
+        amplitudes = frf.unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
     amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
-    return modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
+    return frf.modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
 
 
 def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, str, int]:
@@ -371,7 +348,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     for _ in range(SURROGATES):
         noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
         noisy = np.concatenate([impulse.sequence[: impulse.start], fit + noise])
-        source = ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
+        source = frf.ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
         other = dataclasses.replace(setting, parts=Parts(source, setting.sweep.poles))
         values = other.values(None)
         if values is not None:
@@ -384,7 +361,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
 
 def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
     """Return the chosen modes' part of the impulse responses, from their start on."""
-    amplitudes = residues(impulse.sequence, eigenvalues, rate, impulse.start)
+    amplitudes = frf.residues(impulse.sequence, eigenvalues, rate, impulse.start)
     powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))
 
@@ -400,7 +377,7 @@ def settle_truncation(record: Record, setting: Replication, values: Values) -> l
     are nearer to it, the modes weighted by how much their residues depend on the question.
     """
     source = setting.source
-    if not isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
+    if not isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):
         return []
     length = source.samples / source.sampling_rate
     left = np.abs(np.exp(values.eigenvalues * length))
@@ -434,10 +411,5 @@ def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
 def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
     mode = int(np.argmax(left)) + 1
     kind = "those of responses cut off there" if truncated else "samples of the true functions"
-    return Finding(
-        "leakage",
-        f"{100 * left.max():.1f} % of mode {mode}'s impulse response is left at the end of the window of "
-        f"{length:.3g} s; the functions are taken for {kind} ({why}); its residues depend on that by as much, its "
-        "frequency and damping do not",
-        {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated},
-    )
+    numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
+    return finding("leakage", numbers, kind=kind, why=why)

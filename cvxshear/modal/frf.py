@@ -4,8 +4,6 @@ H1 = S_yf / S_ff is free of the response's noise, H2 = S_yy / S_fy of the force'
 "Random Data", 4th ed., sec. 6.1), the spectra summed over the hits at one floor.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -124,16 +124,9 @@ def _of_spectra(record: Record, spectra: list[Spectra], lines: Floats, *, averag
         response = np.sum([hit.response_response for hit in hits], axis=0)
         values.append(cross / force)
         coherence.append(_ratio(np.abs(cross) ** 2, force * response))
-    return Functions(
-        lines[1:],
-        np.stack(values, axis=2)[1:],
-        record.floors,
-        floors,
-        True,
-        np.stack(coherence, axis=2)[1:] if averaged else None,
-        record.quantity,
-        0.0 if record.exponential_window is None else 1.0 / record.exponential_window,
-    )
+    functions, seen = np.stack(values, axis=2)[1:], np.stack(coherence, axis=2)[1:] if averaged else None
+    decay = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
+    return Functions(lines[1:], functions, record.floors, floors, True, seen, record.quantity, decay)
 
 
 def _of_undriven(record: TimeRecord, segment: int) -> Functions:
@@ -149,16 +142,9 @@ def _of_undriven(record: TimeRecord, segment: int) -> Functions:
     halves = np.fft.rfft(lags * window[:, None], n=segment, axis=0)
     coherence = _ratio(np.abs(cross) ** 2, power[:, [reference]] * power)
     coherence[:, reference] = np.nan
-    return Functions(
-        _lines(segment, record.sampling_rate)[1:],
-        halves[1:, :, None],
-        record.floors,
-        record.floors[[reference]],
-        False,
-        coherence[1:, :, None],
-        record.quantity,
-        float(decay * record.sampling_rate),
-    )
+    lines, functions, seen = _lines(segment, record.sampling_rate)[1:], halves[1:, :, None], coherence[1:, :, None]
+    against, a_second = record.floors[[reference]], float(decay * record.sampling_rate)
+    return Functions(lines, functions, record.floors, against, False, seen, record.quantity, a_second)
 
 
 def _lines(samples: int, rate: float) -> Floats:

@@ -1,10 +1,9 @@
 """Modes of a record."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -168,14 +167,9 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
     def attempt(record: Record, order: Sequence[int] | None = None) -> tuple[Source, Sweep]:
         source = source_of(record, method, blocks=options.blocks)
         by_signs = len(record.channels) == record.stories > 1
-        return source, sweep_orders(
-            source,
-            options.criteria,
-            Choice(wanted, record.stories, by_signs, options.pick, order),
-            band=record.band,
-            shift=shift,
-            turning=turning,
-        )
+        choose = Choice(wanted, record.stories, by_signs, options.pick, order)
+        limits: dict[str, Any] = {"band": record.band, "shift": shift, "turning": turning}
+        return source, sweep_orders(source, options.criteria, choose, **limits)
 
     record, (source, sweep), of_places = _repaired(record, wanted, attempt, options)
     if len(sweep.chosen) < len(options.pick):
@@ -209,13 +203,9 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage + [diagnostics.found_twice(item) for item in twice]
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
-    findings += overlooked_modes(
-        result.frequencies,
-        result.modes,
-        left_out(sweep.candidates, sweep.chosen),
-        floors=len(record.channels),
-        stories=record.stories,
-    )
+    sizes = {"floors": len(record.channels), "stories": record.stories}
+    left = left_out(sweep.candidates, sweep.chosen)
+    findings += overlooked_modes(result.frequencies, result.modes, left, **sizes)
     return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
 
 

@@ -9,19 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data.pairing import mac
+from cvxshear.modal import stabilization
+from cvxshear.modal.clock_offsets import offsets, undone
 from cvxshear.modal.realization import Poles, Source, realize
-from cvxshear.modal.stabilization import (
-    Cluster,
-    Criteria,
-    center,
-    clusters,
-    energies,
-    nearest,
-    persistence,
-    stable_poles,
-    undivided,
-)
-from cvxshear.records.clocks import offsets, undone
+from cvxshear.modal.stabilization import Cluster, Criteria
 from cvxshear.records.mode_shapes import collinearity, possible_changes, real_shape, sign_changes
 from cvxshear.util.typing import Bools, Complexes, Floats
 
@@ -161,7 +152,8 @@ class Choice:
         if self.by_signs:
             chosen = _by_signs(usable, self.count, self.order)
         else:
-            chosen = _as_low(_by_energy(usable, self.count), self.stories, self.order)
+            loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
+            chosen = _as_low(sorted(loudest, key=lambda item: item.frequency), self.stories, self.order)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)
@@ -196,18 +188,20 @@ def sweep_orders(
     """
     factor = source.factor()
     poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders(choose.count))
-    stable = stable_poles(poles, source.sampling_rate, criteria, shift)
+    stable = stabilization.stable_poles(poles, source.sampling_rate, criteria, shift)
     found = []
-    for cluster in clusters(poles, stable, criteria):
+    for cluster in stabilization.clusters(poles, stable, criteria):
         if len(cluster) < 2:
             continue
-        members = undivided(cluster, poles, criteria, shift)
+        members = stabilization.undivided(cluster, poles, criteria, shift)
         values = np.array([poles[i].eigenvalues[j] for i, j in members])
-        value, shape = center(values, np.array([poles[i].shapes[j] for i, j in members]))
-        share = persistence(cluster, poles)
+        value, shape = stabilization.center(values, np.array([poles[i].shapes[j] for i, j in members]))
+        share = stabilization.persistence(cluster, poles)
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
-    found = _weighed(_distinct(_within(found, band), criteria), source.data(), source.sampling_rate)
+    if band is not None:
+        found = [item for item in found if band[0] <= item.frequency <= band[1]]
+    found = _weighed(_distinct(found, criteria), source.data(), source.sampling_rate)
     return choose(poles, stable, _swaying(_collinear(found, criteria), turning))
 
 
@@ -217,12 +211,6 @@ def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, 
     if share < criteria.least_persistence:
         return False, f"stable in {100 * share:.0f} % of the orders only"
     return True, ""
-
-
-def _within(found: list[PoleCandidate], band: tuple[float, float] | None) -> list[PoleCandidate]:
-    if band is None:
-        return found
-    return [item for item in found if band[0] <= item.frequency <= band[1]]
 
 
 def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
@@ -246,7 +234,7 @@ def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandid
 
 def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -> list[PoleCandidate]:
     lasting = [item for item in found if item.physical]
-    shares = energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
+    shares = stabilization.energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
     energy = dict(zip(map(id, lasting), shares.tolist(), strict=True))
     return [dataclasses.replace(item, energy=energy.get(id(item), 0.0)) for item in found]
 
@@ -308,11 +296,6 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
         if near:
             chosen.append(min(near, key=lambda item: abs(item.frequency - frequency)))
     return sorted(chosen, key=lambda item: item.frequency)
-
-
-def _by_energy(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
-    strongest = sorted(usable, key=lambda item: -item.energy)[:count]
-    return sorted(strongest, key=lambda item: item.frequency)
 
 
 def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
@@ -428,11 +411,11 @@ class Parts:
         values, shapes = [], []
         for i, j in item.members:
             poles, whole = self._found[key][i], self._whole[i]
-            k = nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
+            k = stabilization.nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
             if k is not None:
                 values.append(poles.eigenvalues[k])
                 shapes.append(poles.shapes[k])
-        return None if 2 * len(values) < len(item.members) else center(np.array(values), np.array(shapes))
+        return None if 2 * len(values) < len(item.members) else stabilization.center(np.array(values), np.array(shapes))
 
     def values(self, chosen: Sequence[PoleCandidate], keep: Bools | None) -> Values | None:
         """Find the chosen modes on a part of the data; None where one of them is not found there."""

@@ -1,7 +1,5 @@
 """From a record to the source of its Hankel matrix: trend off, decimated to the band, cut into blocks."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
@@ -25,8 +23,7 @@ BLOCKS = 20
 still holds many periods of the lowest mode."""
 
 LONGEST_PULSE = 0.25
-"""Part of a run between its first hit and its last from which on they are to be parted: more than half of it would
-otherwise go unused."""
+"""Part of a run between its first and last hit that asks to part them: half of it would otherwise go unused."""
 
 
 def default_method(record: Record) -> str:
@@ -68,7 +65,9 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
         return _decays(record) if record.input == "free_decay" else _hits(record)
     record = decimated(detrended(record))
     if method == "ssi":
-        return _ambient(record, blocks)
+        after = 2 * continuous.SSI_ROWS
+        pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
+        return continuous.CovarianceSource(pieces, record.sampling_rate)
     return _driven(record, method, blocks)
 
 
@@ -142,12 +141,6 @@ def _one_floor(record: TimeRecord) -> int:
             'floor, or blows, which method "era" takes together'
         )
     return floors[0]
-
-
-def _ambient(record: TimeRecord, blocks: int) -> Source:
-    after = 2 * continuous.SSI_ROWS
-    pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
-    return continuous.CovarianceSource(pieces, record.sampling_rate)
 
 
 def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[tuple[Run, int, int]]:

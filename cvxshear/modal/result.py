@@ -67,12 +67,8 @@ def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[
     findings : sequence of Finding
     """
     failures = [item.numbers for item in findings if item.kind == "reciprocity"]
-    share = np.array(
-        [
-            np.sqrt(np.mean(np.square([each["by_mode"] for each in failures if floor in each["floors"]] or [[0.0]])))
-            for floor in floors.tolist()
-        ]
-    )
+    of_floors = ([each["by_mode"] for each in failures if floor in each["floors"]] for floor in floors.tolist())
+    share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
     relative = np.abs(shapes) / np.max(np.abs(shapes), axis=1, keepdims=True)
     result: Floats = np.hypot(np.hypot(scatter, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
     return result
@@ -94,8 +90,7 @@ REPRODUCED_TO = 2e-4
 100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
 Without it a day's change of temperature between two tests would be found as a cause."""
 DAMPING_REPRODUCED_TO = 0.01
-"""Relative standard deviation of a damping ratio that no scatter within a record goes below: friction in joints and
-cables changes it by more between two tests."""
+"""Least relative std of a damping ratio: friction in joints and cables changes it by more between two tests."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

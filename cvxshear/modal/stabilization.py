@@ -5,8 +5,6 @@ shape. Stable poles of consecutive orders are chained into clusters; a cluster t
 rest of the sweep is a candidate for a mode.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,13 +89,8 @@ def stable_poles(
     result: list[list[int]] = [[]]
     for before, after in itertools.pairwise(sweep):
         earlier = plausible(before, sampling_rate, criteria.highest_damping, shift)
-        result.append(
-            [
-                j
-                for j in plausible(after, sampling_rate, criteria.highest_damping, shift)
-                if any(_alike(before, i, after, j, criteria) for i in earlier)
-            ]
-        )
+        now = plausible(after, sampling_rate, criteria.highest_damping, shift)
+        result.append([j for j in now if any(_alike(before, i, after, j, criteria) for i in earlier)])
     return result
 
 

@@ -4,8 +4,6 @@ Both work on normal matrices, which need no row a pair of modes (`programs.ortho
 condition number, which costs frames of a few stories nothing that could be seen; there `identify` keeps the rows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

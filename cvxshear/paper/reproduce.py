@@ -1,7 +1,5 @@
 """The paper's figures recomputed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ bias and coefficient of variation; beside them stand the root-mean-square error,
 same data, and how often a stated 95 % interval holds the truth.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Known frames with noisy measurements, and the Cramer-Rao bound of what can be identified from them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Section 6: the two-story steel test frame in three structures, Tables 4 to 8."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -90,21 +88,15 @@ class SteelFrame:
 
     def recovered(self, name: str) -> RecoveredShapes:
         """Read the shapes of Fig. 8 from the printed figures of one structure."""
-        return recovered_shapes(
-            tables.values(tables.TABLE_6_MASS[name]),
-            KILO * tables.values(tables.TABLE_6_STIFFNESS[name]),
-            tables.values(tables.TABLE_5[name]),
-        )
+        printed = (tables.TABLE_6_MASS, tables.TABLE_6_STIFFNESS, tables.TABLE_5)
+        mass, stiffness, frequencies = (tables.values(table[name]) for table in printed)
+        return recovered_shapes(mass, KILO * stiffness, frequencies)
 
 
 def sections(ours: SteelFrame) -> Iterator[Section]:
     """Tables 4 to 8, Fig. 8, and what Section 7 concludes from them."""
-    yield Section(
-        "Tables 4 and 5: what is identified from",
-        tuple(_inputs(ours)),
-        ("As the built-in file `paper` has it.",),
-        counted=False,
-    )
+    notes = (tables.note("inputs"),)
+    yield Section("Tables 4 and 5: what is identified from", tuple(_inputs(ours)), notes, counted=False)
     yield _figure_8(ours)
     identified = (
         *_rows("Table 6", "m{}, kg", tables.TABLE_6_MASS, ours.mass),
@@ -114,14 +106,8 @@ def sections(ours: SteelFrame) -> Iterator[Section]:
     yield Section("Table 6: identified masses and stiffnesses", identified)
     frequencies = _rows("Table 7", "f{}, Hz", tables.TABLE_7, ours.frequencies)
     yield Section("Table 7: analytical frequencies", tuple(frequencies))
-    yield Section(
-        "Table 8: errors of the analytical frequencies",
-        tuple(_table_8(ours)),
-        (
-            "The paper took Table 8 from the three decimals of Table 7, which fix these errors to no better than "
-            "0.025 %; unrounded frequencies give the recomputed column.",
-        ),
-    )
+    notes = (tables.note("table_8"),)
+    yield Section("Table 8: errors of the analytical frequencies", tuple(_table_8(ours)), notes)
     yield Section("Section 7: largest differences", tuple(_conclusions(ours)))
 
 
@@ -149,17 +135,8 @@ def _figure_8(ours: SteelFrame) -> Section:
         for mode, ratio in enumerate((found.first, found.second)):
             in_file = shapes[mode, 0] / shapes[mode, 1]
             rows.append(Row(f"mode {mode + 1}, floor 1 / floor 2", f"Fig. 8, {name}", f"{in_file:.5f}", ratio))
-    return Section(
-        "Fig. 8: mode shapes recovered from Table 6",
-        tuple(rows),
-        (
-            "The paper draws the shapes and prints no number. On the masses of Table 6 the two modes are orthogonal, "
-            "and one ratio is the value for which Eq. 24 returns the stiffnesses of Table 6; two stiffnesses, one "
-            f"unknown, largest relative misfit {max(misfits):.0e}, the rounding of the table.",
-        ),
-        printed_in="in the file `paper`",
-        counted=False,
-    )
+    title, notes = "Fig. 8: mode shapes recovered from Table 6", (tables.note("figure_8", misfit=max(misfits)),)
+    return Section(title, tuple(rows), notes, printed_in="in the file `paper`", counted=False)
 
 
 def _table_8(ours: SteelFrame) -> Iterator[Row]:

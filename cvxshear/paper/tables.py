@@ -4,8 +4,6 @@ High precision identification method of mass and stiffness matrix for shear-type
 and 6. Cases 1 and 2 are its two initial masses; "present" is its own method, "Ref. [23]" Qi's, "Ref. [17]" Berman's.
 """
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from importlib import resources
@@ -82,6 +80,12 @@ NET_MASS_DIFFERENCE = "2.41"
 STIFFNESS_DIFFERENCE = "5.73"
 LARGEST_FREQUENCY_ERROR = "1.72"
 """Section 7, percent: largest differences between the structures, relative to the larger, and largest of Table 8."""
+
+
+def note(name: str, **gaps: object) -> str:
+    """Write what a reader of recomputed figures should know."""
+    words: str = _PRINTED["notes"][name]
+    return words.format(**gaps)
 
 
 def value(printed: str) -> float:

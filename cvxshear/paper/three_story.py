@@ -1,7 +1,5 @@
 """Section 5: the three-story frame, from exact modes by the paper's method and two earlier ones, and from noise."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 
@@ -72,14 +70,8 @@ def sections(ours: ThreeStory) -> Iterator[Section]:
         for case, printed in tables.ITERATIONS.items()
     )
     yield Section("Section 5.1: iterations to Eq. 15", tuple(iterations))
-    yield Section(
-        "Section 5.1: largest errors of the two earlier methods",
-        tuple(_largest_errors(ours)),
-        (
-            "The paper took these from its tables' rounded figures, and relative to the exact value (Eq. 25 as it is "
-            "printed would divide by the approximate one).",
-        ),
-    )
+    title, notes = "Section 5.1: largest errors of the two earlier methods", (tables.note("largest_errors"),)
+    yield Section(title, tuple(_largest_errors(ours)), notes)
 
 
 def _place(table: str, method: str, case: int) -> str:
@@ -90,13 +82,10 @@ def _table_1(ours: ThreeStory) -> Iterator[Row]:
     for (method, case), entries in tables.TABLE_1.items():
         matrix = ours.mass_matrix(method, case)
         for (i, j), printed in entries.items():
-            yield Row(
-                what=f"m{i}, kg" if i == j else f"mass matrix entry ({i}, {j}), kg",
-                where=_place("Table 1", method, case),
-                printed=printed,
-                recomputed=float(matrix[i - 1, j - 1]),
-                misprint=(method, case, (i, j)) == tables.MISPRINT,
-            )
+            what = f"m{i}, kg" if i == j else f"mass matrix entry ({i}, {j}), kg"
+            misprint = (method, case, (i, j)) == tables.MISPRINT
+            where, found = _place("Table 1", method, case), float(matrix[i - 1, j - 1])
+            yield Row(what, where, printed, found, misprint=misprint)
 
 
 def _misprint(ours: ThreeStory) -> str:
@@ -110,12 +99,11 @@ def _misprint(ours: ThreeStory) -> str:
     def listed(stiffness: Floats) -> str:
         return " ".join(f"{each / KILO:.3f}" for each in stiffness)
 
-    return (
-        f"Entry ({i}, {j}) of Ref. [17] in Case {case} is a misprint: the paper has {printed}, the formula gives "
-        f"{matrix[i - 1, j - 1]:.3f}. With {printed} Table 2 would read {listed(ours.stiffness_of(as_printed))} kN/m; "
-        f"it reads {' '.join(tables.TABLE_2[method, case])}, which the formula's entry gives "
-        f"({listed(ours.stiffness_of(matrix))})."
-    )
+    return tables.note(
+        "misprint", i=i, j=j, case=case, printed=printed, formula=matrix[i - 1, j - 1],
+        as_printed=listed(ours.stiffness_of(as_printed)), table_2=" ".join(tables.TABLE_2[method, case]),
+        as_computed=listed(ours.stiffness_of(matrix)),
+    )  # fmt: skip
 
 
 def _table_2(ours: ThreeStory) -> Iterator[Row]:
@@ -169,26 +157,21 @@ def _table_3(study: NoiseStudy) -> Iterator[Row]:
         # The paper's mean and ours are of samples that have nothing to do with each other.
         chance = spread * np.sqrt(1 / tables.TABLE_3_SAMPLES + 1 / study.samples)
         for place, name in enumerate(tables.PARAMETERS):
-            yield Row(
-                what=f"{name}, %",
-                where=f"Table 3, σ = {sigma:g}",
-                printed=printed[place],
-                recomputed=100 * float(scatter.bias[place]),
-                std_error=100 * float(scatter.bias_error[place]),
-                chance=100 * float(chance[place]),
-            )
+            figures = (scatter.bias[place], scatter.bias_error[place], chance[place])
+            bias, std_error, by_chance = (100 * float(each) for each in figures)
+            where = f"Table 3, σ = {sigma:g}"
+            yield Row(f"{name}, %", where, printed[place], bias, std_error=std_error, chance=by_chance)
 
 
 def _chance(rows: Sequence[Row]) -> str:
     distances = np.array([row.distance for row in rows if row.distance is not None])
     beyond = int(np.sum(np.abs(distances) > UNLIKELY))
     farthest = float(np.max(np.abs(distances)))
-    explained = "explains" if farthest < BEYOND_CHANCE else "does not explain"
-    return (
-        f"A mean of {tables.TABLE_3_SAMPLES} samples scatters: of {len(rows)} printed errors {beyond} lie more than "
-        f"{UNLIKELY:g} standard errors from ours ({0.05 * len(rows):.1f} expected by chance), the farthest "
-        f"{farthest:.1f}. Chance {explained} the printed figures."
-    )
+    return tables.note(
+        "chance", samples=tables.TABLE_3_SAMPLES, rows=len(rows), beyond=beyond, unlikely=UNLIKELY,
+        expected=0.05 * len(rows), farthest=farthest,
+        explains="explains" if farthest < BEYOND_CHANCE else "does not explain",
+    )  # fmt: skip
 
 
 def _systematic(study: NoiseStudy) -> Iterator[str]:
@@ -199,33 +182,20 @@ def _systematic(study: NoiseStudy) -> Iterator[str]:
         listed = ", ".join(
             f"{tables.PARAMETERS[i]} {100 * scatter.bias[i]:+.2f} ± {100 * scatter.bias_error[i]:.2f} %" for i in seen
         )
-        yield (
-            f"At σ = {scatter.setup.mode_shape_std:g} a bias is seen beyond three standard errors: {listed}. It is "
-            "small beside the scatter, and under 1 % as the paper says."
-        )
+        yield tables.note("systematic", sigma=scatter.setup.mode_shape_std, listed=listed)
 
 
 def _figure_6(study: NoiseStudy) -> Section:
     scatter = study.scatters[0]
     sigma = scatter.setup.mode_shape_std
     variation = 100 * scatter.variation
+    where, largest = f"Fig. 6, σ = {sigma:g}", int(np.argmax(variation))
+    # Standard errors of the standard deviation of normal samples.
+    errors = (variation / np.sqrt(2 * study.samples)).tolist()
     rows = tuple(
-        Row(
-            what=f"{name}, %",
-            where=f"Fig. 6, σ = {sigma:g}",
-            printed=tables.FIGURE_6,
-            recomputed=float(found),
-            # Of the standard deviation of normal samples.
-            std_error=float(found / np.sqrt(2 * study.samples)),
-        )
-        for name, found in zip(tables.PARAMETERS, variation, strict=True)
+        Row(f"{name}, %", where, tables.FIGURE_6, found, std_error=error)
+        for name, found, error in zip(tables.PARAMETERS, variation.tolist(), errors, strict=True)
     )
-    largest = int(np.argmax(variation))
-    return Section(
-        f"Fig. 6: coefficients of variation, {study.samples:,} samples",
-        rows,
-        (
-            f"The paper says that an error of the modes is not enlarged. For {tables.PARAMETERS[largest]} it is, "
-            f"{variation[largest] / (100 * sigma):.1f} times.",
-        ),
-    )
+    times = variation[largest] / (100 * sigma)
+    note = tables.note("figure_6", parameter=tables.PARAMETERS[largest], times=times)
+    return Section(f"Fig. 6: coefficients of variation, {study.samples:,} samples", rows, (note,))

@@ -7,8 +7,6 @@ The verdict is right where the effect that is there has 95 %; where there is non
 one would be added.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ solver: it is computed afterwards from the weights found. From the weights a cho
 one candidate for another while that improves it.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -44,8 +42,7 @@ TELLING = 1e-3
 others' standard deviations change by less than 0.05 %."""
 
 DIRECTIONS_ASKED = 16
-"""Directions in the program of what is asked for, and as many again of the rest: its time grows with their fourth
-power."""
+"""Directions asked for in the program, and as many again of the rest: its time grows with their fourth power."""
 
 IMPROVES = 1e-9
 """Relative gain from which on an exchange is made; less is rounding."""
@@ -54,8 +51,7 @@ AT_ONCE = 2_000_000
 """Numbers in the information matrices that are formed at a time: 16 MB."""
 
 FEW = 20_000
-"""Number of choices up to which every one is looked at, where the information has `TYPICAL` rows: eighteen floors
-choose six."""
+"""Choices up to which all are looked at, of information with `TYPICAL` rows: eighteen floors choose six."""
 
 TYPICAL = 45
 """Rows of the information of an eighteen-story frame with three modes: a cubic measure of what one choice takes."""
@@ -64,15 +60,13 @@ AT_LAST = 2
 """Factor on `FEW` where windows leave a gap: a few sensors on a tall frame are then all looked at."""
 
 CLOSE_ENOUGH = 0.05
-"""Relative gap between a choice and its bound up to which no closer bound is looked for: expected noise is no better
-known."""
+"""Relative gap to the bound up to which no closer bound is looked for: expected noise is no better known."""
 
 WIDTHS = (4, 6, 8, 10)
 """Numbers of floors in the windows of the closer bound, tried one after the other while the time allows."""
 
 MOST_WORK = 6e7
-"""Parameters times choices within a window times the numbers that each takes, up to which a window is affordable: two
-seconds."""
+"""Parameters times choices in a window times the numbers each takes that are affordable: two seconds."""
 
 ROUNDING_SEED = 2009
 """Seed of the choices that are drawn, so that a plan comes out the same each time."""
@@ -339,13 +333,7 @@ def descended(
     tolerance : float
         Of the value.
     """
-    found = minimize(
-        function,
-        start,
-        jac=True,
-        method="SLSQP",
-        bounds=Bounds(0.0, 1.0),
-        constraints=within,
-        options={"maxiter": rounds, "ftol": tolerance},
-    )
+    limits: dict[str, Any] = {"bounds": Bounds(0.0, 1.0), "constraints": within}
+    options = {"maxiter": rounds, "ftol": tolerance}
+    found = minimize(function, start, jac=True, method="SLSQP", options=options, **limits)
     return np.asarray(np.clip(found.x, 0.0, 1.0))

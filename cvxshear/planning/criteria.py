@@ -9,8 +9,6 @@ A criterion also states itself for conic solvers, with linear matrix inequalitie
 maximised; for the others [[T, F 0], [(F 0)', M]] >= 0 makes T at least the covariance.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,8 +26,7 @@ POWER = 24
 by a factor of s^(1/24) at most for s parameters."""
 
 MOST_PARAMETERS = 16
-"""Parameters, those known least, that stand in the program for the worst one: its time grows with their fourth
-power, and the bound is computed with all of them."""
+"""Parameters, those known least, in the program for the worst one: its time grows with their fourth power."""
 
 
 @dataclass(frozen=True, eq=False)

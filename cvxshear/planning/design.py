@@ -100,12 +100,8 @@ class Design:
     @property
     def scale(self) -> Scale:
         """Mean floor mass and story stiffness, and the heights; effects expect sizes in these."""
-        heights = self.frame.story_heights
-        return Scale(
-            float(self.floor_mass.mean()),
-            float(self.story_stiffness.mean()),
-            np.ones(self.stories) if heights is None else heights,
-        )
+        heights = np.ones(self.stories) if self.frame.story_heights is None else self.frame.story_heights
+        return Scale(float(self.floor_mass.mean()), float(self.story_stiffness.mean()), heights)
 
     @property
     def sizes(self) -> Floats:
@@ -147,15 +143,10 @@ class Design:
         frame = dataclasses.replace(unsaid, floor_masses=self.floor_mass)
         return Experiment(frame, (self.blank(np.zeros(self.stories)),))
 
-    def blank(self, added_mass: Floats, name: str = "planned test") -> Configuration:
+    def blank(self, added_mass: Floats) -> Configuration:
         """Make a configuration with these masses that nothing was measured on yet."""
-        return Configuration(
-            frequencies=np.array([1.0]),
-            mode_shapes=np.full((1, self.stories), np.nan),
-            added_mass=np.array(added_mass),
-            name=name,
-            state=self.state or "",
-        )
+        nothing = np.full((1, self.stories), np.nan)
+        return Configuration(np.array([1.0]), nothing, "planned test", self.state or "", np.array(added_mass))
 
     def fixed(self) -> Floats:
         """Rows on which every relative change of masses and stiffnesses is zero, shape (e, 2N)."""

@@ -13,8 +13,6 @@ of it, the response of the other modes. Where the force is recorded the other mo
 the part that its own sensor adds stays unknown: the frequency's law holds with that part as a factor.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar

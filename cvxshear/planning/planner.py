@@ -183,7 +183,10 @@ def plan(
     by = criterion_named(criterion or ("worst" if model.frames[0].targets else "D"))
     limits = Limits.of(added_mass, added_mass_total, n)
     if declared:
-        return _finished(model, _declared(design), [each.name for each in design.declared], number, by, solver, None)
+        if not design.declared:
+            raise InputError(f"{design.name} declares no tests; say how many to plan")
+        masses = [each.added_mass for each in design.declared]
+        return _finished(model, masses, [each.name for each in design.declared], number, by, solver, None)
     names = _names(design, int(tests))
     if not limits.any:
         return _finished(model, [np.zeros(n)] * int(tests), names, number, by, solver, None)
@@ -209,13 +212,6 @@ def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
     if isinstance(modes, int):
         return np.arange(checks.whole(modes, "modes", least=1, most=n))
     return checks.ascending_whole(list(modes), "modes", most=n) - 1
-
-
-def _declared(design: Design) -> list[Floats]:
-    """Return the masses of the tests that the file declares."""
-    if not design.declared:
-        raise InputError(f"{design.name} declares no tests; say how many to plan")
-    return [each.added_mass for each in design.declared]
 
 
 def _names(design: Design, count: int) -> list[str]:

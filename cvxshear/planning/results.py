@@ -1,7 +1,5 @@
 """What planning returns: the choice and what it promises, and the planned tests as a file to fill in."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,12 +17,10 @@ from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
 ARBITRARY = 0.01
-"""Relative difference of the best and the worst choice up to which the choice does not matter: expected noise is not
-known to a hundredth."""
+"""Relative difference of best and worst choice up to which it does not matter: noise is not known to a hundredth."""
 
 MISFIT = 0.02
-"""Relative error of the frame's frequencies from which on a plan says so: ten times the noise that is expected of them
-where nothing is declared."""
+"""Relative error of the frame's frequencies that a plan mentions: ten times the noise expected where none is stated."""
 
 MOST_POINTS = 10
 """Numbers of sensors in the curve of accuracy."""
@@ -190,16 +186,10 @@ class Plan(Shown):
         first = self.model.expected(self.tests[0])
         frequencies = first.found.frequencies[which]
         damping_std = noise.damping_std(frequencies)
-        return tuple(
-            ExpectedMode(
-                int(mode) + 1,
-                float(frequencies[i]),
-                float(first.frequency_std[i]),
-                float(first.shape_std[i, 0]),
-                None if damping_std is None else float(damping_std[i]),
-            )
-            for i, mode in enumerate(which)
-        )
+        stds = first.frequency_std.tolist(), first.shape_std[:, 0].tolist()
+        of_damping = [None] * len(which) if damping_std is None else damping_std.tolist()
+        columns = zip((which + 1).tolist(), frequencies.tolist(), *stds, of_damping, strict=True)
+        return tuple(ExpectedMode(*each) for each in columns)
 
     @property
     def goal(self) -> str:

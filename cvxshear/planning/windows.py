@@ -18,8 +18,6 @@ to log det C. Known parameters are struck from the information, and the informat
 marginalised is concave in the whole information, so each of these logarithms is convex.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

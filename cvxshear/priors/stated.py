@@ -1,7 +1,5 @@
 """Priors of floor masses and story stiffnesses: what one, all, or the ratio of two is, bounds, change with height."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,6 +17,19 @@ class _Equations(Prior):
     """Statements x = ... that are exact, or soft where they have a standard deviation."""
 
     std: float | None
+    places: ClassVar[tuple[str, ...]] = ()
+    """Fields that hold a floor or a story."""
+
+    def __post_init__(self) -> None:
+        check_quantity(self)
+        put(self, "std", checks.number, above=0.0)
+        for name in self.places:
+            check_place(self, name)
+
+    def check(self, stories: int) -> None:
+        """Raise `InputError` where it names a floor or story that a frame of so many stories has not."""
+        for name in self.places:
+            check_place(self, name, stories)
 
     @abstractmethod
     def _exact(self, stories: int) -> tuple[Floats, Floats]:
@@ -58,12 +69,11 @@ class Value(_Equations):
     at: int
     value: float
     std: float | None = None
+    places = ("at",)
 
     def __post_init__(self) -> None:
-        check_quantity(self)
+        super().__post_init__()
         put(self, "value", checks.number, above=0.0)
-        put(self, "std", checks.number, above=0.0)
-        check_place(self, "at")
 
     @property
     def fixes_scale(self) -> bool:
@@ -73,10 +83,6 @@ class Value(_Equations):
     def suggested(self, stories: int) -> Floats:
         """Return the value at its floor or story, nan elsewhere."""
         return np.where(np.arange(1, stories + 1) == self.at, self.value, np.nan)
-
-    def check(self, stories: int) -> None:
-        """Raise `InputError` where it names a floor or story that a frame of so many stories has not."""
-        check_place(self, "at", stories)
 
     def _exact(self, stories: int) -> tuple[Floats, Floats]:
         return np.eye(stories)[[self.at - 1]], np.array([self.value])
@@ -117,10 +123,9 @@ class Nominal(_Equations):
     free_scale: bool = False
 
     def __post_init__(self) -> None:
-        check_quantity(self)
+        super().__post_init__()
         put(self, "values", checks.vector, above=0.0)
         put(self, "free_scale", checks.flag)
-        put(self, "std", checks.number, above=0.0)
 
     @property
     def fixes_scale(self) -> bool:
@@ -181,22 +186,15 @@ class Ratio(_Equations):
     to: int
     value: float
     std: float | None = None
+    places = ("of", "to")
 
     def __post_init__(self) -> None:
-        check_quantity(self)
+        super().__post_init__()
         put(self, "value", checks.number, above=0.0)
-        put(self, "std", checks.number, above=0.0)
-        check_place(self, "of")
-        check_place(self, "to")
         if self.of == self.to:
             raise InputError(
                 f"the ratio prior compares {self.quantity} {self.of} with itself; 'of' and 'to' must differ"
             )
-
-    def check(self, stories: int) -> None:
-        """Raise `InputError` where it names a floor or story that a frame of so many stories has not."""
-        check_place(self, "of", stories)
-        check_place(self, "to", stories)
 
     def _exact(self, stories: int) -> tuple[Floats, Floats]:
         unit = np.eye(stories)

@@ -18,8 +18,6 @@ matrix and not from A'A, takes that error down to that of a factorization of the
 equations, Björck 1987).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -209,15 +209,9 @@ def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     together = constrained(LeastSquares(np.zeros((0, size)), np.zeros(0)), parts, np.zeros(size))
     (G, h), (A, b) = _scaled(*together.inequalities), _scaled(*together.equalities)
     scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
-    found = linprog(
-        np.zeros(size),
-        A_ub=G if len(G) else None,
-        b_ub=h / scale if len(G) else None,
-        A_eq=A if len(A) else None,
-        b_eq=b / scale if len(A) else None,
-        bounds=(None, None),
-        method="highs",
-    )
+    said = {"A_ub": G, "b_ub": h / scale} if len(G) else {}
+    said |= {"A_eq": A, "b_eq": b / scale} if len(A) else {}
+    found = linprog(np.zeros(size), **said, bounds=(None, None), method="highs")
     return bool(found.status != 2)
 
 

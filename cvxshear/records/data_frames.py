@@ -1,9 +1,8 @@
 """Tables that are handed in from Python: arrays, data frames of pandas, data arrays of xarray."""
 
-from __future__ import annotations
-
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,23 +34,30 @@ def stretches(there: Bools) -> Ints:
     return np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8))).reshape(-1, 2)
 
 
-def sound_pieces(sound: Bools) -> list[slice]:
+def sound_pieces(sound: Bools, breaks: Iterable[int] = (), asked: slice = slice(None)) -> list[slice]:
     """Cut rows into pieces between those that are missing; short pieces beside long ones are left out.
 
     Parameters
     ----------
     sound : ndarray of bool, shape (samples,)
+    breaks : iterable of int, optional
+        Rows that do not follow the one before, ascending.
+    asked : slice, optional
+        The rows that count; all where not given.
 
     Returns
     -------
     list of slice
-        One with all rows where none is missing, or too many are.
+        One with all rows that count where none is missing, or too many are.
     """
-    pieces = [slice(start, stop) for start, stop in stretches(sound).tolist()]
-    longest = max((each.stop - each.start for each in pieces), default=0)
-    kept = [each for each in pieces if each.stop - each.start >= max(FEWEST_SAMPLES, longest / 4)]
+    first, last, _ = asked.indices(len(sound))
+    pieces: list[tuple[int, int]] = []
+    for start, stop in (first + stretches(sound[asked])).tolist():
+        pieces += pairwise([start, *(row for row in breaks if start < row < stop), stop])
+    longest = max((stop - start for start, stop in pieces), default=0)
+    kept = [slice(start, stop) for start, stop in pieces if stop - start >= max(FEWEST_SAMPLES, longest / 4)]
     used = sum(each.stop - each.start for each in kept)
-    return kept if used >= LEAST_USED * len(sound) else [slice(0, len(sound))]
+    return kept if used >= LEAST_USED * (last - first) else [slice(first, last)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,15 +3,14 @@
 Every step that changes the record is said in a finding; a record with nothing wrong comes back as it went in.
 """
 
-from __future__ import annotations
-
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy
 
 from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of, straight
+from cvxshear.records.findings import finding
 from cvxshear.records.floors import along, one_a_floor, turning
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
@@ -25,8 +24,7 @@ LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
 """Bounds of that limit: hum has a little in common with everything, up to a sixth of what channels have that measure;
 few lines leave much to chance."""
 AGREED = 0.25
-"""Agreement of a channel's phases with the others' from which on its clock can be told; half of what is usual in an
-ambient record where that is less."""
+"""Agreement of phases that tells a channel's clock; half of what is usual in an ambient record where that is less."""
 IN_COMMON = 30.0
 """Times the agreement that chance makes, from which on drifts are looked for where less than `AGREED` is in common: of
 a long ambient record sampled far beyond its highest mode."""
@@ -198,52 +196,34 @@ def _drift(segments: Segments, place: int, heard: dict[int, BandClock]) -> tuple
 
 def _silent(record: TimeRecord, column: int, clock: BandClock) -> Finding:
     channel = record.channels[column]
-    return Finding(
-        "dead channel",
-        f"{channel} carries no motion: nothing in it, from one end of the band to the other, goes with any other "
-        f"channel (agreement of phases {clock.agreement:.2f}, chance makes {clock.chance:.2f}); left out. Is its cable "
-        "cut, or its sensor off?",
-        {"channel": channel.name, "floor": channel.floor, "agreement": clock.agreement, "out": True},
-    )
+    numbers = {"channel": channel.name, "floor": channel.floor, "agreement": clock.agreement, "out": True}
+    return finding("dead channel/silent", numbers, where=channel, chance=clock.chance)
 
 
-def _perhaps_drifting(name: str, clocks: list[BandClock], least: float) -> list[Finding]:
+def _perhaps_drifting(name: str, clocks: list[BandClock], least: float) -> Iterator[Finding]:
     """Report a clock that seems to drift against every other, in a record that passes one mode after the other."""
     slopes = np.array([clock.steepest for clock in clocks])
     slope, reach = float(np.median(slopes)), float(np.median([clock.reach for clock in clocks]))
     alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
     if len(slopes) < 3 or not alike or abs(slope) * reach < least:
-        return []
-    return [
-        Finding(
-            "clock drift",
-            f'the clock of "{name}" may run {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.0f} ppm, by the '
-            "phases against every other clock, or a damper acts near it: where one mode after the other is driven the "
-            "record cannot tell which, and the drift is left in",
-            {"channel": name, "drift": slope, "corrected": False},
-        )
-    ]
+        return
+    numbers = {"channel": name, "drift": slope, "corrected": False}
+    yield finding("clock drift/doubtful", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope))
 
 
 def _drifting(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
-    return Finding(
-        "clock drift",
-        f'the clock of "{name}" runs {"slow" if slope > 0 else "fast"} by {1e6 * abs(slope):.1f} ppm '
-        f"(std {significant(1e6 * std, 2)}), {1e3 * abs(start):.2f} ms {'late' if start > 0 else 'early'} against that "
-        f'of "{reference}" at the start of the record; taken out',
-        {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True},
-    )
+    numbers = {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True}
+    return finding(
+        "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope), std=significant(1e6 * std, 2),
+        start=abs(start), late="late" if start > 0 else "early", reference=reference,
+    )  # fmt: skip
 
 
 def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
     """Report a clock that was late, or early, by the phases of the whole band, and has been set right."""
-    return Finding(
-        "clock offset",
-        f'the clock of "{name}" is {1e3 * abs(seconds):.2f} ms {"late" if seconds > 0 else "early"} '
-        f'(std {significant(1e3 * std, 2)} ms) against that of "{reference}", by the phases of the whole band; taken '
-        "out",
-        {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True},
-    )
+    numbers = {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True}
+    late, spread = "late" if seconds > 0 else "early", significant(1e3 * std, 2)
+    return finding("clock offset", numbers, by=abs(seconds), late=late, spread=spread)
 
 
 def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
@@ -256,33 +236,20 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     reversed_ = level < -CERTAIN_DELAY * std
     if reversed_.sum() > len(level) / 2:
         reversed_, level = ~reversed_, -level
-        findings.append(
-            Finding(
-                "sign",
-                "the input channel is reversed: at low frequency most floors move against it; turned round",
-                {"channel": "input", "corrected": True},
-            )
-        )
+        findings.append(finding("sign/input", {"channel": "input", "corrected": True}))
         factors["input"] = -1.0
     for channel, value, spread, wrong in zip(record.channels, level, std, reversed_, strict=True):
         factor = 1.0
         if wrong:
             factor = -1.0
-            findings.append(
-                Finding(
-                    "sign",
-                    f"{channel} is reversed: at low frequency it moves {value:.3f} ± {spread:.3f} times as much as the "
-                    "base, where every floor moves with it; turned round, check its sign in the record file",
-                    {"channel": channel.name, "gain": float(value), "corrected": True},
-                )
-            )
+            numbers = {"channel": channel.name, "gain": float(value), "corrected": True}
+            findings.append(finding("sign/base", numbers, where=channel, spread=spread))
         unit = unit_of(abs(float(value)))
         if unit is not None and abs(value) > CERTAIN_DELAY * spread:
             size = IN_SI["acceleration"][unit]
             factor *= size
-            findings.append(
-                in_unit(channel, size, f"it moves {abs(value):.3g} times as much as the base at low frequency")
-            )
+            why = f"it moves {abs(value):.3g} times as much as the base at low frequency"
+            findings.append(in_unit(channel, size, why))
         if factor != 1.0:
             factors[channel.name] = factor
     return (scaled(record, factors) if factors else record), findings
@@ -318,11 +285,8 @@ def in_unit(channel: Channel, factor: float, why: str) -> Finding:
     else:
         looks = f"looks like m/s2, the others like {unit_of(factor) or f'{1 / factor:.3g} times that'}"
     remedy = "" if unit is None else f'. Write unit = "{unit}" in the record file'
-    return Finding(
-        "unit",
-        f"floor {channel.floor} {looks}: {channel}, {why}; multiplied by {factor:.6g}{remedy}",
-        {"channel": channel.name, "floor": channel.floor, "unit": unit, "factor": factor, "corrected": True},
-    )
+    numbers = {"channel": channel.name, "floor": channel.floor, "unit": unit, "factor": factor, "corrected": True}
+    return finding("unit", numbers, looks=looks, where=channel, why=why, remedy=remedy)
 
 
 def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:

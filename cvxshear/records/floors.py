@@ -5,15 +5,14 @@ direction from its center. Sensors whose positions are declared give U and t by 
 declared, or the center lies far beyond the sensors, their mean stands for U.
 """
 
-from __future__ import annotations
-
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import scipy
 
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Channel, Finding, Record, Run, TimeRecord
 from cvxshear.records.signals import AnyRecord, only, scaled, with_responses
 from cvxshear.util.errors import InputError
@@ -71,12 +70,11 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     return with_responses(record, centers, tuple(channels)), findings
 
 
-def _beside_the_center(record: Record, groups: Sequence[Ints]) -> list[Finding]:
+def _beside_the_center(record: Record, groups: Sequence[Ints]) -> Iterator[Finding]:
     """Report floors whose one sensor stands beside their center: what they turn by is in its record."""
     across = np.array([np.nan if channel.position is None else channel.position[1] for channel in record.channels])
     # Half the distance of sensors whose difference shows the rotation.
     half = [0.5 * float(np.ptp(across[group])) for group in groups if len(group) > 1 and np.ptp(across[group]) > 0]
-    found = []
     for group in groups:
         channel, off = record.channels[int(group[0])], abs(float(across[group[0]]))
         if len(group) == 1 and off > 0:
@@ -85,15 +83,8 @@ def _beside_the_center(record: Record, groups: Sequence[Ints]) -> list[Finding]:
             )
             # The sensor's place is known, where that of a center between two is anywhere: see `modal.identify`.
             arm = off * np.sqrt(3.0) / np.mean(half) if half else 0.0
-            found.append(
-                Finding(
-                    "rotation",
-                    f"floor {channel.floor} has one sensor, {off:g} m across from its center, whose record holds what "
-                    f"the floor turns by: {seen}",
-                    {"floor": channel.floor, "channels": [channel.name], "placed": False, "arm": float(arm)},
-                )
-            )
-    return found
+            numbers = {"floor": channel.floor, "channels": [channel.name], "placed": False, "arm": float(arm)}
+            yield finding("rotation/one sensor", numbers, off=off, seen=seen)
 
 
 def center_weights(channels: Sequence[Channel], group: Ints) -> tuple[Floats, bool]:
@@ -145,11 +136,7 @@ def along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     if not kept:
         raise InputError("no channel points along the direction of test: check the directions (degrees)")
     findings = [
-        Finding(
-            "direction",
-            f"{channel} points {angle:g} degrees from the direction of test; left out",
-            {"channel": channel.name, "degrees": angle},
-        )
+        finding("direction", {"channel": channel.name, "degrees": angle}, where=channel)
         for column, (channel, angle) in enumerate(zip(record.channels, angles, strict=True))
         if column not in kept
     ]
@@ -197,12 +184,9 @@ def _rotation(record: Record, group: Ints) -> Finding:
         if placed
         else "their mean is its motion, and its entries as uncertain as its center is between them"
     )
-    return Finding(
-        "rotation",
-        f"floor {names[0].floor} has {len(names)} sensors, {', '.join(item.name for item in names)}: {how}, "
-        f"and {100 * share:.1f} % of the mean square is in their difference; {said}",
-        {"floor": names[0].floor, "channels": [item.name for item in names], "share": share, "placed": placed},
-    )
+    called = [item.name for item in names]
+    numbers = {"floor": names[0].floor, "channels": called, "share": share, "placed": placed}
+    return finding("rotation/sensors", numbers, count=len(names), names=", ".join(called), how=how, said=said)
 
 
 def _mean_square(values: Any) -> float:

@@ -4,8 +4,6 @@ The stiffness matrix of a shear frame is a Jacobi matrix, so mode r changes sign
 (Gantmacher and Krein 1950), and the first mode grows with height.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from cvxshear.measurement.reading import fewest_changes, most_changes

@@ -14,7 +14,7 @@ from cvxshear.records.floors import one_a_floor
 from cvxshear.records.record import Record, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 DRIVEN = ("base", "force")
 """Kinds of input that are measured, so that a response to them can be predicted."""
@@ -162,13 +162,9 @@ class Motion:
             )
         single, _ = one_a_floor(record)
         measured = single.quantity == "acceleration"
+        forced = single.input == "force"
         drives = tuple(
-            Drive(
-                run.excitation,
-                run.floor if single.input == "force" else 0,
-                run.responses if measured else None,
-                run.name,
-            )
+            Drive(run.excitation, run.floor if forced else 0, run.responses if measured else None, run.name)
             for run in single.runs
             if run.excitation is not None
         )
@@ -182,8 +178,7 @@ NOISE_FROM = 0.8
 at 0.8 of it or below."""
 
 NOISE_SCATTER = 2.0
-"""Size of the estimated spectrum, over that of the noise, up to which it may be the noise's: averages of a dozen pieces
-scatter by a third."""
+"""Ratio of spectrum to noise up to which it may be noise: averages of a dozen pieces scatter by a third."""
 
 SPECTRUM_SAMPLES = 512
 """Samples of a piece whose spectra are averaged: a minute at 100 Hz has some twenty, which scatter by a fifth."""
@@ -216,20 +211,19 @@ def band_limited(samples: Floats) -> Floats:
     return result[margin : margin + len(samples)]
 
 
-def trend(values: Floats, there: Bools | None = None) -> Floats:
+def trend(values: Floats) -> Floats:
     """Straight line through each column by least squares, of the same shape.
 
     Parameters
     ----------
     values : ndarray, shape (samples,) or (samples, columns)
-    there : ndarray of bool, shape (samples,), optional
-        The samples that count; those that are not nan where not given.
+        Samples that are nan do not count.
     """
     columns = values.reshape(len(values), -1)
     time = np.linspace(-1.0, 1.0, len(values))
     lines = np.zeros_like(columns)
     for j, column in enumerate(columns.T):
-        own = np.isfinite(column) if there is None else there
+        own = np.isfinite(column)
         if own.sum() > 1:
             lines[:, j] = np.polyval(np.polyfit(time[own], column[own], 1), time)
     return lines.reshape(values.shape)

@@ -7,8 +7,6 @@ holds for two exchanged ones; a factor on a channel spoils the first alone. Agai
 not found, or the second: what is then called the first has another shape, and another ratio of frequencies to the next.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -17,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.records.examination import in_unit, unit_in_truth
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Channel, Finding
 from cvxshear.util.quantities import STANDARD_GRAVITY, chance, listed
 from cvxshear.util.typing import Floats, Ints
@@ -121,16 +120,12 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
         for i in range(count)
         for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
     ]
-    scores = np.array(
-        [
-            [
-                np.log(before * (1.0 if numbers == (1, 2) else PRIOR_MISSED))
-                + _likelihood(frequencies, item.undone(shapes), floors, stories, numbers)
-                for numbers in FREQUENCY_RATIOS
-            ]
-            for item, before in prior
-        ]
-    )
+    of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
+    scores = np.log([[before] for _, before in prior]) + of_numbers
+    scores += [
+        [_likelihood(frequencies, item.undone(shapes), floors, stories, numbers) for numbers in FREQUENCY_RATIOS]
+        for item, _ in prior
+    ]
     shares = np.exp(scores - scores.max())
     shares /= shares.sum()
     each = shares.sum(axis=1)
@@ -236,14 +231,9 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
         if rivals[0].probability > 0.5
         else f"the lowest modes cannot tell what is wrong: {listed(options, 'or')}"
     )
-    return [
-        Finding(
-            rivals[0].kind,
-            f"{said}; look at the cables and units. The record is taken as declared: nothing "
-            f"reaches {100 * SURE:.0f} %",
-            {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False},
-        )
-    ]
+    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {100 * SURE:.0f} %"
+    numbers = {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False}
+    return [Finding(rivals[0].kind, said, numbers)]
 
 
 def _named(item: Hypothesis, channels: Sequence[Channel]) -> list[str]:
@@ -279,20 +269,14 @@ def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: f
     if item.kind == "sign":
         one = len(names) == 1
         more = {"channel": names[0]} if one else {}
-        return Finding(
-            "sign",
-            f"{_in_words(item, channels)}: the lowest mode is {shape} from the ground up, and a shear frame's has one "
-            f"sign ({odds}); turned round, check {'its sign' if one else 'their signs'} in the record file",
-            {**numbers, **more, "corrected": True},
-        )
+        what, signs = _in_words(item, channels), "its sign" if one else "their signs"
+        return finding("sign", {**numbers, **more, "corrected": True}, what=what, shape=shape, odds=odds, signs=signs)
     low, high = (channels[place] for place in item.places)
     also = "".join(f", and {channels[place]} reversed" for place in item.turned)
     signs = ", and turn that sign round" if item.turned else ""
     still = [channels[place] for place in item.places if abs(first[place]) < SHAPE_ERROR * np.abs(first).max()]
     dead = "".join(f", unless {channel} carries no motion at all: is its cable cut?" for channel in still)
-    return Finding(
-        "swapped channels",
-        f"{low} and {high} look swapped{also}: the lowest mode is {shape} from the ground up, which no shear frame has "
-        f"({odds}). Exchange their floors in the record file{signs}{dead}",
-        {**numbers, "corrected": False},
-    )
+    return finding(
+        "swapped channels", {**numbers, "corrected": False}, low=low, high=high, also=also, shape=shape, odds=odds,
+        signs=signs, dead=dead,
+    )  # fmt: skip

@@ -77,14 +77,11 @@ class Channel:
         checks.text(self.name, "channel: name")
         checks.whole(self.floor, f'channel "{self.name}": floor', least=0, most=MOST_STORIES)
         checks.text(self.axis, f'channel "{self.name}": axis')
-        if self.unit is not None:
-            checks.text(self.unit, f'channel "{self.name}": unit')
+        checks.put(self, "unit", checks.text, f'channel "{self.name}": unit')
         if self.position is not None:
             x, y = checks.vector(self.position, f'channel "{self.name}": position (m, along and across)', length=2)
             object.__setattr__(self, "position", (float(x), float(y)))
-        if self.direction is not None:
-            degrees = checks.number(self.direction, f'channel "{self.name}": direction (degrees)')
-            object.__setattr__(self, "direction", degrees)
+        checks.put(self, "direction", checks.number, f'channel "{self.name}": direction (degrees)')
 
     def __str__(self) -> str:
         spot = f"floor {self.floor}" if self.floor else "ground"
@@ -126,9 +123,7 @@ class Run:
                 )
             object.__setattr__(self, "excitation", checks.frozen(excitation))
         for key in ("start", "end"):
-            if getattr(self, key) is not None:
-                value = checks.number(getattr(self, key), f"{self.name}: {key} (s)")
-                object.__setattr__(self, key, value)
+            checks.put(self, key, checks.number, f"{self.name}: {key} (s)")
         if self.start is not None and self.end is not None and self.end <= self.start:
             raise InputError(f"{self.name}: end = {self.end:g} s must come after start = {self.start:g} s")
 
@@ -176,11 +171,15 @@ class _Recorded:
     band: tuple[float, float] | None = None
     exponential_window: float | None = None
     name: str = "record"
+    runs: tuple[Run, ...] | tuple[FrfRun, ...] = ()
 
     def _check_common(self) -> None:
         put = object.__setattr__
         put(self, "channels", tuple(self.channels))
+        put(self, "runs", tuple(self.runs))
         checks.choice(self.quantity, RECORDED_QUANTITIES, "record: quantity")
+        if not self.runs:
+            raise InputError("record: at least one run is needed")
         if not self.channels:
             raise InputError("record: at least one response channel on a floor is needed")
         seen: dict[int, Channel] = {}
@@ -197,12 +196,9 @@ class _Recorded:
         if self.stories == 0:
             put(self, "stories", highest)
         checks.whole(self.stories, "record: stories", least=highest, most=MOST_STORIES)
-        if self.exponential_window is not None:
-            put(
-                self,
-                "exponential_window",
-                checks.number(self.exponential_window, "record: exponential_window (time constant, s)", above=0.0),
-            )
+        checks.put(
+            self, "exponential_window", checks.number, "record: exponential_window (time constant, s)", above=0.0
+        )
         if self.band is not None:
             low, high = checks.vector(self.band, "record: band", length=2, least=0.0)
             if high <= low:
@@ -250,12 +246,9 @@ class TimeRecord(_Recorded):
 
     def __post_init__(self) -> None:
         self._check_common()
-        object.__setattr__(self, "runs", tuple(self.runs))
         rate = checks.number(self.sampling_rate, "record: sampling_rate", above=0.0)
         object.__setattr__(self, "sampling_rate", rate)
         checks.choice(self.input, INPUTS, "record: input")
-        if not self.runs:
-            raise InputError("record: at least one run is needed")
         for run in self.runs:
             self._check_run(run)
         if self.band is not None and self.band[0] >= rate / 2:
@@ -395,13 +388,9 @@ class FrfRecord(_Recorded):
 
     def __post_init__(self) -> None:
         self._check_common()
-        object.__setattr__(self, "runs", tuple(self.runs))
         frequencies = checks.vector(self.frequencies, "record: frequencies", least=0.0)
         object.__setattr__(self, "frequencies", frequencies)
-        if self.truncated is not None:
-            checks.flag(self.truncated, "record: truncated")
-        if not self.runs:
-            raise InputError("record: at least one run is needed")
+        checks.put(self, "truncated", checks.flag, "record: truncated")
         if len(frequencies) < FEWEST_LINES:
             raise InputError(f"record: {len(frequencies)} frequency lines; at least {FEWEST_LINES} are needed")
         _check_even_lines(frequencies)

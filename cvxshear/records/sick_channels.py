@@ -1,8 +1,7 @@
 """What single channels of a record get wrong, seen before any mode is looked for."""
 
-from __future__ import annotations
-
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import scipy
@@ -10,9 +9,11 @@ from scipy import linalg, ndimage
 
 from cvxshear.records.clocks import mains_lines
 from cvxshear.records.data_frames import stretches
+from cvxshear.records.findings import finding
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.signals import AnyRecord, impulsive, only
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import counted
 from cvxshear.util.typing import Bools, Floats
 
 DEAD = 1e-4
@@ -63,7 +64,7 @@ def channel_findings(record: Record) -> list[Finding]:
         for column, channel in enumerate(record.channels):
             if levels[column] > DEAD * np.median(levels):
                 where = f"{run.name}: {channel}"
-                of_channel = _of_series(run.responses[:, column], where, channel.name, record)
+                of_channel = [*_of_series(run.responses[:, column], where, channel.name, record)]
                 of_channel += _stuck(run.responses, column, where, channel.name, record.sampling_rate)
                 if not any(finding.kind in NO_SPIKES for finding in of_channel):
                     of_channel += _spiked(spikes[:, column], where, channel.name)
@@ -177,18 +178,13 @@ def _local_scale(errors: Floats) -> Floats:
     return np.asarray(np.where(scale > 0, scale, np.inf))
 
 
-def _spiked(spikes: Bools, where: str, name: str) -> list[Finding]:
+def _spiked(spikes: Bools, where: str, name: str) -> Iterator[Finding]:
     count = int(spikes.sum())
     if not count:
-        return []
-    return [
-        Finding(
-            "spikes",
-            f"{where} has {count} spike{'s' if count > 1 else ''} that no other channel shows, the first at sample "
-            f"{int(np.argmax(spikes)) + 1}; replaced by what the samples around them say",
-            {"channel": name, "samples": count},
-        )
-    ]
+        return
+    first = int(np.argmax(spikes)) + 1
+    numbers = {"channel": name, "samples": count}
+    yield finding("spikes", numbers, where=where, spikes=counted(count, "spike"), first=first)
 
 
 def stuck_in(responses: Floats, column: int, rate: float) -> Bools:
@@ -221,47 +217,41 @@ def stuck_in(responses: Floats, column: int, rate: float) -> Bools:
     return found
 
 
-def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -> list[Finding]:
+def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -> Iterator[Finding]:
     stuck = stuck_in(responses, column, rate)
     if not stuck.any():
-        return []
+        return
     where_stuck = stretches(stuck)
     count, longest, first = int(stuck.sum()), int(np.diff(where_stuck, axis=1).max()), int(where_stuck[0, 0])
     out = bool(count > STUCK_SHARE * len(stuck))
-    return [
-        Finding(
-            "stuck channel",
-            f"{where} sticks at {responses[first, column]:.4g} from sample {first + 1} on: {count} of {len(stuck)} "
-            f"samples repeat the last, up to {longest / rate:.3g} s on end, while the others move"
-            + ("; left out" if out else ""),
-            {"channel": name, "samples": count, "share": float(count / len(stuck)), "out": out},
-        )
-    ]
+    numbers = {"channel": name, "samples": count, "share": float(count / len(stuck)), "out": out}
+    yield finding(
+        "stuck channel", numbers, where=where, value=responses[first, column], first=first + 1, length=len(stuck),
+        longest=longest / rate, left_out="; left out" if out else "",
+    )  # fmt: skip
 
 
 def _dead(record: Record, levels: Floats) -> list[Finding]:
     typical = float(np.median(levels[levels > 0])) if np.any(levels > 0) else 0.0
-    return [
-        Finding(
-            "dead channel",
-            f"{channel} measures nothing: standard deviation {level:.3g} where the median channel has {typical:.3g}; "
-            "left out",
-            {"channel": channel.name, "floor": channel.floor, "std": float(level), "median_std": typical, "out": True},
-        )
-        for channel, level in zip(record.channels, levels, strict=True)
-        if level <= DEAD * typical
-    ]
+    found = []
+    for channel, level in zip(record.channels, levels.tolist(), strict=True):
+        if level <= DEAD * typical:
+            place = {"channel": channel.name, "floor": channel.floor}
+            numbers = {**place, "std": level, "median_std": typical, "out": True}
+            found.append(finding("dead channel", numbers, where=channel))
+    return found
 
 
-def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> list[Finding]:
-    found = [_clipped(values, where, name), _held(values, where, name)]
+def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> Iterator[Finding]:
+    yield from _clipped(values, where, name)
+    yield from _held(values, where, name)
     if record.input != "free_decay" and name != "input":
-        found.append(_drift(values, where, name))
-    found += [_aliased(values, where, name, record.sampling_rate), _humming(values, where, name, record.sampling_rate)]
-    return [finding for finding in found if finding is not None]
+        yield from _drift(values, where, name)
+    yield from _aliased(values, where, name, record.sampling_rate)
+    yield from _humming(values, where, name, record.sampling_rate)
 
 
-def _clipped(values: Floats, where: str, name: str) -> Finding | None:
+def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
     for extreme in (values.max(), values.min()):
         flat = values == extreme
         lengths = np.diff(stretches(flat), axis=1)
@@ -271,30 +261,23 @@ def _clipped(values: Floats, where: str, name: str) -> Finding | None:
         if len(edge) > 1 and edge[0] >= CLIPPED_COUNT * max(1, edge[1]):
             count = max(count, int(edge[0]))
         if count and values.std() > 0 and count < 0.5 * len(values) and abs(extreme - np.median(values)) > values.std():
-            return Finding(
-                "clipped channel",
-                f"{where} is clipped at {extreme:.4g}: {count} of {len(values)} samples stand there, the first at "
-                f"sample {int(np.argmax(flat)) + 1}",
-                {"channel": name, "level": float(extreme), "samples": count, "share": count / len(values)},
-            )
-    return None
+            numbers = {"channel": name, "level": float(extreme), "samples": count, "share": count / len(values)}
+            first = int(np.argmax(flat)) + 1
+            yield finding("clipped channel", numbers, where=where, length=len(values), first=first)
+            return
 
 
-def _held(values: Floats, where: str, name: str) -> Finding | None:
+def _held(values: Floats, where: str, name: str) -> Iterator[Finding]:
     """Find samples repeated at a fixed pace: a channel of a lower rate, filled up."""
     same = np.diff(values) == 0
     for pace in (2, 3, 4, 5):
         repeats = [np.mean(same[phase::pace]) for phase in range(pace)]
         if sum(share > 0.95 for share in repeats) == pace - 1 and min(repeats) < 0.5:
-            return Finding(
-                "held samples",
-                f"{where} repeats every value {pace} times: it was sampled at a {pace}th of the rate and filled up",
-                {"channel": name, "repeats": pace},
-            )
-    return None
+            yield finding("held samples", {"channel": name, "repeats": pace}, where=where)
+            return
 
 
-def _drift(values: Floats, where: str, name: str) -> Finding | None:
+def _drift(values: Floats, where: str, name: str) -> Iterator[Finding]:
     tenth = max(1, len(values) // 10)
     change = float(values[-tenth:].mean() - values[:tenth].mean())
     around = scipy.signal.detrend(values)
@@ -303,36 +286,24 @@ def _drift(values: Floats, where: str, name: str) -> Finding | None:
     pieces = [float(part.mean()) for part in np.array_split(around, 20)]
     scatter = float(np.std(pieces))
     if level > 0 and abs(change) > DRIFTED * level and abs(change) > 4 * scatter:
-        return Finding(
-            "drift",
-            f"{where} drifts by {change:.3g} from its first tenth to its last, {abs(change) / level:.2g} of its "
-            "standard deviation; a straight line was taken off",
-            {"channel": name, "change": change, "over_std": abs(change) / level},
-        )
-    return None
+        yield finding("drift", {"channel": name, "change": change, "over_std": abs(change) / level}, where=where)
 
 
-def _aliased(values: Floats, where: str, name: str, rate: float) -> Finding | None:
+def _aliased(values: Floats, where: str, name: str, rate: float) -> Iterator[Finding]:
     _, power = scipy.signal.welch(values, fs=rate, nperseg=min(1024, len(values)))
     top = power[int(0.9 * len(power)) :]
     below = power[int(0.7 * len(power)) : int(0.9 * len(power))]
     share = float(top.sum() / power.sum()) if power.sum() > 0 else 0.0
     # White noise has a tenth of its power up there, and as much just below; a folded line stands out.
     if share > NEAR_NYQUIST and top.max() > 10 * np.median(below):
-        return Finding(
-            "aliasing",
-            f"{where} has {100 * share:.0f} % of its power in the top tenth of the band up to {rate / 2:g} Hz; what "
-            "lies beyond is folded back into it",
-            {"channel": name, "share": share},
-        )
-    return None
+        yield finding("aliasing", {"channel": name, "share": share}, where=where, highest=rate / 2)
 
 
-def _humming(values: Floats, where: str, name: str, rate: float) -> Finding | None:
+def _humming(values: Floats, where: str, name: str, rate: float) -> Iterator[Finding]:
     """Power in lines of the mains, each narrower than a resonance."""
     length = min(len(values), int(20 * rate)) // 2 * 2
     if length < 4 * rate:
-        return None
+        return
     frequencies, power = scipy.signal.welch(values, fs=rate, nperseg=length)
     lines = mains_lines(length, rate)
     # Hum that folds to 0 Hz cannot be told from an offset or a drift.
@@ -340,21 +311,16 @@ def _humming(values: Floats, where: str, name: str, rate: float) -> Finding | No
     near = np.isin(np.arange(len(power)), (lines[:, None] + np.arange(-8, 9)).ravel())
     # A resonance spreads over the neighbouring lines; hum does not.
     if not power.sum() > 0 or power[lines].sum() < 0.9 * power[near].sum():
-        return None
+        return
     share = float(power[lines].sum() / power.sum())
     if share < HUM_SHARE:
-        return None
+        return
     loudest = float(frequencies[lines[np.argmax(power[lines])]])
     early, late = (_level(half, loudest, rate) for half in np.array_split(values, 2))
     if min(early, late) < 0.5 * max(early, late):
         # A mode that dies away may be as narrow; hum lasts.
-        return None
-    return Finding(
-        "mains hum",
-        f"{where} hums: {100 * share:.0f} % of its power stands in a line at {loudest:.4g} Hz, where the mains' 50 or "
-        "60 Hz, or a multiple, shows at this sampling rate",
-        {"channel": name, "share": share, "frequency": loudest},
-    )
+        return
+    yield finding("mains hum", {"channel": name, "share": share, "frequency": loudest}, where=where)
 
 
 def _level(values: Floats, frequency: float, rate: float) -> float:

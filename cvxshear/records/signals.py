@@ -1,7 +1,5 @@
 """What is done to the samples of a record before anything is made of them: trend off, decimated, clocks right."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
@@ -91,15 +89,11 @@ def with_responses(
 
 
 def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float) -> TimeRecord:
-    runs = tuple(
-        dataclasses.replace(
-            run,
-            responses=change(run.responses),
-            excitation=None if run.excitation is None else change(run.excitation[:, None])[:, 0],
-        )
-        for run in record.runs
-    )
-    return dataclasses.replace(record, runs=runs, sampling_rate=rate)
+    runs = []
+    for run in record.runs:
+        excitation = None if run.excitation is None else change(run.excitation[:, None])[:, 0]
+        runs.append(dataclasses.replace(run, responses=change(run.responses), excitation=excitation))
+    return dataclasses.replace(record, runs=tuple(runs), sampling_rate=rate)
 
 
 SINC_TERMS = 48

@@ -1,7 +1,5 @@
 """Records of a known shear frame, integrated exactly, for studies of the identification."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,9 +100,7 @@ def hammer_record(
         for hit in range(hits):
             time = np.arange(count) * step - 1.0 - random.uniform(0, 1 / sampling_rate)
             blow = np.where((time > 0) & (time < 0.1), np.sin(np.pi * time / 0.1), 0.0) * random.uniform(50, 150)
-            forces = np.zeros((count, len(frame.masses)))
-            forces[:, floor - 1] = blow
-            both = np.column_stack([_acting(blow), frame.accelerations(forces, step)])
+            both = _answered(frame, blow, floor, step)
             runs.append(_sensed(both, noise, random, floor, f"hit {hit + 1} at floor {floor}"))
     return _record(frame, runs, sampling_rate, "force")
 
@@ -135,9 +131,7 @@ def shaker_record(
     random = np.random.default_rng(seed)
     step = 1 / (sampling_rate * OVERSAMPLING)
     force = 10.0 * _white(int(duration * sampling_rate) * OVERSAMPLING, random)
-    forces = np.zeros((len(force), len(frame.masses)))
-    forces[:, floor - 1] = force
-    run = _sensed(np.column_stack([_acting(force), frame.accelerations(forces, step)]), noise, random, floor, name)
+    run = _sensed(_answered(frame, force, floor, step), noise, random, floor, name)
     return _record(frame, [run], sampling_rate, "force")
 
 
@@ -160,12 +154,16 @@ def _white(count: int, random: np.random.Generator) -> Floats:
     return np.asarray(values / values.std())
 
 
-def _acting(force: Floats) -> Floats:
-    """Smooth the samples of a force that is a straight line between them, to those of its part in their band.
+def _answered(frame: KnownFrame, force: Floats, floor: int, step: float) -> Floats:
+    """Put a force at one floor, smoothed to its part in the samples' band, beside the accelerations of all floors.
 
-    The line has the samples' spectrum times sinc squared, 1 - w^2 / 12 for w radians a sample; so have these weights.
+    A straight line between samples has their spectrum times sinc squared, 1 - w^2 / 12 for w radians a sample; so have
+    the weights 1/12, 10/12 and 1/12.
     """
-    return np.convolve(force, np.array([1.0, 10.0, 1.0]) / 12.0, mode="same")
+    forces = np.zeros((len(force), len(frame.masses)))
+    forces[:, floor - 1] = force
+    acting = np.convolve(force, np.array([1.0, 10.0, 1.0]) / 12.0, mode="same")
+    return np.column_stack([acting, frame.accelerations(forces, step)])
 
 
 def _sensed(

@@ -1,7 +1,5 @@
 """Results into files for other programs: the frame as matrices, a script or a spreadsheet; time series as columns."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from importlib import resources

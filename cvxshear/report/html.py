@@ -1,7 +1,5 @@
 """Reports of a closed loop, of a response and of modes: one HTML file each that stands by itself, figures inside."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 from collections.abc import Sequence

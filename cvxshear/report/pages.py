@@ -1,7 +1,5 @@
 """What every page of HTML shares: the templates, figures as drawings in a page, versions, JSON for readers."""
 
-from __future__ import annotations
-
 import json
 import platform
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Results as plain tables for spreadsheet programs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

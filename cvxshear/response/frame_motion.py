@@ -227,15 +227,16 @@ class FrameMotion:
             found.append(smooth(model, Observed(run.drive, run.measured, envelope, scale), asked))
         return found
 
-    def runs(self, fitted: FittedFrame, wider: float, drift_std: float) -> list[ReconstructedRun]:
-        """Every run's motion, its deviations widened by a factor, those of drifts by a part of each besides.
+    def runs(self, fitted: FittedFrame, wider: float, rough: float) -> list[ReconstructedRun]:
+        """Every run's motion, its deviations widened by a factor, those of drifts and forces by a part of each besides.
 
         Parameters
         ----------
         fitted : FittedFrame
         wider : float
-        drift_std : float
-            Standard deviation of a drift, or of a floor's displacement, relative to it, that no linear frame has.
+        rough : float
+            Standard deviation of a drift, of a floor's displacement or of a force, relative to it, that comes from what
+            neither the record nor the tests tell.
         """
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
@@ -252,9 +253,9 @@ class FrameMotion:
             std *= wider
             acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
             own = std[:, n : 3 * n]
-            np.hypot(own, drift_std * np.hstack([displacement, drift]), out=own)
+            np.hypot(own, rough * np.hstack([displacement, drift]), out=own)
             forces = slice(3 * n, 4 * n + (model.heights is not None))
-            std[:, forces] = np.hypot(std[:, forces], fitted.scale_std * moved[:, forces])
+            std[:, forces] = np.hypot(std[:, forces], np.hypot(fitted.scale_std, rough) * moved[:, forces])
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
             motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")

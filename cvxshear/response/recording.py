@@ -37,6 +37,10 @@ AMID_MOTION = 0.5
 """Strength of the excitation at its first sample, relative to its rms over the record, from which on a run begins amid
 it: a record that was triggered by the motion begins with its weaker part."""
 
+BY_CHANCE = 4.0
+"""Standard deviations of the mean of a motion up to which a line in it is one by chance: two, and twice that at its
+ends."""
+
 LINE_LEFT = 1e-12
 """What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""
 
@@ -171,7 +175,13 @@ class Recording:
         expected : sequence of ndarray, shape (samples, m)
             Accelerations of a model at the sensors, for each run.
         """
-        return [trend(run.measured - own) for run, own in zip(self.runs, expected, strict=True)]
+        found = []
+        for run, own in zip(self.runs, expected, strict=True):
+            left = run.measured - own
+            alike = np.ones(len(left))
+            columns = zip(trend(left).T, left.T, strict=True)
+            found.append(np.column_stack([_unless_by_chance(line, column, alike) for line, column in columns]))
+        return found
 
     def less(self, lines: Sequence[Floats]) -> Recording:
         """Take straight lines off the measured accelerations, one array (samples, m) a run."""
@@ -214,7 +224,8 @@ class Recording:
                 ndimage.uniform_filter1d(each.astype(np.float64), width, mode="nearest")
                 for each in (total, there.sum(axis=1))
             )
-            powers.append(power / np.maximum(count, 1e-3))
+            # A running sum leaves rounding where nothing was measured.
+            powers.append(np.maximum(power, 0.0) / np.maximum(count, 1e-3))
         mean = float(np.mean(np.concatenate(powers)))
         strengths = [np.maximum(np.sqrt(power / mean), QUIETEST) for power in powers]
         return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
@@ -230,18 +241,35 @@ def sensor_line(excitation: Floats) -> Floats:
     ----------
     excitation : ndarray, shape (samples,)
     """
-    line, time = trend(excitation), np.linspace(-1.0, 1.0, len(excitation))
+    line = trend(excitation)
     moved = excitation - line
-    level = rms(moved)
-    if not level:
-        return line
-    # A harmonic of T samples a period changes by 2 pi / T of its rms from one to the next.
-    width = max(1, round(ENVELOPE_PERIODS * 2 * np.pi * level / max(rms(np.diff(moved)), level / len(moved))))
+    level, width = rms(moved), _width(moved)
     strength = np.sqrt(ndimage.uniform_filter1d(moved**2, width, mode="nearest"))
-    if strength[0] < AMID_MOTION * level:
+    if strength[0] < AMID_MOTION * level or not level:
         return line
-    weights = 1.0 / np.maximum(strength, QUIETEST * level)
-    return np.asarray(np.polyval(np.polyfit(time, excitation, 1, w=weights), time), dtype=np.float64)
+    weights, time = 1.0 / np.maximum(strength, QUIETEST * level), np.linspace(-1.0, 1.0, len(excitation))
+    line = np.asarray(np.polyval(np.polyfit(time, excitation, 1, w=weights), time), dtype=np.float64)
+    return _unless_by_chance(line, excitation, weights)
+
+
+def _width(moved: Floats) -> int:
+    """Count the samples of `ENVELOPE_PERIODS` of a motion: a harmonic changes by 2 pi over its period of its rms."""
+    level = rms(moved)
+    step = max(rms(np.diff(moved)), level / len(moved))
+    return max(1, round(ENVELOPE_PERIODS * 2 * np.pi * level / step)) if level else 1
+
+
+def _unless_by_chance(line: Floats, values: Floats, weights: Floats) -> Floats:
+    """Return a line through values, or zeros where it is no more than what a motion of their periods leaves by chance.
+
+    The mean's variance is that of sums over blocks of `ENVELOPE_PERIODS`.
+    """
+    left = values - line
+    blocks = np.arange(0, len(left), _width(left))
+    square = weights**2 * np.isfinite(left)
+    summed = np.add.reduceat(np.nan_to_num(square * left), blocks)
+    chance = float(np.linalg.norm(summed)) / max(float(np.sum(square)), 1e-300)
+    return line if np.max(np.abs(line)) > BY_CHANCE * chance else np.zeros_like(line)
 
 
 def rms(values: Floats) -> float:

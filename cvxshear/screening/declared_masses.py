@@ -10,8 +10,6 @@ for a change that can be made at K places in a share q of all files, and that es
 to within sigma (Occam's factor of the Laplace approximation).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
@@ -22,16 +20,12 @@ import numpy as np
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
 from cvxshear.priors import Nominal
-from cvxshear.screening.doubts import Finding
+from cvxshear.screening import shear_fit
+from cvxshear.screening.compared_tests import by_state
+from cvxshear.screening.doubts import right_in_kg
+from cvxshear.screening.finding import Finding, doubt
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, REFITTED, RIVAL_COST, SUSPICIOUS, UNEXPLAINED, prior_cost
-from cvxshear.screening.shear_fit import (
-    MOST_NEAREST_STEPS,
-    ROUGH_STEPS,
-    TALLEST_FITTED,
-    NearestFrame,
-    ShearFrames,
-    usual_width,
-)
+from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.quantities import quantity
 from cvxshear.util.typing import Floats
 
@@ -39,8 +33,7 @@ AS_DECLARED_STD = 0.003
 """Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
 
 SLIP = 0.5
-"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor of
-1.6."""
+"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor 1.6."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +80,10 @@ class MassFit:
 
 def masses_declared(experiment: Experiment) -> Iterator[Finding]:
     """Find a mistake in the masses, by the configurations of the state that has most of them."""
-    states: dict[str, list[Configuration]] = {}
-    for each in experiment.configurations:
-        if each.measured.any():
-            states.setdefault(each.state, []).append(each)
+    states = by_state(each for each in experiment.configurations if each.measured.any())
     if not states or experiment.frame.total_mass_placeholder or experiment.stories > TALLEST_FITTED:
         return
-    tests = max(states.values(), key=len)
+    tests = max(states, key=len)
     declared = _declared(experiment, tests)
     others = () if declared is None else tuple(_changes(experiment, tests, declared))
     if declared is None or not others:
@@ -103,7 +93,7 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
     if given.cost < SUSPICIOUS:
         return
     begin = [given.frame.theta[experiment.stories :]]
-    rough = [(_nearest(readings, each, begin, ROUGH_STEPS).cost + each.prior_cost, each) for each in others]
+    rough = [(_nearest(readings, each, begin, shear_fit.ROUGH_STEPS).cost + each.prior_cost, each) for each in others]
     rough.sort(key=lambda item: item[0])
     fitted = sorted((_fitted(readings, each, begin) for _, each in rough[:REFITTED]), key=lambda item: item.cost)
     best = fitted[0]
@@ -123,7 +113,7 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
 def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> Declared | None:
     """Read off what is declared, even floors where only the total is; None where nothing says how heavy they are."""
     N, frame = experiment.stories, experiment.frame
-    expected, width = np.zeros(2 * N), usual_width(N)
+    expected, width = np.zeros(2 * N), shear_fit.usual_width(N)
     known = frame.known_total is not None
     if frame.known_total is not None:
         expected[:N] = np.log(frame.known_total / N)
@@ -197,7 +187,7 @@ def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence
     fits = []
     for part in (1.0, CLOSER, FARTHER):
         each = [dataclasses.replace(reading, part=part) for reading in readings]
-        near = _nearest(each, declared, stiffness, MOST_NEAREST_STEPS)
+        near = _nearest(each, declared, stiffness, shear_fit.MOST_NEAREST_STEPS)
         fits.append((near.cost + sum(reading.certainty_lost() for reading in each), near))
         stiffness = [near.theta[len(declared.expected) // 2 :]]
     cost, near = min(fits, key=lambda item: item[0])
@@ -222,3 +212,92 @@ def _estimated(found: MassFit) -> tuple[str, float, str] | tuple[()]:
         return ()
     value, said = (float(np.exp(each[floor])) for each in (found.frame.theta, found.declared.expected))
     return quantity(value, "kg", 3), 100 * _std(found), quantity(said, "kg", 3)
+
+
+CONTRADICTION = 4.0
+"""Standard deviations between the logarithms of the two totals from which on they contradict each other."""
+
+LEAST_CONTRADICTION = 0.3
+"""Difference of the logarithms of the two totals below which a contradiction is not worth a word."""
+
+POOREST = 0.6
+"""Standard deviation of the logarithm of a total from which on it says nothing."""
+
+POOR = 4.0
+"""Cost a datum above which no shear frame is near enough to weigh, and odd frames are tried as starts as well."""
+
+VAGUE = 0.05
+"""Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""
+
+LOAD_UNITS = (("t", 1e3), ("kN", 1e3 / 9.81), ("g", 1e-3), ("N", 1 / 9.81))
+"""Units other than kg in which added masses are written, with the factor by which the total then seems too large."""
+
+UNIT_OFF = 0.5
+"""Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
+
+
+def total_mass(experiment: Experiment) -> Iterator[Finding]:
+    """Compare the declared total with that of the configurations.
+
+    Added masses lower the frequencies the more, the lighter the frame is, lambda = phi' K phi / phi' (M + A) phi. So
+    configurations with different added mass have a total of their own: that of the shear frame nearest to all of them
+    together, its scale free.
+    """
+    if experiment.frame.total_mass_placeholder:
+        yield doubt("total_mass/placeholder", total=experiment.frame.total_mass)
+        return
+    declared = experiment.frame.known_total
+    different = {tuple(each.added_mass) for each in experiment.configurations}
+    if declared is None or len(different) < 2 or experiment.stories > TALLEST_FITTED:
+        return
+    total, std = implied_total(experiment)
+    off = float(np.log(declared / total))
+    if std > POOREST or abs(off) < max(LEAST_CONTRADICTION, CONTRADICTION * std):
+        return
+    sizes = {"implied": quantity(total, "kg", 3), "percent": 100 * std, "declared": quantity(declared, "kg", 6)}
+    heavy = right_in_kg(experiment, declared / experiment.stories)
+    load = next((unit for unit, factor in LOAD_UNITS if abs(off - np.log(factor)) < UNIT_OFF), None)
+    unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT_OFF), None)
+    if load is not None and (heavy or unit is None):
+        weight = "floors of that weight suit the story heights, so " if heavy else ""
+        yield doubt("added_mass", **sizes, weight=weight, load=load)
+    elif unit is not None:
+        either = "" if load is None or heavy is False else f", or added_mass like {load}"
+        yield doubt("masses/total", **sizes, unit=unit, either=either)
+    else:
+        yield doubt("total_mass", **sizes)
+
+
+def implied_total(experiment: Experiment) -> tuple[float, float]:
+    """Estimate the total mass without added mass, kg, from the configurations, and the std of its logarithm.
+
+    The std is infinite where no shear frame is near all configurations.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Of two configurations at least with different added mass.
+    """
+    N = experiment.stories
+    readings = [Reading.of(each) for each in experiment.configurations]
+    added = [each.added_mass for each in experiment.configurations]
+    problem = ShearFrames(list(zip(readings, added, strict=True)), centred=True)
+    # Floors as heavy as the added mass.
+    begin = np.repeat([np.log(max(float(mass.sum()) for mass in added) / N), 0.0], N)
+    found = problem.nearest(problem.tuned(begin))
+    count = sum(reading.count for reading in readings)
+    if found.cost > POOR * count:
+        others = (
+            problem.nearest(problem.tuned(begin + start), shear_fit.ROUGH_STEPS) for start in shear_fit.odd_starts(N)
+        )
+        found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
+    share = np.exp(found.theta[:N])
+    if found.at is None or found.cost > POOR * count:
+        return float(share.sum()), np.inf
+    # What floors usually weigh decides no contradiction: it counts for little here, the added masses for all.
+    J = found.at.J.copy()
+    J[-2 * N :] *= VAGUE
+    covariance = np.linalg.pinv(J.T @ J)
+    by_masses = share / share.sum()
+    scatter = max(1.0, found.cost / max(len(found.at.r) - 2 * N, 1))
+    return float(share.sum()), float(np.sqrt(scatter * by_masses @ covariance[:N, :N] @ by_masses))

@@ -4,26 +4,25 @@ Each proposes, for a reading, every place at which its mistake can have been mad
 decided here.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import comb
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement.reading import Reading
 from cvxshear.model.shear import Modes
+from cvxshear.screening.finding import in_words
 from cvxshear.util.typing import Floats, Ints
 
 MISTAKEN = 1e-2
 """Probability that a configuration has a mistake of one kind: one file in a hundred."""
 
 LEFT_TO_GIVEN = 1e-3
-"""Probability of a reading as given, relative to that of its best repair, below which it is refused: a wrong refusal
-costs more than a mistake that is only suspected."""
+"""Odds of a reading as given, to its best repair's, below which it is refused: wrong refusals cost more than doubts."""
 
 SUSPICIOUS = 25.0
 """Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
@@ -72,6 +71,16 @@ class Repair:
         return prior_cost(self.choices)
 
 
+def _repair(key: str, reading: Reading, choices: int, /, **gaps: object) -> Repair:
+    """Describe a repair in the words of its key."""
+    return Repair(*in_words(key, **gaps), reading, choices)
+
+
+def _picked(reading: Reading, which: Any) -> Reading:
+    """Pick entries of the shapes and their standard deviations by an index."""
+    return replace(reading, shapes=reading.shapes[which], noise=reading.noise[which])
+
+
 def prior_cost(choices: int) -> float:
     """Minus twice the logarithm of the odds of a mistake of one kind at one of so many places."""
     return 2 * float(np.log(choices / MISTAKEN))
@@ -80,44 +89,24 @@ def prior_cost(choices: int) -> float:
 def sensor_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     """Each sensor turned round in every mode."""
     width = len(reading.floors)
-    for column in range(width):
+    for column, floor in enumerate(reading.floors + 1):
         turned = np.where(np.arange(width) == column, -1.0, 1.0)
-        floor = reading.floors[column] + 1
-        yield Repair(
-            "sensor_sign",
-            f"the sensor of floor {floor} has the wrong sign",
-            f"change the sign of floor {floor}'s entry in every mode",
-            replace(reading, shapes=reading.shapes * turned),
-            width,
-        )
+        yield _repair("sensor_sign", replace(reading, shapes=reading.shapes * turned), width, floor=floor)
 
 
 def exchanged_sensors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     """Each pair of sensors exchanged."""
     width = len(reading.floors)
     for low, high in itertools.combinations(range(width), 2):
-        order = np.arange(width)
-        order[[low, high]] = high, low
         names = f"floors {reading.floors[low] + 1} and {reading.floors[high] + 1}"
-        yield Repair(
-            "swapped_sensors",
-            f"the sensors of {names} stand in each other's place",
-            f"exchange the entries of {names} in every mode",
-            replace(reading, shapes=reading.shapes[:, order], noise=reading.noise[:, order]),
-            comb(width, 2),
-        )
+        order = np.s_[:, _exchanged(width, low, high)]
+        yield _repair("swapped_sensors", _picked(reading, order), comb(width, 2), floors=names)
 
 
 def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     """List the floors in the opposite order."""
     if len(reading.floors) > 1:
-        yield Repair(
-            "floors_from_top",
-            "the floors are listed from the top",
-            "list each mode's entries from the lowest floor up (and added_mass and what else is given a floor)",
-            replace(reading, shapes=reading.shapes[:, ::-1], noise=reading.noise[:, ::-1]),
-            1,
-        )
+        yield _repair("floors_from_top", _picked(reading, np.s_[:, ::-1]), 1)
 
 
 GROUND_STILL = 3.0
@@ -138,23 +127,13 @@ def other_floors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         still = np.all(np.abs(reading.scaled * reading.weights)[:, moved < 0] < GROUND_STILL)
         if np.all(moved <= top) and still and on.any():
             listed = ", ".join(str(floor + 1) for floor in moved)
-            yield Repair(
-                "sensor_floors",
-                f"the sensors are listed one floor too {word}",
-                f"list them at floors {listed}" + ("" if np.all(on) else " (0 is the ground: leave its entries out)"),
-                replace(reading, floors=moved[on], shapes=reading.shapes[:, on], noise=reading.noise[:, on]),
-                choices,
-            )
+            but = "" if np.all(on) else " (0 is the ground: leave its entries out)"
+            there = replace(_picked(reading, np.s_[:, on]), floors=moved[on])
+            yield _repair("sensor_floors/all", there, choices, low=word, floors=listed, but=but)
         for column, floor in enumerate(moved.tolist()):
             if 0 <= floor <= top and floor not in floors:
-                other = np.where(np.arange(len(floors)) == column, floor, floors)
-                yield Repair(
-                    "sensor_floors",
-                    f"the sensor of floor {floors[column] + 1} is listed one floor too {word}",
-                    f"list it at floor {floor + 1}",
-                    replace(reading, floors=other),
-                    choices,
-                )
+                there = replace(reading, floors=np.where(np.arange(len(floors)) == column, floor, floors))
+                yield _repair("sensor_floors/one", there, choices, low=word, before=floors[column] + 1, floor=floor + 1)
 
 
 def other_units(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
@@ -163,56 +142,32 @@ def other_units(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     for column in range(width if width > 1 else 0):
         for factor in UNITS:
             scale = np.where(np.arange(width) == column, factor, 1.0)
-            floor = reading.floors[column] + 1
-            yield Repair(
-                "sensor_unit",
-                f"the sensor of floor {floor} is in another unit",
-                f"multiply floor {floor}'s entry in every mode by {factor:.4g}",
-                replace(reading, shapes=reading.shapes * scale, noise=reading.noise * scale),
-                width * len(UNITS),
-            )
+            other = replace(reading, shapes=reading.shapes * scale, noise=reading.noise * scale)
+            yield _repair("sensor_unit", other, width * len(UNITS), floor=reading.floors[column] + 1, factor=factor)
 
 
 def periods(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     """Take the frequencies for periods, which descend from the first mode to the last."""
     if len(reading.modes) > 1:
-        yield Repair(
-            "periods",
-            "the frequencies are periods",
-            "write 1 / period as the frequencies, and the modes in the opposite order",
-            replace(
-                reading, log_frequencies=-reading.log_frequencies[::-1], frequency_noise=reading.frequency_noise[::-1],
-                shapes=reading.shapes[::-1], noise=reading.noise[::-1],
-            ),
-            1,
-        )  # fmt: skip
+        noise = reading.frequency_noise[::-1]
+        turned = _picked(reading, np.s_[::-1])
+        yield _repair(
+            "periods", replace(turned, log_frequencies=-reading.log_frequencies[::-1], frequency_noise=noise), 1
+        )
 
 
 def drifts(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     """Drifts of the stories added up to displacements of the floors."""
     width = len(reading.floors)
     if width > 1 and np.array_equal(reading.floors, np.arange(width)):
-        yield Repair(
-            "drifts",
-            "mode_shapes are drifts of the stories",
-            "add the entries of each mode up from the lowest floor",
-            replace(
-                reading, shapes=np.cumsum(reading.shapes, axis=1), noise=np.sqrt(np.cumsum(reading.noise**2, axis=1))
-            ),
-            1,
-        )
+        noise = np.sqrt(np.cumsum(reading.noise**2, axis=1))
+        yield _repair("drifts", replace(reading, shapes=np.cumsum(reading.shapes, axis=1), noise=noise), 1)
 
 
 def transposed(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     """Rows for columns."""
     if len(reading.floors) == len(reading.modes) > 1:
-        yield Repair(
-            "transposed",
-            "mode_shapes has one row a floor",
-            "transpose mode_shapes: one row a mode, one entry a floor",
-            replace(reading, shapes=reading.shapes.T, noise=reading.noise.T),
-            1,
-        )
+        yield _repair("transposed", replace(reading, shapes=reading.shapes.T, noise=reading.noise.T), 1)
 
 
 def other_orders(reading: Reading, frames: Sequence[Modes]) -> Iterator[Repair]:
@@ -223,14 +178,9 @@ def other_orders(reading: Reading, frames: Sequence[Modes]) -> Iterator[Repair]:
     orders.discard(tuple(range(count)))
     for order in sorted(orders):
         places = [place for place in range(count) if order[place] != place]
-        rows = ", ".join(str(place + 1) for place in places)
-        yield Repair(
-            "mode_order",
-            f"rows {rows} of mode_shapes stand in another order than the frequencies",
-            f"put rows {', '.join(str(order[place] + 1) for place in places)} of mode_shapes in the places of {rows}",
-            replace(reading, shapes=reading.shapes[list(order)], noise=reading.noise[list(order)]),
-            comb(count, 2) * 2 ** (len(places) - 2),
-        )
+        rows, others = (", ".join(str(each + 1) for each in some) for some in (places, [order[at] for at in places]))
+        choices = comb(count, 2) * 2 ** (len(places) - 2)
+        yield _repair("mode_order", _picked(reading, list(order)), choices, rows=rows, others=others)
 
 
 def _exchanged(count: int, i: int, j: int) -> Ints:
@@ -258,20 +208,16 @@ def other_numbers(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     running = bool(np.all(reading.modes == np.arange(count)))
     numberings = list(_gaps(count, N) if running else _one_changed(reading.modes.tolist(), N))
     for numbers in numberings:
-        listed = ", ".join(str(number + 1) for number in numbers)
-        absent = [str(number + 1) for number in range(numbers[-1]) if number not in numbers]
-        lost = f"mode{'s' * (len(absent) > 1)} {', '.join(absent)} is not among those measured"
-        changed = [place for place in range(count) if numbers[place] != reading.modes[place]]
-        wrong = ", ".join(
-            f"what is called mode {reading.modes[place] + 1} is mode {numbers[place] + 1}" for place in changed
-        )
-        yield Repair(
-            "missing_mode" if running else "mode_number",
-            lost if running else wrong,
-            f"write modes = [{listed}]",
-            replace(reading, modes=np.array(numbers)),
-            len(numberings),
-        )
+        modes = ", ".join(str(number + 1) for number in numbers)
+        other = replace(reading, modes=np.array(numbers)), len(numberings)
+        if running:
+            absent = [str(number + 1) for number in range(numbers[-1]) if number not in numbers]
+            plural = "s" * (len(absent) > 1)
+            yield _repair("missing_mode", *other, modes=modes, s=plural, absent=", ".join(absent))
+        else:
+            pairs = zip(reading.modes + 1, np.array(numbers) + 1, strict=True)
+            wrong = ", ".join(f"what is called mode {called} is mode {new}" for called, new in pairs if called != new)
+            yield _repair("mode_number", *other, modes=modes, wrong=wrong)
 
 
 def _gaps(count: int, N: int) -> Iterator[tuple[int, ...]]:
@@ -299,27 +245,12 @@ def entry_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
     for row, column in known:
         shapes: Floats = reading.shapes.copy()
         shapes[row, column] *= -1
-        place = f"floor {reading.floors[column] + 1} in mode {reading.modes[row] + 1}"
-        yield Repair(
-            "entry_sign",
-            f"the entry of {place} has the wrong sign",
-            f"change the sign of the entry of {place}",
-            replace(reading, shapes=shapes),
-            len(known),
-        )
+        place = {"floor": reading.floors[column] + 1, "mode": reading.modes[row] + 1}
+        yield _repair("entry_sign", replace(reading, shapes=shapes), len(known), **place)
 
 
 KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
-    transposed,
-    floors_from_top,
-    periods,
-    drifts,
-    other_floors,
-    other_units,
-    sensor_signs,
-    exchanged_sensors,
-    other_numbers,
-    other_orders,
-    entry_signs,
-)
+    transposed, floors_from_top, periods, drifts, other_floors, other_units, sensor_signs, exchanged_sensors,
+    other_numbers, other_orders, entry_signs,
+)  # fmt: skip
 """Kinds of repairs, the simplest first: of two that are alike the first is named."""

@@ -22,38 +22,22 @@ import numpy as np
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
 from cvxshear.measurement.reading import Reading, violations
-from cvxshear.screening.declared_masses import masses_declared
-from cvxshear.screening.doubts import DOUBT_CHECKS, Finding, frequency_units, look_alike, total_mass
-from cvxshear.screening.repairs import (
-    FITTED,
-    KINDS,
-    LEFT_TO_GIVEN,
-    REFITTED,
-    RIVAL_COST,
-    SUSPICIOUS,
-    UNEXPLAINED,
-    Repair,
-)
-from cvxshear.screening.shear_fit import (
-    ROUGH_STEPS,
-    TALLEST_FITTED,
-    NearestFrame,
-    distance,
-    farthest,
-    fit,
-    misfit,
-    modes_at,
-    odd_starts,
-    robust_fit,
-    starts,
-    story_starts,
-)
+from cvxshear.screening import repairs, shear_fit
+from cvxshear.screening.compared_tests import frequency_units, look_alike, repeats, state_names
+from cvxshear.screening.declared_masses import masses_declared, total_mass
+from cvxshear.screening.doubts import DECLARED_DOUBTS
+from cvxshear.screening.finding import Finding
+from cvxshear.screening.repairs import Repair
+from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, NearestFrame
 from cvxshear.screening.wrong_frequency import wrong_frequency
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
 
 if TYPE_CHECKING:
     from cvxshear.records.record import Finding as RecordFinding
+
+DOUBT_CHECKS = (*DECLARED_DOUBTS, repeats, state_names)
+"""What is looked for in the declaration, whatever the shapes are like."""
 
 SHOWN_MODES = 3
 """Modes of impossible signs that a finding lists."""
@@ -185,40 +169,40 @@ def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
     explaining : list of Judged
         The repairs that explain the reading, one of which it needs, best first; none where it may stand as given.
     """
-    begin = starts(reading.stories)
-    given = distance(reading, [*begin, *story_starts(reading, begin[:1])])
+    begin = shear_fit.starts(reading.stories)
+    given = shear_fit.distance(reading, [*begin, *shear_fit.story_starts(reading, begin[:1])])
     if _may_stand(reading, given):
         return given, []
-    robust = robust_fit(reading, given.theta)
-    uneven = odd_starts(reading.stories)
-    odd = fit(reading, [*uneven, *story_starts(reading, uneven)], most_steps=ROUGH_STEPS)
-    given = min(given, distance(reading, [robust.theta, odd.theta]), key=lambda item: item.cost)
+    robust = shear_fit.robust_fit(reading, given.theta)
+    uneven = shear_fit.odd_starts(reading.stories)
+    odd = shear_fit.fit(reading, [*uneven, *shear_fit.story_starts(reading, uneven)], most_steps=ROUGH_STEPS)
+    given = min(given, shear_fit.distance(reading, [robust.theta, odd.theta]), key=lambda item: item.cost)
     if _may_stand(reading, given):
         return given, []
     references = [*begin, robust.theta]
-    frames = [modes_at(theta) for theta in references]
-    candidates = [repair for kind in KINDS for repair in kind(reading, frames)]
-    misfits = np.array([[misfit(repair.reading, frame) for frame in frames] for repair in candidates])
-    nearest = np.unique(np.argsort(misfits, axis=0, kind="stable")[:FITTED])
+    frames = [shear_fit.modes_at(theta) for theta in references]
+    candidates = [repair for kind in repairs.KINDS for repair in kind(reading, frames)]
+    misfits = np.array([[shear_fit.misfit(repair.reading, frame) for frame in frames] for repair in candidates])
+    nearest = np.unique(np.argsort(misfits, axis=0, kind="stable")[: repairs.FITTED])
     first = {
-        place: fit(candidates[place].reading, [references[int(np.argmin(misfits[place]))]], most_steps=ROUGH_STEPS)
+        place: shear_fit.fit(candidates[place].reading, [references[np.argmin(misfits[place])]], most_steps=ROUGH_STEPS)
         for place in nearest.tolist()
     }
-    order = sorted(first, key=lambda place: first[place].cost)[:REFITTED]
-    each = ((candidates[place], distance(candidates[place].reading, [first[place].theta])) for place in order)
+    order = sorted(first, key=lambda place: first[place].cost)[: repairs.REFITTED]
+    each = ((candidates[place], shear_fit.distance(candidates[place].reading, [first[place].theta])) for place in order)
     judged = sorted(
         (Judged(repair, frame.cost + repair.prior_cost) for repair, frame in each), key=lambda item: item.cost
     )
     best = judged[0]
-    left = max(PLAUSIBLE * best.repair.reading.count, UNEXPLAINED * given.cost)
-    if best.cost - best.repair.prior_cost > left or best.cost - given.cost > 2 * np.log(LEFT_TO_GIVEN):
+    left = max(PLAUSIBLE * best.repair.reading.count, repairs.UNEXPLAINED * given.cost)
+    if best.cost - best.repair.prior_cost > left or best.cost - given.cost > 2 * np.log(repairs.LEFT_TO_GIVEN):
         return given, []
-    return given, [item for item in judged if item.cost - best.cost < RIVAL_COST]
+    return given, [item for item in judged if item.cost - best.cost < repairs.RIVAL_COST]
 
 
 def _may_stand(reading: Reading, given: NearestFrame) -> bool:
     """Whether no repair can be so much more probable, or nothing is farther off than noise."""
-    return given.cost < SUSPICIOUS or farthest(reading.closer, given.modes) < FAR_DATUM
+    return given.cost < repairs.SUSPICIOUS or shear_fit.farthest(reading.closer, given.modes) < FAR_DATUM
 
 
 def mistakes(configuration: Configuration) -> list[Finding]:

@@ -41,8 +41,7 @@ FARTHEST_LOG = 14.0
 """Bound on the logarithms of masses and stiffnesses about their start: factors of a million, bearings under a house."""
 
 STARTING_LOG = 3.0
-"""Largest difference of the logarithms of masses or stiffnesses from their mean at a start, unless farther off fits
-better."""
+"""Largest log difference of masses or stiffnesses from their mean at a start, unless farther off fits better."""
 
 ODD = 1e-3
 """Stiffness of the one story, and inverse mass of the one floor, of the odd frames that a fit starts from."""

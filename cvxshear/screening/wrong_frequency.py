@@ -12,8 +12,6 @@ deviations say, on more data than the frame takes up, and where no single effect
 the tests, accounts for the data nearly as well.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,7 +24,8 @@ from cvxshear.effects.stories import StoryChange
 from cvxshear.loop.close import begun
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
-from cvxshear.screening.doubts import Finding
+from cvxshear.screening.compared_tests import by_state
+from cvxshear.screening.finding import Finding
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.errors import CvxshearError
@@ -68,10 +67,9 @@ class Freed:
 
 def wrong_frequency(experiment: Experiment) -> Iterator[Finding]:
     """Find a frequency that no other datum agrees with, in the tests of one state or in all of them."""
-    states: dict[str, list[Configuration]] = {}
-    for each in experiment.configurations:
-        states.setdefault(each.state, []).append(each)
-    groups = [*states.values()] + ([list(experiment.configurations)] if len(states) > 1 else [])
+    groups = by_state(experiment.configurations)
+    if len(groups) > 1:
+        groups.append(list(experiment.configurations))
     if experiment.stories > TALLEST_FITTED:
         return
     for tests in groups:
@@ -189,13 +187,11 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
         static=(),
         expected=(),
     )
-    freed = dataclasses.replace(
-        given,
-        configurations=tuple(
-            dataclasses.replace(each, frequency_std=std) if each.name == wrong.name else each
-            for each in given.configurations
-        ),
+    less_sure = (
+        dataclasses.replace(each, frequency_std=std) if each.name == wrong.name else each
+        for each in given.configurations
     )
+    freed = dataclasses.replace(given, configurations=tuple(less_sure))
     # What any story lost or gained in the other states is theirs.
     changed = StoryChange()
     others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)

@@ -4,8 +4,6 @@ Every function takes the value, and the place it was found as a person would nam
 value in the type that the library works with, or raises `InputError`.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import reprlib
@@ -219,15 +217,13 @@ def vector(
         raise InputError(f"{where} must not be empty")
     if length is not None and len(items) != length:
         raise InputError(f"{where} must have {entries(length)}{each}, not {len(items)}")
-    result = np.array(
-        [
-            math.nan
-            if nan and isinstance(item, float) and math.isnan(item)
-            else number(item, f"{where}, entry {place}", above=above, least=least)
-            for place, item in enumerate(items, 1)
-        ]
-    )
-    return frozen(result)
+
+    def checked(item: object, place: int) -> float:
+        if nan and isinstance(item, float) and math.isnan(item):
+            return math.nan
+        return number(item, f"{where}, entry {place}", above=above, least=least)
+
+    return frozen(np.array([checked(item, place) for place, item in enumerate(items, 1)]))
 
 
 def entries(count: int) -> str:

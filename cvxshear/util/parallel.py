@@ -7,8 +7,6 @@ every task is a pure function of what it is handed.
 No process outlives the one that started it, however that ends: each looks after its parent.
 """
 
-from __future__ import annotations
-
 import importlib
 import logging
 import os

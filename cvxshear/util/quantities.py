@@ -31,8 +31,7 @@ IN_SI = {
     "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
 }  # fmt: skip
 CHANNEL_UNITS = {unit: (kind, size) for kind, units in IN_SI.items() for unit, size in units.items()}
-"""Units of a channel: what is measured in it, and what it is in m/s2, m/s, m or N (definitions of the SI and of the
-international foot and pound)."""
+"""Units of a channel: what is measured in it, and its size in m/s2, m/s, m or N (SI, international foot and pound)."""
 
 TONNES = 1e4
 """Mass from which masses are written in tonnes, kg."""
@@ -283,9 +282,16 @@ def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
 
 def counted(number: int, noun: str) -> str:
     """Write a number of things, in the plural where they are not one."""
-    if number == 1:
-        return f"1 {noun}"
-    return f"{number} {noun.removesuffix('y')}ies" if noun.endswith("y") else f"{number} {noun}s"
+    return f"{number} {noun if number == 1 else _plural(noun)}"
+
+
+def _plural(noun: str) -> str:
+    return f"{noun.removesuffix('y')}ies" if noun.endswith("y") else f"{noun}s"
+
+
+def numbered(noun: str, numbers: Sequence[int]) -> str:
+    """Name things by their ascending numbers: "floor 2", "stories 1, 3"."""
+    return f"{noun if len(numbers) == 1 else _plural(noun)} {ranged(numbers)}"
 
 
 def ranged(numbers: Sequence[int]) -> str:

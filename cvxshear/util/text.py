@@ -5,8 +5,6 @@ no program takes for a formula. A file of names, JSON or TOML, holds them `escap
 is read, and no control character stands in the file.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

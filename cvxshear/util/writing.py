@@ -5,8 +5,6 @@ a reader, and a computer that fails in between, sees the old file or the new one
 what it points to is left alone. A device or a pipe has no old content to keep and is written to directly.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import secrets

@@ -6,7 +6,7 @@ import pytest
 from cvxshear import Experiment
 from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.screening import screen
-from cvxshear.screening.doubts import implied_total
+from cvxshear.screening.declared_masses import implied_total
 from tests.frames import configuration, experiment
 
 MASS = np.array([2.1e5, 2.0e5, 1.9e5])

@@ -1,7 +1,5 @@
 """What closing the loop found: the verdict, how probable everything is, what is left open, what to test next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from cvxshear.loop import Closure
@@ -98,19 +96,10 @@ def effect_sections(result: Closure, units: Units) -> Iterator[Section]:
     """Each effect in full: what it is, its formula, its parameters, what it does."""
     for place, item in enumerate(result.effects, 1):
         kind = item.placed.effect
-        facts = Facts(
-            (
-                ("formula", kind.formula),
-                *_parameters(result, item),
-                ("probability", chance(item.probability)),
-                ("source of the formula", kind.source),
-            )
-        )
-        parts: tuple[Block, ...] = (
-            Sentence(kind.summary),
-            facts,
-            Points(f"size-{place}", tuple(consequences(result.judged, item.placed, units))),
-        )
+        known = ("probability", chance(item.probability)), ("source of the formula", kind.source)
+        facts = Facts((("formula", kind.formula), *_parameters(result, item), *known))
+        does = Points(f"size-{place}", tuple(consequences(result.judged, item.placed, units)))
+        parts = (Sentence(kind.summary), facts, does)
         yield Section(f"effect-{place}", capital(item.placed.label), parts, detail=True, below=True)
 
 
@@ -160,23 +149,13 @@ def candidates_section(result: Closure) -> Section:
     count = len(result.candidates)
     # A linearised model may promise a fit better than perfect.
     chi2 = significants([max(item.chi2, 0.0) for item in result.candidates])
-    table = Table(
-        "candidates-table",
-        f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)",
-        ("effect", "before", "with the data", "chi-square", "dof", "p of gain"),
-        plain_rows(
-            (
-                item.placed.label,
-                chance(item.prior),
-                chance(item.probability),
-                shown,
-                str(item.dof),
-                probability(item.p_value),
-            )
-            for item, shown in zip(result.candidates, chi2, strict=True)
-        ),
-        brief=BRIEF_CANDIDATES,
+    title = f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)"
+    head = ("effect", "before", "with the data", "chi-square", "dof", "p of gain")
+    rows = plain_rows(
+        (item.placed.label, chance(item.prior), chance(item.probability), fit, str(item.dof), probability(item.p_value))
+        for item, fit in zip(result.candidates, chi2, strict=True)
     )
+    table = Table("candidates-table", title, head, rows, brief=BRIEF_CANDIDATES)
     said = tuple(
         f"{capital(item.placed.label)} cannot be distinguished from {in_words(item.confounded_with)}."
         for item in result.candidates

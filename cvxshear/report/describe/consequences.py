@@ -1,7 +1,5 @@
 """What a closed loop changes: the errors before and after, and what follows for the frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -178,12 +176,9 @@ def changes(estimate: Estimate, placed: Placed) -> list[Change]:
     own = estimate.own(placed)
     rest = [item for item in estimate.effects if item is not placed]
     without = np.delete(estimate.theta, np.arange(own.start, own.stop))
+    models = (rest, without), (estimate.effects, estimate.theta)
     return [
-        _change(
-            each,
-            compose(estimate.experiment, each, rest, without),
-            compose(estimate.experiment, each, estimate.effects, estimate.theta),
-        )
+        _change(each, *(compose(estimate.experiment, each, *model) for model in models))
         for each in estimate.experiment.configurations
         if placed.acts_on(each)
     ]
@@ -194,21 +189,15 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
     stiff = _sway_stiffness(before), _sway_stiffness(after)
     mass = before.system.M[:n, :n].sum(axis=1), after.system.M[:n, :n].sum(axis=1)
     diagonal = np.diag(after.system.M)[:n] - np.diag(before.system.M)[:n]
-    moved = mass[1] - mass[0]
+    heavier = mass[1] - mass[0]
     # What couples floors moves mass between them and off the diagonal; what is heavier is seen in the row's sum.
-    added = np.where(np.abs(moved) > NOTHING * mass[0], moved, diagonal)
+    added = np.where(np.abs(heavier) > NOTHING * mass[0], heavier, diagonal)
     found = [(modes(state.system.M, state.system.K), state.system.M) for state in (before, after)]
     # Without those of masses attached to the frame.
     frequencies = [each.frequencies[frame_modes(each, M, n)] for each, M in found]
-    return Change(
-        configuration.name,
-        stiff[1] - stiff[0],
-        stiff[1] / stiff[0] - 1.0,
-        added,
-        added / mass[0],
-        after.gain / before.gain - 1.0,
-        frequencies[1] / frequencies[0] - 1.0,
-    )
+    stiffness = stiff[1] - stiff[0], stiff[1] / stiff[0] - 1.0
+    gain, moved = after.gain / before.gain - 1.0, frequencies[1] / frequencies[0] - 1.0
+    return Change(configuration.name, *stiffness, added, added / mass[0], gain, moved)
 
 
 def _sway_stiffness(state: State) -> Floats:

@@ -1,7 +1,5 @@
 """The modes found in a record, and what looks wrong in a record or a measurement file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -10,7 +8,7 @@ from cvxshear.modal import ModalResult
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Section, Sentence, Table, describe, line, table
 from cvxshear.screening import Finding, Screening
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, percent, ranged, with_std, with_stds
+from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, numbered, percent, with_std, with_stds
 
 METHOD_WORDS = {
     "era": "eigensystem realization (era)", "okid": "observer identification and eigensystem realization (okid)",
@@ -46,8 +44,7 @@ def _line(result: ModalResult) -> str:
 
 
 def _modes_headline(result: ModalResult) -> str:
-    floors = ranged(result.floors.tolist())
-    return f"{counted(len(result.frequencies), 'mode')} at floor{'s' if len(result.floors) > 1 else ''} {floors}"
+    return f"{counted(len(result.frequencies), 'mode')} at {numbered('floor', result.floors.tolist())}"
 
 
 def _table(result: ModalResult) -> Table:
@@ -122,13 +119,8 @@ def _finding(item: Finding) -> Iterator[Block]:
     word, tone = ("MISTAKE", "mistake") if item.refuses else ("WARNING", "warning")
     where = f' in configuration "{item.configuration}"' if item.configuration else ""
     yield Sentence(f"{word}: {' or '.join((item.name, *item.rivals))}{where}", tone)
-    yield Facts(
-        (
-            ("  found", item.found),
-            ("  change", item.change),
-            ("  accept", f"{item.how_to_accept}, if it is right as it is"),
-        )
-    )
+    accept = f"{item.how_to_accept}, if it is right as it is"
+    yield Facts((("  found", item.found), ("  change", item.change), ("  accept", accept)))
 
 
 def doubts_section(found: Sequence[Finding]) -> Section:

@@ -1,7 +1,5 @@
 """The verdict on a frame in a sentence that an engineer would say, with the noise and the numbering behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from cvxshear.data import Frequencies, noise_kinds
@@ -47,14 +45,11 @@ def numbering_sections(result: Closure) -> Iterator[Section]:
     """Tabulate the numberings that were weighed; nothing where the numbers were not in question."""
     if len(result.numberings) == 1 and not result.numberings[0].changes:
         return
-    rows = tuple(
-        Row(
-            (numbers_in_words(item.changes) if item.changes else "the modes are those given", chance(item.probability)),
-            exact=(item.probability,),
-        )
-        for item in result.numberings
-    )
-    table = Table("numberings", "Which modes of the frame were measured", ("numbering", "probability"), rows)
+    rows = []
+    for item in result.numberings:
+        said = numbers_in_words(item.changes) if item.changes else "the modes are those given"
+        rows.append(Row((said, chance(item.probability)), exact=(item.probability,)))
+    table = Table("numberings", "Which modes of the frame were measured", ("numbering", "probability"), tuple(rows))
     yield Section("numbering", "Which modes these are", (table,))
 
 

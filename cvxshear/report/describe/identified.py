@@ -1,7 +1,5 @@
 """An identified frame: its masses and stiffnesses, its damping, and how well each configuration fits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial

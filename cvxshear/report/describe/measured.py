@@ -1,7 +1,5 @@
 """What was measured and declared."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 
@@ -9,7 +7,7 @@ import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Row, Section, Sentence, Table, describe, line
-from cvxshear.util.quantities import AUTOMATIC, Units, counted, percents, ranged, significant
+from cvxshear.util.quantities import AUTOMATIC, Units, counted, numbered, percents, significant
 from cvxshear.util.typing import Floats
 
 FLOOR_COLUMNS = 11
@@ -18,11 +16,8 @@ FLOOR_COLUMNS = 11
 
 @describe.register
 def _experiment(experiment: Experiment, units: Units = AUTOMATIC) -> Document:
-    return Document(
-        experiment.name,
-        f"{experiment.name}: {_headline(experiment)}",
-        (declared(experiment, units), measured_modes(experiment, units)),
-    )
+    sections = declared(experiment, units), measured_modes(experiment, units)
+    return Document(experiment.name, f"{experiment.name}: {_headline(experiment)}", sections)
 
 
 @line.register
@@ -82,15 +77,8 @@ def _total(experiment: Experiment, units: Units) -> str:
 
 
 def _test(each: Configuration, mass: tuple[float, str]) -> Row:
-    return Row(
-        (
-            each.name,
-            str(len(each.frequencies)),
-            str(len(each.measured_floors)) if each.measured.any() else "none",
-            _added(each.added_mass, *mass),
-            _noise(each),
-        )
-    )
+    floors = str(len(each.measured_floors)) if each.measured.any() else "none"
+    return Row((each.name, str(len(each.frequencies)), floors, _added(each.added_mass, *mass), _noise(each)))
 
 
 def _noise(each: Configuration) -> str:
@@ -106,7 +94,7 @@ def _added(mass: Floats, factor: float, unit: str) -> str:
     floors = [int(place) + 1 for place in np.flatnonzero(mass)]
     if not floors:
         return "none"
-    return f"{mass.sum() / factor:g} {unit} on floor{'' if len(floors) == 1 else 's'} {ranged(floors)}"
+    return f"{mass.sum() / factor:g} {unit} on {numbered('floor', floors)}"
 
 
 def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
@@ -136,18 +124,12 @@ def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     shape_std = percents(np.max(each.entry_std / scale, axis=1, initial=0.0).tolist())
     frequency_std = percents([float(std) for std in each.log_frequency_std])
     floors = [f"floor {floor}" for floor in each.measured_floors]
-    rows = tuple(
-        Row(
-            (
-                str(mode),
-                significant(float(each.frequencies[j]), 5),
-                frequency_std[j],
-                *("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j]),
-                shape_std[j] if each.measured[j].any() else "–",
-            )
-        )
-        for j, mode in enumerate(each.modes)
-    )
+    rows = []
+    for j, mode in enumerate(each.modes):
+        shape = ("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j])
+        of_shape = shape_std[j] if each.measured[j].any() else "–"
+        frequency = significant(float(each.frequencies[j]), 5)
+        rows.append(Row((str(mode), frequency, frequency_std[j], *shape, of_shape)))
     head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
     title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
-    yield from Table(f"modes-{place}", title, head, rows).folded(FLOOR_COLUMNS)
+    yield from Table(f"modes-{place}", title, head, tuple(rows)).folded(FLOOR_COLUMNS)

@@ -1,7 +1,5 @@
 """A planned test: where to put the sensors and the masses, what that will tell, and what one sensor more would."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -86,12 +84,11 @@ def grid(result: Plan) -> list[Sentence]:
         return []
     if result.arbitrary_masses:
         return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
-    return [
-        Sentence(
-            "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
-            f"{_value(result.grid_bound)} at best; what lies between was tried, too."
-        )
-    ]
+    said = (
+        "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
+        f"{_value(result.grid_bound)} at best; what lies between was tried, too."
+    )
+    return [Sentence(said)]
 
 
 def expected_modes(result: Plan) -> Table:
@@ -151,12 +148,8 @@ def conclusions(result: Plan) -> list[Sentence]:
 def accuracy(result: Plan, units: Units) -> Table:
     """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor less and more, all floors."""
     design = result.model.design
-    options = (
-        ("as planned", result.chosen),
-        ("one less", result.fewer),
-        ("one more", result.more),
-        ("all floors", result.everywhere),
-    )
+    names = ("as planned", "one less", "one more", "all floors")
+    options = zip(names, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)
     shown = [(name, each) for name, each in options if each is not None]
     names = tuple(name for name, _ in shown)
     units = dataclasses.replace(units, relative=True) if design.frame.total_mass_placeholder else units

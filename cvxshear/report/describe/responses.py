@@ -1,7 +1,5 @@
 """A predicted response beside what was measured, and the motion of every floor from some sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 
@@ -17,9 +15,9 @@ from cvxshear.util.quantities import (
     Units,
     capital,
     chance,
+    numbered,
     percent,
     probability,
-    ranged,
     scaled,
     significant,
     with_std,
@@ -64,7 +62,7 @@ def _predicted(result: RecordPrediction) -> Iterator[str]:
     yield _largest_drift(result.peaks)
     if (beside := result.after.comparison) is not None:
         least, most = (percent(float(each), 1) for each in (beside.nrmse.min(), beside.nrmse.max()))
-        floors = f"floor{'s' if len(beside.floors) > 1 else ''} {ranged(beside.floors.tolist())}"
+        floors = numbered("floor", beside.floors.tolist())
         off = least if least == most else f"{least.removesuffix(' %')} to {most}"
         yield f"the measured accelerations of {floors} are missed by {off} (root mean square over time)"
 
@@ -143,8 +141,8 @@ def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
             "the model itself lacks, which a record with accelerations of floors would show"
         )
         return
-    floors = result.after.comparison.floors.tolist()
-    where = f"the accelerations of floor{'s' if len(floors) > 1 else ''} {ranged(floors)} in this record were missed"
+    floors = numbered("floor", result.after.comparison.floors.tolist())
+    where = f"the accelerations of {floors} in this record were missed"
     if result.missed < LEAST_MISSED:
         yield Sentence(f"the deviations hold what the frame leaves uncertain; {where} by no more than that")
         return
@@ -181,13 +179,12 @@ def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Documen
 
 def _reconstructed(result: Reconstruction) -> str:
     """Which frame, from which floors, under what."""
-    floors = ranged(result.recording.floors.tolist())
+    floors = numbered("floor", result.recording.floors.tolist())
     words = {"base": "base motion", "force": "a force", "none": "a base motion that nobody measured"}
     driven = words[result.recording.input]
     return (
         f"{result.fitted.experiment.name} ({result.configuration.name}) under {driven} of {result.recording.name}, "
-        f"from floor{'s' if len(result.recording.floors) > 1 else ''} {floors}: {result.recording.seconds:.1f} s at "
-        f"{result.recording.sampling_rate:g} Hz"
+        f"from {floors}: {result.recording.seconds:.1f} s at {result.recording.sampling_rate:g} Hz"
     )
 
 
@@ -208,10 +205,12 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             unsure = (chances > 1 - CERTAINLY_PASSED) & (chances < CERTAINLY_PASSED)
             open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
             label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
-            passed = f"passed in {_stories(sure)}" if sure else "passed in no story"
+            passed = f"passed in {numbered('story', sure)}" if sure else "passed in no story"
             if np.isnan(chances).any():
-                passed = f"passed in {_stories(sure)}, elsewhere that cannot be told" if sure else "cannot be told"
-            yield f"limit {label}: {passed}" + (f", possibly in {_stories(open_)}" if open_ else "")
+                passed = (
+                    f"passed in {numbered('story', sure)}, elsewhere that cannot be told" if sure else "cannot be told"
+                )
+            yield f"limit {label}: {passed}" + (f", possibly in {numbered('story', open_)}" if open_ else "")
     if result.changed:
         for story in result.changed:
             change, deviation = (float(each[story - 1]) for each in result.frame.against_others)
@@ -219,13 +218,15 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             size = with_std(100 * abs(change), 100 * deviation, "%", factor=1.0)
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified, against the others ({probable} probable)"
-    elif result.frame_fitted and result.frame.converged and not result.nonlinear and not result.undetermined:
+    elif result.names_changes:
         mean, deviation = result.frame.mean_factor
         word = "softer" if mean < 1 else "stiffer"
         size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
         known = abs(mean - 1) > SIGN_KNOWN * deviation and not result.coloured
         average = f"; on average the stories were {size} {word} than identified" if known else ""
         yield f"no single story changed{average}"
+    elif result.frame_fitted and not result.undetermined:
+        yield "what changed since the tests cannot be told"
     if result.masses_changed:
         sizes = [
             f"floor {floor} by {100 * change:+.0f} ± {100 * std:.0f} %"
@@ -235,10 +236,6 @@ def _findings(result: Reconstruction) -> Iterator[str]:
         probable = chance(result.frame.mass_probability)
         where = f": {', '.join(sizes)}" if sizes else "; which of them is open"
         yield f"the floors do not weigh what they did in the tests ({probable} probable){where}"
-
-
-def _stories(numbers: list[int]) -> str:
-    return f"stor{'ies' if len(numbers) > 1 else 'y'} {ranged(numbers)}"
 
 
 def left_out(result: Reconstruction) -> Table:

@@ -1,7 +1,5 @@
 """Studies: the paper's figures beside recomputed ones, the noise study, all backends on the same programs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import groupby
@@ -143,14 +141,9 @@ def _comparison(result: Comparison, units: Units = AUTOMATIC) -> Document:
     tables: list[Block] = [part for kind in result.kinds for part in _kind(result, kind)]
     if result.left_out:
         tables.insert(0, Sentence(f"Without the paper's programs: {result.left_out}."))
-    return Document(
-        result.experiment,
-        f"{result.experiment}: {_backends_headline(result)}",
-        (
-            Section("programs", "Programs", tuple(tables)),
-            Section("worst", "All programs", (worst(result),), detail=True),
-        ),
-    )
+    headline = f"{result.experiment}: {_backends_headline(result)}"
+    every = Section("worst", "All programs", (worst(result),), detail=True)
+    return Document(result.experiment, headline, (Section("programs", "Programs", tuple(tables)), every))
 
 
 @line.register
@@ -216,15 +209,9 @@ def worst(result: Comparison) -> Table:
 def _worst(name: str, rows: list[BackendResult]) -> Row:
     solved = [row for row in rows if not row.failure]
     residuals = [each for row in solved for each in (row.primal_residual, row.dual_residual, row.duality_gap)]
-    return Row(
-        (
-            name,
-            f"{sum(row.programs for row in solved)} of {sum(row.programs for row in rows)}",
-            _largest([row.difference for row in solved]),
-            _largest(residuals),
-            "; ".join(sorted({short(row.failure) for row in rows if row.failure})),
-        )
-    )
+    count = f"{sum(row.programs for row in solved)} of {sum(row.programs for row in rows)}"
+    remark = "; ".join(sorted({short(row.failure) for row in rows if row.failure}))
+    return Row((name, count, _largest([row.difference for row in solved]), _largest(residuals), remark))
 
 
 def _largest(values: list[float | None]) -> str:

@@ -1,7 +1,5 @@
 """The frame drawn to scale: what was found on it at its place, its identified masses and stiffnesses."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -81,21 +79,15 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     slabs = SLAB * float(heights.min()) * mass / max(float(mass.max()), NEARLY_NOTHING)
     strokes = THINNEST + (THICKEST - THINNEST) * stiffness / max(float(stiffness.max()), NEARLY_NOTHING)
     wide = at.right - at.left
-    axes.add_patch(
-        Rectangle(
-            (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total, fc="none", ec=style.GREY, hatch="////", lw=0
-        )
-    )
+    below = (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total
+    axes.add_patch(Rectangle(*below, fc="none", ec=style.GREY, hatch="////", lw=0))
     axes.plot([at.left - 0.04, at.right + 0.04], [0, 0], color="black", lw=1.0)
     for low, high, stroke in zip(z - heights, z, strokes, strict=True):
         for side in (at.left, at.right):
             axes.plot([side, side], [low, high], color=style.AFTER, lw=stroke, solid_capstyle="butt")
     for level, slab in zip(z, slabs, strict=True):
-        axes.add_patch(
-            Rectangle(
-                (at.left - 0.02, level - slab / 2), wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3
-            )
-        )
+        place = (at.left - 0.02, level - slab / 2)
+        axes.add_patch(Rectangle(place, wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3))
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
 

@@ -1,7 +1,5 @@
 """Measured mode shapes beside those of a model, at all floors and in one scale, as data and as displaced frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,17 +66,10 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
             unit = float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
             # Which entry is largest may change with the configuration; the mode keeps its sign.
             unit = -unit if facing.setdefault(mode, modelled[j] / unit) @ modelled[j] / unit < 0 else unit
-            result.append(
-                ModeShape(
-                    configuration.name,
-                    mode,
-                    configuration.measured_floors,
-                    np.where(configuration.measured[j], configuration.mode_shapes[j] / unit, np.nan),
-                    noise * configuration.entry_std[j] / abs(unit),
-                    modelled[j] / unit,
-                    float(configuration.frequencies[j]),
-                )
-            )
+            measured = np.where(configuration.measured[j], configuration.mode_shapes[j] / unit, np.nan)
+            std = noise * configuration.entry_std[j] / abs(unit)
+            floors, frequency = configuration.measured_floors, float(configuration.frequencies[j])
+            result.append(ModeShape(configuration.name, mode, floors, measured, std, modelled[j] / unit, frequency))
     return result
 
 

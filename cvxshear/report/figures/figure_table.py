@@ -4,8 +4,6 @@ Reports, notebooks, the command line and the gallery of the documentation read t
 added by `figure`, which stands above the function that draws it, in this package or in anybody's own module.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What records show: poles over model order, measured functions beside those of the identified modes, coherence."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """How probable each effect is, how far the model is from the measurement, and the springs between levels."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from typing import Any

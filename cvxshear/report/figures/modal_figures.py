@@ -1,7 +1,5 @@
 """Modal assurance criteria of measured and modelled modes, and the shapes of modes identified from records."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stabilization diagram in a window: a click on a pole chooses it as a mode, another gives it up."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A planned test: the frame with its sensors and masses, and the accuracy that every number of sensors gives."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np

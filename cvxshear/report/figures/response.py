@@ -1,7 +1,5 @@
 """Predicted responses beside the measured: histories with a band, peaks over height, transfer functions, spectra."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

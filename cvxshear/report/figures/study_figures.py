@@ -1,7 +1,5 @@
 """Figures of studies: the scatter under noise, the mass iteration step by step, all backends on the same programs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import groupby
 from typing import Any

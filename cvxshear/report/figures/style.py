@@ -4,8 +4,6 @@ Colours are of the set of Okabe and Ito, which the colour-blind can distinguish;
 line style or a hatch says as well.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -58,27 +56,10 @@ OTHER_SCRIPTS = (
 )  # fmt: skip
 """Fonts for names that DejaVu Sans has no letters for; used where one is installed."""
 
-SETTINGS = {
-    "font.size": 8.5,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": "#D9D9D9",
-    "grid.linewidth": 0.5,
-    "legend.frameon": False,
-    "hatch.linewidth": 0.6,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 4.5,
-    # A dollar sign in the name of a configuration is a dollar sign.
-    "text.parse_math": False,
-    # Letters as outlines: a file looks the same wherever it is opened.
-    "svg.fonttype": "path",
-    "svg.hashsalt": "cvxshear",
-}
-
+SETTINGS: dict[Any, Any] = dict(
+    mpl.rc_params_from_file(Path(__file__).with_name("house.mplstyle"), use_default_template=False)
+)
+"""What the house style sets in matplotlib."""
 
 _SETTINGS_LOCK = RLock()
 """Held while a figure is drawn or written: matplotlib has one set of settings for all threads."""
