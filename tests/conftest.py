@@ -21,8 +21,9 @@ from tests.docs.runner import KEPT_IN, once
 TESTS = Path(__file__).parent
 
 LONGEST_FIRST = (
-    "docs/test_blocks.py", "docs/test_build.py", "fuzz/test_hostile_names.py", "test_numbering.py",
-    "test_calibration.py", "report/", "test_nested.py", "test_loop.py", "test_measured_frames.py",
+    "docs/test_blocks.py", "response/test_reconstruction.py", "fuzz/test_hostile_names.py", "test_numbering.py",
+    "docs/test_build.py", "response/test_predict.py", "response/test_figures.py", "test_calibration.py", "report/",
+    "response/", "modal/", "test_nested.py", "test_loop.py", "test_hostile_files.py", "test_measured_frames.py",
 )  # fmt: skip
 """What takes longest, in this order, before all else: begun last it would keep one process busy while others wait."""
 

@@ -478,11 +478,13 @@ class _Linear:
         G, b = white.T @ white, white.T @ data
         plain = self.prior.evidence - 0.5 * float(data @ data) - float(np.sum(np.log(np.diag(half))))
         result = np.full(len(sets), plain)
-        for place, own in enumerate(sets):
-            at = list(own)
-            wider = np.eye(len(at)) + G[np.ix_(at, at)]
-            _, log_det = np.linalg.slogdet(wider)
-            result[place] += 0.5 * float(b[at] @ np.linalg.solve(wider, b[at]) - log_det)
+        # Sets of one size together: one by one they take half the time of a reconstruction.
+        for size in {len(own) for own in sets}:
+            chosen = [place for place, own in enumerate(sets) if len(own) == size]
+            at = np.array([sets[place] for place in chosen], dtype=np.int64)
+            wider = np.eye(size) + G[at[:, :, None], at[:, None, :]]
+            within = np.linalg.solve(wider, b[at][:, :, None])[:, :, 0]
+            result[chosen] += 0.5 * (np.sum(b[at] * within, axis=1) - np.linalg.slogdet(wider)[1])
         return result
 
     def posterior(self) -> tuple[Floats, Floats]:
@@ -505,7 +507,7 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     prior : FramePrior
     p : ndarray, shape (P,)
     """
-    single = range(len(prior.single))
+    single, log_odds = range(len(prior.single)), prior.log_odds.tolist()
     scores: dict[_Widths, float] = {}
     changes = np.eye(len(p))[:, prior.single] * prior.single_std
     for widths in itertools.product(FORM_STDS, SCATTER_STDS, prior.mass_stds, prior.gain_stds):
@@ -517,8 +519,8 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
                 pairs = itertools.product(level, single)
                 grown = sorted({tuple(sorted({*base, other})) for base, other in pairs if other not in base})
             own = {
-                each: float(score + prior.log_odds[list(each)].sum())
-                for each, score in zip(grown, linear.evidences(changes, grown), strict=True)
+                each: score + sum(log_odds[at] for at in each)
+                for each, score in zip(grown, linear.evidences(changes, grown).tolist(), strict=True)
             }
             scores |= {(each, *widths): score for each, score in own.items()}
             level = sorted(own, key=own.__getitem__, reverse=True)[:KEPT_SETS]

@@ -13,6 +13,7 @@ minimized by weights that are found anew from the residuals (iterative reweighti
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -96,6 +97,13 @@ class Smoothed:
     completed: Floats
 
 
+@functools.cache
+def _places(size: int) -> Ints:
+    """Where each entry of a symmetric matrix stands in its lower triangle, which is stored row by row."""
+    low, high = np.sort(np.indices((size, size)), axis=0)
+    return np.asarray(high * (high + 1) // 2 + low)
+
+
 @dataclass(frozen=True, eq=False)
 class _Gain:
     """One sample's matrices of the filter."""
@@ -110,10 +118,7 @@ class _Gain:
     @property
     def P(self) -> Floats:  # noqa: N802
         """Covariance of the predicted state; half of it is stored, since there may be thousands."""
-        n = len(self.A)
-        whole = np.zeros((n, n))
-        whole[np.tril_indices(n)] = self.triangle
-        result: Floats = whole + np.tril(whole, -1).T
+        result: Floats = self.triangle[_places(len(self.A))]
         return result
 
     @property

@@ -485,7 +485,7 @@ def test_limits_have_probabilities(softened):
     ratio = np.abs(drift).max(axis=0) / 3.5
     limits = Limits([0.5 * ratio.min(), 2 * ratio.max()], ("seen", "not seen"))
     after = dataclasses.replace(models.after, experiment=dataclasses.replace(models.after.experiment, limits=limits))
-    said = reconstruct(Models(None, after), motion, fit=False, leave_out=False).to_dict()
+    said = reconstruct(Models(None, after), motion, leave_out=False).to_dict()
     assert [item["name"] for item in said["limits"]] == ["seen", "not seen"]
     assert np.all(np.array(said["limits"][0]["probability"]) > 0.99)
     assert np.all(np.array(said["limits"][1]["probability"]) < 0.01)
