@@ -122,7 +122,7 @@ def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Con
     tests = accepted.experiment.configurations
     firsts = {each.state: each for each in reversed(tests)}
     if accepted.experiment.frame.reference is not None or any(each.state != each.name for each in tests):
-        return [firsts[accepted.experiment.states[-1]]]
+        return [firsts[next(state for state in reversed(accepted.experiment.states) if state in firsts)]]
     mine = set(accepted.effects)
     parted = {placed.place.state for rival in rivals for placed in mine.symmetric_difference(rival.effects)}
     return [first for state, first in firsts.items() if state in parted or state == tests[0].state]

@@ -60,7 +60,7 @@ def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
     """Find the largest size of each quantity that applies, with its deviation.
 
     A peak stands between samples, on the parabola through the largest one and its neighbors: at 50 Hz the sample itself
-    is up to 2 % too small for a motion of 3 Hz and 12 % for one of 8 Hz, the parabola 0.05 and 2 %.
+    is up to 1.8 % too small for a motion of 3 Hz, the parabola 0.05 %.
 
     Its deviation is that of the sample at which the peak stands, but no less, relative to the peak, than the rms
     deviation of the strong part is to the rms motion there. What one direction of the frame's uncertainty moves swings
@@ -99,8 +99,9 @@ def _between_samples(sizes: Floats, at: Ints) -> Floats:
     take = np.arange(sizes.shape[1])
     before, top, after = (sizes[np.clip(at + step, 0, len(sizes) - 1), take] for step in (-1, 0, 1))
     bend = 2 * top - before - after
-    # A motion that changes sign beside its largest sample is too fast for a parabola; so is one that ends there.
-    smooth = (bend > 0) & (np.minimum(before, after) > STRONG * top)
+    # A jump is no parabola, and neither is a motion of fewer than six samples a period.
+    inside = (at > 0) & (at < len(sizes) - 1)
+    smooth = inside & (bend > 0) & (np.minimum(before, after) > STRONG * top)
     rise: Floats = (after - before) ** 2 / (8 * np.where(smooth, bend, 1.0))
     return top + np.where(smooth, rise, 0.0)
 

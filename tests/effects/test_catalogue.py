@@ -39,7 +39,9 @@ OF_FLOORS = ["floor_mass"]
 """What needs masses that are declared floor by floor."""
 OF_STATEMENTS = ["total_mass", "wrong_prior"]
 """What changes a statement about the frame, and no matrix."""
-ALL = [*ACTING, *BESIDE_OTHERS, *WITH_A_MOTION, *OF_FLOORS, *OF_STATEMENTS]
+OF_FORCES = ["shape_scale", "force_scale"]
+"""What needs mass-normalized shapes, or a static test."""
+ALL = [*ACTING, *BESIDE_OTHERS, *WITH_A_MOTION, *OF_FLOORS, *OF_STATEMENTS, *OF_FORCES]
 UNITS = {
     "gravity": [("gamma", "")],
     "joint_rotation": [("eta", "")],
@@ -59,6 +61,8 @@ UNITS = {
     "joint_release": [("rho", ""), ("loss", "")],
     "bracing": [("beta", "")],
     "wrong_prior": [],
+    "shape_scale": [("g", "")],
+    "force_scale": [("g", "")],
 }
 NEVER_NEGATIVE = [
     "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "mass_coupling", "spring", "joint_release",
@@ -66,6 +70,7 @@ NEVER_NEGATIVE = [
 ]  # fmt: skip
 EITHER_SIGN = [
     "added_mass", "sensor_gain", "story_change", "state_stiffness", "state_mass", "load_scale", "floor_mass",
+    "shape_scale", "force_scale",
 ]  # fmt: skip
 SEVERAL_STATES = ["added_mass", "story_change", "state_stiffness", "state_mass", "joint_release"]
 RATIOS_OF_HEIGHTS = ["joint_rotation", "axial_columns", "base_rocking", "joint_release"]
