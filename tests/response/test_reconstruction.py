@@ -626,3 +626,49 @@ def test_no_motion_is_taken_for_a_sensors_line(softened, first, last, cut):
         np.testing.assert_allclose(taken, 0.02, atol=0.03)
         np.testing.assert_allclose(found.peaks.values["story_drift"], true, rtol=0.01)
         assert np.all(off < 3)
+
+
+def recorded(frame, seed, floors, seconds=20.0):
+    """The motion of a frame, from sensors on some floors whose noise is 1 % of their rms, and its true drifts."""
+    excitation = study.ground(seed, int(seconds * study.RATE))
+    total, moved = study.shaken(frame, excitation)
+    seen = total[:, np.array(floors) - 1]
+    noise = 0.01 * np.sqrt(np.mean(seen**2, axis=0)) * np.random.default_rng(seed).standard_normal(seen.shape)
+    drive = Drive(excitation, responses=seen + noise)
+    return Motion((drive,), study.RATE, "base", np.array(floors)), total, np.diff(moved, axis=1, prepend=0.0)
+
+
+def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():
+    """Two modes at three of five floors, a story 12 % softer since: many frames have these modes."""
+    sound, _, _ = study.building(5, "sound", 3)
+    table = study.measurement(sound, 3)
+    (test,) = table["configuration"]
+    few = {key: test[key][:2] for key in ("frequencies", "damping_ratios")}
+    shapes = [[row[floor - 1] for floor in (2, 3, 5)] for row in test["mode_shapes"][:2]]
+    table["configuration"] = [test | few | {"mode_shapes": shapes, "measured_floors": [2, 3, 5]}]
+    del table["prior"]
+    softer = sound.story_stiffness * np.array([1.0, 1.0, 1.0, 0.88, 1.0])
+    motion, _, drift = recorded(dataclasses.replace(sound, story_stiffness=softer), 3, (2, 5))
+    found = reconstruct(cvxshear.Experiment.from_dict(table), motion, leave_out=False)
+    assert found.undetermined
+    assert (found.changed, found.masses_changed, found.gains_off, found.brackets) == ((), False, (), ())
+    assert found.to_dict()["frame"]["change_probability"] == [None] * 5
+    assert "the tests do not determine the frame" in found.warnings[0]
+    assert "what changed since cannot be told" in describe(found).headline
+    off = found.peaks.values["story_drift"] - np.abs(drift).max(axis=0)
+    assert np.all(np.abs(off) < 3 * found.peaks.std["story_drift"])
+
+
+def test_a_heavier_floor_makes_no_story_softer():
+    """15 % on one floor of five: base motion tells no total, so that forces and the mean of stories allow for it."""
+    sound, _, _ = study.building(5, "sound", 2)
+    heavier = sound.floor_mass * np.array([1.0, 1.0, 1.15, 1.0, 1.0])
+    motion, total, _ = recorded(dataclasses.replace(sound, floor_mass=heavier), 2, (1, 3, 5))
+    table = {key: value for key, value in study.measurement(sound, 2).items() if key != "prior"}
+    found = reconstruct(cvxshear.Experiment.from_dict(table), motion, leave_out=False)
+    assert found.frame.mass_probability > 0.95
+    mean, std = found.frame.mean_factor
+    assert abs(mean - 1.0) < 2 * std
+    forces = np.cumsum((heavier * total)[:, ::-1], axis=1)[:, ::-1]
+    off = found.peaks.values["story_shear"] - np.abs(forces).max(axis=0)
+    assert np.all(np.abs(off) < 3 * found.peaks.std["story_shear"])
