@@ -184,7 +184,8 @@ def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
     all_of_kind = [each.program for each in programs]
     sizes = [(p.unknowns, len(p.R), len(p.equalities[1]), len(p.inequalities[1])) for p in all_of_kind]
     condition = _largest([condition_number(program) for program in all_of_kind])
-    return ProgramKind(kind, len(programs), *map(max, zip(*sizes, strict=True)), condition=condition)
+    unknowns, rows, equalities, inequalities = map(max, zip(*sizes, strict=True))
+    return ProgramKind(kind, len(programs), unknowns, rows, equalities, inequalities, condition)
 
 
 def condition_number(program: LeastSquares) -> float | None:

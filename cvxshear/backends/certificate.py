@@ -225,15 +225,13 @@ def certify(program: Assembled, point: Point) -> Certificate:
     # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
     # gap is what the constraints contribute to it.
     gap = abs(float(w @ slack) - float(y @ equality))
+    objective_size = 0.5 * magnitude**2 + np.abs(y) @ np.abs(program.b) + np.abs(w) @ np.abs(program.h)
+    of_equalities = largest_relative(np.abs(equality), np.abs(program.b) + absolute_A @ size)
+    of_inequalities = largest_relative(np.maximum(-slack, 0.0), np.abs(program.h) + absolute_G @ size)
     return Certificate(
-        primal_residual=max(
-            largest_relative(np.abs(equality), np.abs(program.b) + absolute_A @ size),
-            largest_relative(np.maximum(-slack, 0.0), np.abs(program.h) + absolute_G @ size),
-        ),
+        primal_residual=max(of_equalities, of_inequalities),
         dual_residual=largest_relative(np.maximum(np.abs(gradient), wrong_sign), gradient_size),
-        duality_gap=largest_relative(
-            np.array(gap), 0.5 * magnitude**2 + np.abs(y) @ np.abs(program.b) + np.abs(w) @ np.abs(program.h)
-        ),
+        duality_gap=largest_relative(np.array(gap), objective_size),
     )
 
 

@@ -71,14 +71,9 @@ class Cvxpy(CalledSolver):
         if shape not in self._compiled:
             self._compiled[shape] = _parametrised(*shape)
         compiled = self._compiled[shape]
-        numbers = {
-            "q": problem.q,
-            "C": problem.C,
-            "E": problem.E,
-            "e": problem.e,
-            "F": np.concatenate([problem.F, np.zeros((padding, len(problem.q)))]),
-            "f": np.concatenate([problem.f, np.ones(padding)]),
-        }
+        F = np.concatenate([problem.F, np.zeros((padding, len(problem.q)))])
+        numbers = {"q": problem.q, "C": problem.C, "E": problem.E, "e": problem.e, "F": F}
+        numbers["f"] = np.concatenate([problem.f, np.ones(padding)])
         for name, parameter in compiled.parameters.items():
             parameter.value = numbers[name]
         began = time.perf_counter()

@@ -241,6 +241,13 @@ class Effect(ABC):
         """
         return np.zeros(len(floors), dtype=bool)
 
+    def corrects(self, place: Place, floor_mass: Floats) -> Floats:
+        """Find what a unit of each parameter adds to the declared floor masses that it puts right, shape (N, p), kg.
+
+        Zeros where it is something besides the floors, or where their masses are identified.
+        """
+        return np.zeros((len(floor_mass), len(self.parameters)))
+
     def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
         """Name and place of the effect that has the same frequencies in the dual chain; None where there is none.
 

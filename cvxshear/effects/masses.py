@@ -180,6 +180,9 @@ class TotalMass(Effect):
         # A total changes what the masses must add up to, not what they do.
         return _all_heavier(state, float(values[0]), own) if self.by_floor else state
 
+    def corrects(self, place: Place, floor_mass: Floats) -> Floats:
+        return floor_mass[:, None] if self.by_floor else super().corrects(place, floor_mass)
+
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         total, n = experiment.frame.total_mass, experiment.stories
         if self.by_floor or total is None:
@@ -223,6 +226,9 @@ class FloorMass(Effect):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return state.plus_mass(values, on_floors([place.floor_index], len(state.floor_mass)), own)
+
+    def corrects(self, place: Place, floor_mass: Floats) -> Floats:
+        return np.eye(len(floor_mass))[:, [place.floor_index]]
 
     def lacks(self, experiment: Experiment) -> str:
         return "floor_masses" if experiment.frame.floor_masses is None else ""

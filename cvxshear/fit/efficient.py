@@ -173,7 +173,8 @@ class Estimate:
         values = np.where(self.uncertainty.determined, self.theta, np.nan)
         std = self.std
         held = self._held_by_bounds(std)
-        return IdentifiedFrame(values[:n], values[n : 2 * n], std[:n], std[n : 2 * n], held)
+        mass, mass_std = self._corrected(values[:n], std)
+        return IdentifiedFrame(mass, values[n : 2 * n], mass_std, std[n : 2 * n], held)
 
     def own(self, placed: Placed) -> slice:
         """Where an effect's parameters stand in theta."""
@@ -186,7 +187,17 @@ class Estimate:
         n = self.experiment.stories
         std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
         held = self._held_by_bounds(std)
-        return IdentifiedFrame(self.theta[:n], self.theta[n : 2 * n], std[:n], std[n : 2 * n], held)
+        mass, mass_std = self._corrected(self.theta[:n], std)
+        return IdentifiedFrame(mass, self.theta[n : 2 * n], mass_std, std[n : 2 * n], held)
+
+    def _corrected(self, mass: Floats, std: Floats) -> tuple[Floats, Floats]:
+        """Floor masses and their standard deviations with what effects put right of declared ones."""
+        variance = std[: len(mass)] ** 2
+        for placed, own in slices(self.effects, 2 * len(mass)):
+            unit = placed.effect.corrects(placed.place, self.theta[: len(mass)])
+            if unit.any():
+                mass, variance = mass + unit @ self.theta[own], variance + unit**2 @ std[own] ** 2
+        return mass, np.sqrt(variance)
 
     def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
         """List the masses and stiffnesses that bounds leave no freedom.

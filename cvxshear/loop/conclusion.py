@@ -27,6 +27,7 @@ from cvxshear.loop.posterior import RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
 from cvxshear.loop.search import Search, fits_alike
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.quantities import listed, significant
 
@@ -95,7 +96,16 @@ def conclude(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
         verdict=_verdict(added, numbering, final, unexplained=significant and not negligible),
-        rests_on=(*_rests_on(final), *dict.fromkeys((*_granted(search, found), *_granted_of_the_scale(search, found)))),
+        rests_on=(
+            *_rests_on(final),
+            *dict.fromkeys(
+                (
+                    *_granted(search, found),
+                    *_granted_of_the_scale(search, found),
+                    *_granted_exactly(fitter.experiment),
+                )
+            ),
+        ),
         steps=steps,
         judged=judged,
         effects=added,
@@ -360,6 +370,13 @@ def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
         yield LoadScale.granted
     if any(each.mass_normalized and each.measured.any() for each in experiment.configurations):
         yield "that forces and motions were measured in right proportion, which is that of all masses"
+
+
+def _granted_exactly(experiment: Experiment) -> Iterator[str]:
+    """Say which statements hold in every model that was looked at."""
+    for words, rows in experiment.soft_statements:
+        if not rows:
+            yield f'that "{words}" holds, as declared'
 
 
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:

@@ -100,20 +100,13 @@ def complete_test(
     refuse_contradicting(experiment)
     eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
     relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
+    least = LEAST_POSITIVE * total / n
+    of_masses = statements(experiment.priors, "floor_mass", n, experiment.frame, least)
+    of_stiffnesses = statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0])
+    shapes, std = configuration.mode_shapes.T, float(np.sqrt(np.mean(relative**2)))
+    total += float(configuration.added_mass.sum())
     return CompleteTest(
-        experiment=experiment,
-        configuration=configuration,
-        shapes=configuration.mode_shapes.T,
-        eigenvalues=eigenvalues,
-        total=total + float(configuration.added_mass.sum()),
-        mass_statements=statements(
-            experiment.priors, "floor_mass", n, experiment.frame, least=LEAST_POSITIVE * total / n
-        ),
-        stiffness_statements=statements(
-            experiment.priors, "story_stiffness", n, least=LEAST_POSITIVE * eigenvalues[0] * total / n
-        ),
-        shape_std=float(np.sqrt(np.mean(relative**2))),
-        rows=rows,
+        experiment, configuration, shapes, eigenvalues, total, of_masses, of_stiffnesses, shape_std=std, rows=rows
     )
 
 

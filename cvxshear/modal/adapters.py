@@ -131,7 +131,7 @@ def from_pyoma(
         )
     frequencies = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
     std, damping = getattr(result, "Fn_std", None), getattr(result, "Xi", None)
-    known = {
+    known: dict[str, Any] = {
         "damping_ratios": None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
         "frequency_std": None if std is None else np.atleast_1d(std) / frequencies,
     }

@@ -333,7 +333,13 @@ def descended(
     tolerance : float
         Of the value.
     """
-    limits: dict[str, Any] = {"bounds": Bounds(0.0, 1.0), "constraints": within}
-    options = {"maxiter": rounds, "ftol": tolerance}
-    found = minimize(function, start, jac=True, method="SLSQP", options=options, **limits)
+    found = minimize(
+        function,
+        start,
+        jac=True,
+        method="SLSQP",
+        bounds=Bounds(0.0, 1.0),
+        constraints=within,
+        options={"maxiter": rounds, "ftol": tolerance},
+    )
     return np.asarray(np.clip(found.x, 0.0, 1.0))

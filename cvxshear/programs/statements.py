@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -209,7 +210,7 @@ def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     together = constrained(LeastSquares(np.zeros((0, size)), np.zeros(0)), parts, np.zeros(size))
     (G, h), (A, b) = _scaled(*together.inequalities), _scaled(*together.equalities)
     scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
-    said = {"A_ub": G, "b_ub": h / scale} if len(G) else {}
+    said: dict[str, Any] = {"A_ub": G, "b_ub": h / scale} if len(G) else {}
     said |= {"A_eq": A, "b_eq": b / scale} if len(A) else {}
     found = linprog(np.zeros(size), **said, bounds=(None, None), method="highs")
     return bool(found.status != 2)

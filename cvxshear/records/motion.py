@@ -122,15 +122,12 @@ class Motion:
 
     def detrended(self) -> Motion:
         """Without the straight line through base and floor accelerations, which is what sensors add; a force stays."""
-        drives = tuple(
-            dataclasses.replace(
-                drive,
-                excitation=drive.excitation - trend(drive.excitation) if self.input == "base" else drive.excitation,
-                responses=None if drive.responses is None else drive.responses - trend(drive.responses),
-            )
-            for drive in self.drives
-        )
-        return dataclasses.replace(self, drives=drives)
+        drives = []
+        for drive in self.drives:
+            excitation = drive.excitation - trend(drive.excitation) if self.input == "base" else drive.excitation
+            responses = None if drive.responses is None else drive.responses - trend(drive.responses)
+            drives.append(dataclasses.replace(drive, excitation=excitation, responses=responses))
+        return dataclasses.replace(self, drives=tuple(drives))
 
     def band_limited(self) -> Motion:
         """Take the excitation as band-limited between its samples, not as straight lines."""

@@ -155,17 +155,13 @@ def render_modes(results: Sequence[ModalResult], command: str, failed: Sequence[
 
 def _record(result: ModalResult, place: int) -> Json:
     parts = describe(result)["modes"].parts
-    return {
-        "name": result.name,
-        "how": next(part.text for part in parts if isinstance(part, Sentence)),
-        "tables": [
-            dataclasses.replace(table, key=f"{table.key}-{place}")
-            for part in parts
-            if isinstance(part, Table)
-            for table in (part.folded(MOST_SHAPES) if part.key == "identified-shapes" else (part,))
-        ],
-        "findings": result.findings,
-    }
+    how = next(part.text for part in parts if isinstance(part, Sentence))
+    tables: list[Table] = []
+    for part in parts:
+        if isinstance(part, Table):
+            tables += part.folded(MOST_SHAPES) if part.key == "identified-shapes" else (part,)
+    named = [dataclasses.replace(table, key=f"{table.key}-{place}") for table in tables]
+    return {"name": result.name, "how": how, "tables": named, "findings": result.findings}
 
 
 MOST_MODES = 6

@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear.response.damped import DampedModel, Response, driven_poles
 from cvxshear.util.results import InJson, as_json
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.typing import Floats, Ints, Json
 
 RESPONSES = {
     "floor_acceleration": "acceleration",
@@ -59,7 +59,10 @@ STRONG = 0.5
 def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
     """Find the largest size of each quantity that applies, with its deviation.
 
-    That is the deviation of the sample at which the peak stands, but no less, relative to the peak, than the rms
+    A peak stands between samples, on the parabola through the largest one and its neighbors: at 50 Hz the sample itself
+    is up to 2 % too small for a motion of 3 Hz and 12 % for one of 8 Hz, the parabola 0.05 and 2 %.
+
+    Its deviation is that of the sample at which the peak stands, but no less, relative to the peak, than the rms
     deviation of the strong part is to the rms motion there. What one direction of the frame's uncertainty moves swings
     as the motion does, and where it passes through zero at the peak the deviation of that one sample says nothing of
     what is known to second order, or of what the model lacks.
@@ -78,7 +81,7 @@ def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
             columns = history.reshape(len(history), -1)
             at = np.argmax(np.abs(columns), axis=0)
             take = np.arange(columns.shape[1])
-            peak = np.abs(columns[at, take])
+            peak = _between_samples(np.abs(columns), at)
             std = np.full(len(peak), np.nan)
             if name in deviations:
                 band, strong = deviations[name].reshape(columns.shape), np.abs(columns) >= STRONG * peak
@@ -89,6 +92,17 @@ def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
                 peak, std = np.where(larger, peak, values[name]), np.where(larger, std, stds[name])
             values[name], stds[name] = peak, std
     return Peaks(values, stds)
+
+
+def _between_samples(sizes: Floats, at: Ints) -> Floats:
+    """Find the top of the parabola through the largest sample of each column and its neighbors, shape (columns,)."""
+    take = np.arange(sizes.shape[1])
+    before, top, after = (sizes[np.clip(at + step, 0, len(sizes) - 1), take] for step in (-1, 0, 1))
+    bend = 2 * top - before - after
+    # A motion that changes sign beside its largest sample is too fast for a parabola; so is one that ends there.
+    smooth = (bend > 0) & (np.minimum(before, after) > STRONG * top)
+    rise: Floats = (after - before) ** 2 / (8 * np.where(smooth, bend, 1.0))
+    return top + np.where(smooth, rise, 0.0)
 
 
 SPECTRUM_LINES = 60

@@ -110,15 +110,11 @@ def added_masses(result: Plan, units: Units) -> Table:
     """Tabulate the added mass of each test, the top floor first."""
     # They are laid on floors by hand, and asked for in kg, whatever their size.
     factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
-    rows = plain_rows(
-        (
-            str(floor),
-            *(significant(float(test[floor - 1]) / factor) for test in result.tests),
-            "x" if floor in result.sensors else "",
-        )
-        for floor in range(result.model.design.stories, 0, -1)
-    )
-    return Table("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
+    rows = []
+    for floor in range(result.model.design.stories, 0, -1):
+        masses = (significant(float(test[floor - 1]) / factor) for test in result.tests)
+        rows.append((str(floor), *masses, "x" if floor in result.sensors else ""))
+    return Table("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), plain_rows(rows))
 
 
 def verdicts(result: Plan) -> Table:
@@ -148,25 +144,22 @@ def conclusions(result: Plan) -> list[Sentence]:
 def accuracy(result: Plan, units: Units) -> Table:
     """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor less and more, all floors."""
     design = result.model.design
-    names = ("as planned", "one less", "one more", "all floors")
-    options = zip(names, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)
+    words = ("as planned", "one less", "one more", "all floors")
+    options = zip(words, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)
     shown = [(name, each) for name, each in options if each is not None]
     names = tuple(name for name, _ in shown)
     units = dataclasses.replace(units, relative=True) if design.frame.total_mass_placeholder else units
     mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
     factor, unit = units.of_stiffness(design.story_stiffness.tolist())
-    rows = plain_rows(
-        (
-            str(i + 1),
-            significant(float(design.floor_mass[i]) / mass_factor),
-            *(_std(each.floor_mass_std, i, float(design.floor_mass[i])) for _, each in shown),
-            significant(float(design.story_stiffness[i]) / factor),
-            *(_std(each.story_stiffness_std, i, float(design.story_stiffness[i])) for _, each in shown),
-        )
-        for i in reversed(range(design.stories))
-    )
+    rows = []
+    for i in reversed(range(design.stories)):
+        mass, stiffness = float(design.floor_mass[i]), float(design.story_stiffness[i])
+        of_mass = (_std(each.floor_mass_std, i, mass) for _, each in shown)
+        of_stiffness = (_std(each.story_stiffness_std, i, stiffness) for _, each in shown)
+        sizes = significant(mass / mass_factor), significant(stiffness / factor)
+        rows.append((str(i + 1), sizes[0], *of_mass, sizes[1], *of_stiffness))
     head = ("floor / story", f"mass, {mass_unit}", *names, f"stiffness, {unit}", *names)
-    return Table("accuracy-table", "expected standard deviations (of the shear model)", head, rows)
+    return Table("accuracy-table", "expected standard deviations (of the shear model)", head, plain_rows(rows))
 
 
 def _std(std: Floats, at: int, value: float) -> str:

@@ -106,16 +106,12 @@ class Table:
         count = len(self.head)
         if count <= most + 1:
             return (self,)
-        return tuple(
-            replace(
-                self,
-                key=f"{self.key}-{first}",
-                title=self.title if first == 1 else f"{self.title}, continued",
-                head=(self.head[0], *self.head[first : first + most]),
-                rows=plain_rows((row.cells[0], *row.cells[first : first + most]) for row in self.rows),
-            )
-            for first in range(1, count, most)
-        )
+        parts = []
+        for first in range(1, count, most):
+            title = self.title if first == 1 else f"{self.title}, continued"
+            head, *rows = ((row[0], *row[first : first + most]) for row in (self.head, *(r.cells for r in self.rows)))
+            parts.append(replace(self, key=f"{self.key}-{first}", title=title, head=head, rows=plain_rows(rows)))
+        return tuple(parts)
 
 
 Block = Sentence | Points | Facts | Table
