@@ -146,17 +146,17 @@ def test_numbers_that_nothing_tells_are_said_to_be_in_doubt():
 
 
 def test_the_loop_weighs_what_a_file_names_and_check_refuses(tmp_path, capsys):
-    declared, _ = measured_frame(None, 41)
+    declared, _ = measured_frame(None, 41, **dict(FIVE))
     (configuration,) = lose(declared, 3)["configuration"]
     path = tmp_path / "a.toml"
     write_measurement(path, declared)
     assert status(["loop", str(path), "--json", "-"]) == 2
-    assert "write modes = [1, 2, 4, 5]" in capsys.readouterr().err
-    configuration["other_modes"] = [{"modes": [1, 2, 4, 5], "probability": 0.3}]
+    assert "write modes = [1, 2, 4]" in capsys.readouterr().err
+    configuration["other_modes"] = [{"modes": [1, 2, 4], "probability": 0.3}]
     write_measurement(path, declared)
     assert status(["loop", str(path), "--effects", "attached_mass,ground_spring,sensor_gain", "--json", "-"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["numberings"][0]["changes"] == [{"configuration": "test 1", "modes": [1, 2, 4, 5]}]
+    assert result["numberings"][0]["changes"] == [{"configuration": "test 1", "modes": [1, 2, 4]}]
     assert [(item["name"], item["refuses"]) for item in result["warnings"]] == [("missing_mode", False)]
 
 
