@@ -660,7 +660,7 @@ def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():
 
 
 def test_a_heavier_floor_makes_no_story_softer():
-    """15 % on one floor of five: base motion tells no total, so that forces and the mean of stories allow for it."""
+    """15 % on one floor of five: base motion tells no total; forces and the mean of the stories allow for it."""
     sound, _, _ = study.building(5, "sound", 2)
     heavier = sound.floor_mass * np.array([1.0, 1.0, 1.15, 1.0, 1.0])
     motion, total, _ = recorded(dataclasses.replace(sound, floor_mass=heavier), 2, (1, 3, 5))
