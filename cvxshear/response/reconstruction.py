@@ -67,8 +67,8 @@ of simulated records that were cut off at both ends, at 0.3 and more, lines move
 ROUGH_DRIFT = 0.1
 """Standard deviation of drifts, relative to them, where the record is not that of a linear frame, or the tests do not
 determine the frame. A story a third of which yields comes out 3 to 17 % too low and those beside it up to 9 % too high
-(``tests.benchmarks.reconstruction``); on two frames that sensors at a third of the floors did not determine, and of
-which a story changed, drifts were off by up to 16 %."""
+(``tests.benchmarks.reconstruction``); of frames that sensors at a third of the floors did not determine, and of which a
+story changed, drifts were off by up to 16 %."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
