@@ -324,11 +324,10 @@ def test_a_prior_that_does_not_hold_is_named():
 
 
 def test_what_nothing_explains_is_provisional():
-    """Noise fifty times what was declared: no set explains it, and no effect is certain."""
+    """Noise fifty times what was declared, of frequencies alone: no set explains it, and no effect is certain."""
     rng, mass, stiffness = frame(9)
-    closure = loop(
-        [measured_in(mass, stiffness, rng, name=f"t{i}", state="one", noise=50.0) for i in range(3)], mass.sum()
-    )
+    wrong = [measured_in(mass, stiffness, rng, name=f"t{i}", state="one", shapes=False, noise=50.0) for i in range(3)]
+    closure = loop(wrong, mass.sum())
     assert closure.verdict == "unexplained"
     assert closure.to_dict()["provisional"]
     assert closure.after.p_value < 0.01

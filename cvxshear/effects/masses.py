@@ -172,8 +172,10 @@ class TotalMass(Effect):
     """Whether every floor's mass is declared."""
 
     def bound(self, experiment: Experiment) -> Self:
+        if experiment.frame.floor_masses is None:
+            return self
         own = copy.copy(self)
-        own.by_floor = experiment.frame.floor_masses is not None
+        own.by_floor = True
         return own
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:

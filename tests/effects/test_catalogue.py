@@ -422,9 +422,13 @@ def test_total_mass_is_looked_for_where_it_is_declared_exact_and_could_be_told()
     assert effect.lacks(experiment()) == ""
     assert "what else tells the scale" in effect.lacks(experiment(configurations=1))
     frame = experiment().frame
-    for other in ({"total_mass": 40.5, "total_mass_std": 0.02}, {"floor_masses": MASS}, {}):
+    for other in ({"total_mass": 40.5, "total_mass_std": 0.02}, {}):
         of = dataclasses.replace(experiment(), frame=Frame(stories=4, **other))
-        assert effect.lacks(of) == "an exact total_mass"
+        assert effect.lacks(of) == "an exact total_mass or floor_masses"
+    by_floor = dataclasses.replace(experiment(), frame=Frame(stories=4, floor_masses=MASS))
+    assert effect.lacks(by_floor) == ""
+    np.testing.assert_allclose(effect.bound(by_floor).corrects(Place(), MASS) @ [0.07], 0.07 * MASS)
+    assert effect.bound(by_floor).limits(by_floor, Place()).A is None
     A, b = effect.limits(dataclasses.replace(experiment(), frame=frame), Place()).A, frame.total_mass
     found = np.concatenate([MASS * 1.07, STIFFNESS, [0.07]])
     np.testing.assert_allclose(A @ found, b, rtol=1e-14)
@@ -485,6 +489,11 @@ SAID = [
     ("load_scale", {}, -0.1, 0.01, "the added masses are 10.0 ± 1.0 % lighter than declared"),
     ("floor_mass", {"floor": 2}, 300.0, 20.0, "floor 2 is 300 ± 20 kg heavier than declared"),
     ("total_mass", {}, 0.07, 0.01, "the frame is 7.0 ± 1.0 % heavier than its declared total mass"),
+    (
+        "shape_scale", {}, -0.05, 0.01,
+        "all mass-normalized shapes are 5.0 ± 1.0 % too small, as where the force was misread",
+    ),
+    ("force_scale", {}, 0.2, 0.01, "the forces of the static tests are 20.0 ± 1.0 % larger than declared"),
     ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
     # One hinged end of two columns: the stiffness 1 - (rho / 4) / (1 + 2 rho / 3) of each.
     (

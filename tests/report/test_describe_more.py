@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 from rich.cells import cell_len
 
 import cvxshear
@@ -124,14 +125,26 @@ def test_what_a_plan_leaves_open_is_called_so():
     assert "open" not in {cell for row in table(can, "counts").rows[1:] for cell in row.cells[2:]}
 
 
+def between_samples(pencil, base, finer=32):
+    """Accelerations and displacements at so many times the samples, the excitation in straight lines, by `lsim`."""
+    M, C, K = pencil
+    n, rest = len(M), -np.linalg.solve(M, np.hstack([K, C]))
+    A = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), rest])
+    B = np.repeat([0.0, -1.0], n)[:, None]
+    system = (A, B, np.vstack([rest, np.eye(n, 2 * n)]), np.zeros_like(B))
+    steps = np.arange(0, len(base) - 1, 1 / finer)
+    _, found, _ = signal.lsim(system, np.interp(steps, np.arange(len(base)), base), steps * STEP)
+    return found[:, :n], found[:, n:]
+
+
 def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
-    total, relative = shaken[3]
+    total, relative = between_samples(*shaken[1:3])
     shown = table(predicted, "prediction-peaks")
     assert shown.head[1:4] == ("acceleration, m/s²", "displacement, mm", "drift, mm")
     drift = np.diff(np.column_stack([np.zeros(len(relative)), relative]), axis=1)
     # The base's row, with its moment, has no cell in these columns.
     for at, values in ((1, total), (2, 1e3 * relative), (3, 1e3 * drift)):
-        assert column(shown, at) == pytest.approx(np.max(np.abs(values), axis=0), rel=2e-3)
+        assert column(shown, at) == pytest.approx(np.max(np.abs(values), axis=0), rel=5e-3)
     errors = table(predicted, "prediction-errors")
     # Nothing was added to the shear model, so that before and after are one.
     assert [row.cells[0] for row in errors.rows] == ["3", "2", "1"]
