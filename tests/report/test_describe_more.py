@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import signal
 from rich.cells import cell_len
+from scipy import signal
 
 import cvxshear
 from cvxshear.planning import plan
