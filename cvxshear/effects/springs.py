@@ -33,15 +33,23 @@ class GroundSpring(Effect):
     probability = 0.05
     companion = "attached_mass"
     usual, usual_in = 0.1, "story_stiffness"
-    sits_at = ("floor",)
+    sits_at = ("floor", "state")
     lowest_floor = 2
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        return [
+            Place(floor=floor, state=state)
+            for state in _in_all_or_since(experiment)
+            for floor in range(self.lowest_floor, experiment.stories + 1)
+        ]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return state.plus_stiffness(values, unit_springs([(0, place.floor_index + 1)], len(state.floor_mass)), own)
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         factor, unit = scaled([float(values[0])], units[0])
-        return f"a spring of {with_std(values[0], std[0], unit, factor)} ties floor {place.floor} to the ground"
+        size = with_std(values[0], std[0], unit, factor)
+        return f"a spring of {size} ties floor {place.floor} to the ground{place.in_state}"
 
 
 class Spring(Effect):
@@ -62,13 +70,18 @@ class Spring(Effect):
     source = "linear spring between two floors"
     stage = "spring"
     parameters = (Parameter("s", "N/m", lower=0.0),)
-    sits_at = ("floor", "to")
+    sits_at = ("floor", "to", "state")
     probability = 0.03
     usual, usual_in = 0.2, "story_stiffness"
 
     def places(self, experiment: Experiment) -> list[Place]:
         n = experiment.stories
-        return [Place(floor=low, to=high) for low in range(1, n + 1) for high in range(low + 2, n + 1)]
+        return [
+            Place(floor=low, to=high, state=state)
+            for state in _in_all_or_since(experiment)
+            for low in range(1, n + 1)
+            for high in range(low + 2, n + 1)
+        ]
 
     def lacks(self, experiment: Experiment) -> str:
         return "" if experiment.stories > 2 else "three stories"
@@ -81,7 +94,14 @@ class Spring(Effect):
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         factor, unit = scaled([float(values[0])], units[0])
-        return f"a spring of {with_std(values[0], std[0], unit, factor)} ties floors {place.floor} and {place.to}"
+        size = with_std(values[0], std[0], unit, factor)
+        return f"a spring of {size} ties floors {place.floor} and {place.to}{place.in_state}"
+
+
+def _in_all_or_since(experiment: Experiment) -> list[str | None]:
+    """List None for all states and, where a sound state is named, each other one: a prop, or a brace of a repair."""
+    since = experiment.changed_states if experiment.frame.reference is not None else ()
+    return [None, *since]
 
 
 def unit_springs(pairs: Sequence[tuple[int, int]], stories: int) -> Floats:
