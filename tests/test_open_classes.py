@@ -481,3 +481,22 @@ def test_a_neighbor_on_the_ground_is_found_by_both_of_its_parts():
     assert {item.placed.effect.name for item in found.effects} == {"ground_spring", "attached_mass"}
     assert len({item.placed.place for item in found.effects}) == 1
     assert np.all(np.abs(found.averaged.story_stiffness - true.stiffness) < 4 * found.averaged.story_stiffness_std)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 3), (1, 3), (2, 4)])
+def test_a_brace_that_came_with_a_repair_is_found_in_that_state(low, high):
+    """A spring of 0.15 of a story to the ground or between two floors, in the second state alone, one test each."""
+    rng, mass, stiffness = frame(12 + low)
+    ends = np.eye(N + 1)[:, 1:]
+    d = ends[high] - ends[low]
+    braced = stiffness_matrix(stiffness) + 3e3 * np.outer(d, d)
+    tables = [
+        measured_in(mass, stiffness, rng, name="before"),
+        measured_in(mass, stiffness, rng, name="after", K=braced),
+    ]
+    found = loop(tables, mass.sum(), reference="before")
+    (said,) = found.effects
+    place = Place(floor=low or high, to=high if low else None, state="after")
+    assert (said.placed.effect.name, said.placed.place) == ("spring" if low else "ground_spring", place)
+    assert abs(said.parameters["s"] - 3e3) < 4 * said.std["s"]
+    assert np.all(np.abs(found.averaged.story_stiffness - stiffness) < 4 * found.averaged.story_stiffness_std)
