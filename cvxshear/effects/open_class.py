@@ -355,7 +355,7 @@ class OtherShapes(OpenClass):
         return f"{where} are less accurate than their standard deviation says, in no way that the catalogue holds"
 
 
-REPEATED = 3e-4
+FINEST_FREQUENCY = 3e-4
 """Relative standard deviation of frequencies below which two tests of a frame that nobody touched hardly agree: one
 kelvin moves those of a steel frame by some 0.02 %."""
 
@@ -365,7 +365,7 @@ class OtherFrequencies(OpenClass):
 
     As `OtherShapes`; log s is normal about 0 with a standard deviation of 2, since the formal deviations of a curve fit
     or of one record know nothing of what differs from test to test: they may be ten to a hundred times too small.
-    Looked for where deviations below `REPEATED` are stated, and shapes were measured, too: of frequencies alone
+    Looked for where deviations below `FINEST_FREQUENCY` are stated, and shapes were measured, too: of frequencies alone
     whatever happened between tests would pass for their scatter.
     """
 
@@ -386,8 +386,8 @@ class OtherFrequencies(OpenClass):
     def lacks(self, experiment: Experiment) -> str:
         tests = experiment.configurations
         stated = [float(np.min(each.frequency_std)) for each in tests if each.frequency_std is not None]
-        if min(stated, default=np.inf) >= REPEATED:
-            return f"frequencies that are said to be better than {100 * REPEATED:g} %"
+        if min(stated, default=np.inf) >= FINEST_FREQUENCY:
+            return f"frequencies that are said to be better than {100 * FINEST_FREQUENCY:g} %"
         return "" if any(each.measured.any() for each in tests) else "shapes"
 
     def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
