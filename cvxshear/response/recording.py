@@ -235,7 +235,8 @@ def sensor_line(excitation: Floats) -> Floats:
     """Straight line through an excitation by least squares; where it begins amid the motion, through its quiet part.
 
     A motion that the beginning of the record cuts off is not without a line: with equal weights it came to 6 % of the
-    rms. Then each sample counts by the inverse of the variance around it, over `ENVELOPE_PERIODS` of the excitation.
+    rms. Then each sample counts by the inverse of the variance around it, over `ENVELOPE_PERIODS` of the excitation,
+    and a line that such a motion leaves by chance is none.
 
     Parameters
     ----------
