@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.files.columns import Columns, sampling_rate_of
+from cvxshear.files.columns import Columns
 from cvxshear.files.formats import refuse_data
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, sound_pieces
 from cvxshear.records.record import RECORDED_QUANTITIES, Channel
+from cvxshear.records.stamps import TIME_UNITS, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import CHANNEL_UNITS
@@ -23,9 +24,6 @@ from cvxshear.util.typing import Bools, Floats
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity", "unit", "position", "direction")
 RUN_KEYS = ("file", "name", "input_floor", "start", "end")
 PASSED_ON = ("frame", "prior", "added_mass", "state")
-
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
-"""Units of a time column, s."""
 
 LONG_STEP = 1.75
 """Longest step without a gap, as a multiple of the usual one; a longer one lost a sample, whatever the rounding."""
@@ -271,14 +269,8 @@ def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
         if columns.stated_rate is not None:
             return columns.stated_rate[1]
         raise InputError(f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}")
-    rate = sampling_rate_of(seconds_of(declared, columns.column(name, "record: time")), columns, name, said)
-    if said is not None:
-        if abs(rate - said) > 0.01 * said:
-            raise InputError(
-                f'record: sampling_rate = {said:g} Hz, but column "{name}" of {columns.source} ticks at {rate:.6g} Hz'
-            )
-        return said
-    return rate
+    time = seconds_of(declared, columns.column(name, "record: time"))
+    return sampling_rate_of(time, columns, f'column "{name}"', said)
 
 
 def time_column_of(declared: Mapping[str, Any], columns: Columns) -> str | None:

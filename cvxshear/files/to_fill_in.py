@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from cvxshear.files.columns import LIMIT, Columns, sampling_rate_of
+from cvxshear.files.columns import LIMIT, Columns
 from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
-from cvxshear.files.record_tables import TIME_UNITS
+from cvxshear.records.stamps import TIME_UNITS, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
@@ -295,7 +295,7 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
     line = toml_line("time", time)
     more = "" if unit == "s" else f'\ntime_unit = "{unit}"  # GUESSED from the header'
     try:
-        rate = sampling_rate_of(values[np.isfinite(values)], columns, time)
+        rate = sampling_rate_of(values[np.isfinite(values)], columns, "time")
         return f"{line}  # GUESSED: it ticks at {rate:.6g} Hz, {len(values) / rate:.4g} s long{more}"
     except InputError:
         steps = np.diff(values[np.isfinite(values)])

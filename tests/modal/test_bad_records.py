@@ -168,7 +168,7 @@ def test_two_sampling_rates(tmp_path, good):
     values = good.copy()
     values[1200:, 0] = values[1200, 0] + np.arange(len(values) - 1200) / 50  # the header is line 1, so line 1202
     message = refused(written(tmp_path, values))
-    assert 'line 1203: channel "t" has two sampling rates, 20 Hz and from here 50 Hz' in message
+    assert 'line 1203: column "t" has two sampling rates, 20 Hz and from here 50 Hz' in message
 
 
 def test_declared_rate_that_the_time_column_contradicts(tmp_path, good):
@@ -259,7 +259,7 @@ def test_wrong_record_file(tmp_path, good, old, new, expected):
 def test_time_that_goes_back(tmp_path, good):
     values = good.copy()
     values[[200, 201], 0] = values[[201, 200], 0]
-    assert 'line 202: channel "t"' in refused(written(tmp_path, values))
+    assert 'line 202: column "t"' in refused(written(tmp_path, values))
 
 
 def test_frf_on_different_lines(tmp_path):
