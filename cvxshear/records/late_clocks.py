@@ -47,6 +47,8 @@ DRIFT_CHANCE = 1e-6
 """Probability that chance makes a slope so steep of the delays in the parts of a record."""
 DRIFT_SHORTEST = 0.08
 """Samples from the middle of the record to its end that a drift must make."""
+LIKELY_DRIFT = 5e-4
+"""s a second; a steeper one under a sweep is a damper's: crystals are 100 ppm off, and a poor one 200."""
 
 
 Compare = Callable[[int, int], BandClock]
@@ -177,8 +179,9 @@ def _perhaps_drifting(compare: Compare, heard: list[int], names: Mapping[int, st
         slope = float(np.median(slopes))
         reach = float(np.median([compare(place, k).reach for k in heard if k != place]))
         among = np.delete(np.delete(seen, row, axis=0), row, axis=1)[np.triu_indices(len(slopes), 1)]
-        sure = abs(slope) > BEYOND_OTHERS * np.median(np.abs(among)) and abs(slope) * reach > LATE / 2 / rate
-        if place in names and sure and np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope):
+        least = max(BEYOND_OTHERS * float(np.median(np.abs(among))), LATE / 2 / rate / max(reach, 1e-9))
+        alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
+        if place in names and alike and least < abs(slope) < LIKELY_DRIFT:
             numbers = {"channel": names[place], "drift": slope, "corrected": False}
             yield finding("clock drift/doubtful", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope))
 

@@ -82,10 +82,11 @@ def pieces(path, pick=None):
 
 
 def test_pieces_beside_a_gap(tmp_path, good):
-    """Forty samples that are missing at 50 s part the record in two runs; a short one is left out."""
+    """Forty samples of 20 Hz that are missing at 50 s part the record in two runs; a short one is left out."""
     runs, said = pieces(written(tmp_path, np.delete(good, slice(1000, 1040), axis=0)))
-    assert runs == [(0.0, 1000), (50.0, len(good) - 1040)]
-    assert "the longest sound pieces are used as runs of their own: 0 to 50 s, 50 to" in said[0]
+    assert runs == [(0.0, 1000), (52.0, len(good) - 1040)]
+    assert "the clock jumps 1 time; the longest sound pieces" in said[0]
+    assert "are used as runs of their own: 0 to 49.95 s, 52 to" in said[0]
     runs, said = pieces(written(tmp_path, np.delete(good, slice(100, 140), axis=0)))
     assert [samples for _, samples in runs] == [len(good) - 140]
     assert "100 of " in said[0]
