@@ -48,7 +48,7 @@ NEXT_TABLE = re.compile(r"^[ \t]*\[+\w", re.MULTILINE)
 PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
 """Patterns of the header of the record's table, of the next table's, and of the line of poles picked by hand."""
 
-FAR_OFF = 50.0
+OFF_CENTER = 50.0
 """m from the center of a floor to a sensor; few halls are wider than twice that."""
 SLENDER = 20.0
 """Story heights from the center of a floor to a sensor: 60 m in a building, 8 m in a frame of a laboratory."""
@@ -325,7 +325,7 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
 def _far_off(channels: Sequence[ChannelDeclaration], heights: object) -> Iterator[Finding]:
     """Ask about sensors that are declared farther from the center of their floor than frames are wide."""
     known = [each for each in (heights if isinstance(heights, list) else [heights]) if isinstance(each, int | float)]
-    limit = min(FAR_OFF, SLENDER * max(known, default=np.inf))
+    limit = min(OFF_CENTER, SLENDER * max(known, default=np.inf))
     for channel in channels:
         off = 0.0 if channel.position is None else float(np.hypot(*channel.position))
         if off > limit:
