@@ -7,6 +7,7 @@ channel's entries by a phase that goes with the frequency of the mode and with t
 import numpy as np
 from scipy import special
 
+from cvxshear.modal.estimate import LAST_SAMPLE
 from cvxshear.modal.frf import residues
 from cvxshear.modal.prepare import releases_of
 from cvxshear.records.findings import finding
@@ -18,8 +19,6 @@ from cvxshear.util.typing import Complexes, Floats
 
 SLOPE_CHANCE = 1e-4
 """Probability that chance makes a slope so steep; that of a sound clock is a fraction of `DRIFT_SHORTEST` besides."""
-LONGEST_DECAY = 4000
-"""Samples of a release that are looked at; after so many it has died away."""
 
 
 def without_drifts(record: TimeRecord, eigenvalues: Complexes) -> tuple[TimeRecord, list[Finding]]:
@@ -38,7 +37,7 @@ def without_drifts(record: TimeRecord, eigenvalues: Complexes) -> tuple[TimeReco
     times = (before + starts) / rate
     if len(times) < 2 or channels < 3 or not len(eigenvalues):
         return record, []
-    amplitudes = residues(decays[:LONGEST_DECAY], eigenvalues, rate, 0)
+    amplitudes = residues(decays[:LAST_SAMPLE], eigenvalues, rate, 0)
     omega = np.abs(eigenvalues.imag)[:, None]
     findings, late = [], {}
     for _ in range(channels // 2):
