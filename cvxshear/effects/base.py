@@ -355,6 +355,15 @@ class Effect(ABC):
         return 1.0
 
 
+def shown_states(experiment: Experiment) -> list[str]:
+    """List, of several states, those that may have changed and whose shapes were measured.
+
+    A few frequencies more or less do not tell a spring or a tank in one state from stories that changed.
+    """
+    shown = {each.state for each in experiment.configurations if each.measured.any()}
+    return [state for state in experiment.changed_states if state in shown] if len(experiment.states) > 1 else []
+
+
 @dataclass(frozen=True)
 class Placed(InJson):
     """An effect at a place.

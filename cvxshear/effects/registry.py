@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cvxshear.effects.attached_mass import AttachedMass
+from cvxshear.effects.attached_mass import AttachedMass, LoadMounting
 from cvxshear.effects.base import Effect
 from cvxshear.effects.flexibility import AxialColumns, BaseRocking
 from cvxshear.effects.gravity import Gravity
@@ -47,6 +47,7 @@ _catalogue: dict[str, Effect] = {
         JointRelease(),
         Bracing(),
         AttachedMass(),
+        LoadMounting(),
         ShapeScale(),
         ForceScale(),
         WrongPrior(),
