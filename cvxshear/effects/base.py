@@ -154,9 +154,10 @@ class Effect(ABC):
         own, and the factor on their standard deviations is its common size.
     granted : str
         What a verdict takes for granted as long as this effect is not in it, where no datum tells: a clause such as
-        "that the floors of {state} weigh what they did". Empty where there is nothing to say.
+        "that the floors of {state} weigh what they did", or one with {prior}. Empty where there is nothing to say.
     releases : tuple of str
-        Of "total_mass": declarations that do not hold as they stand where it is in the model.
+        Of "total_mass", "prior" (the one at its place): declarations that do not hold as they stand where it is in the
+        model.
     adds_motion : bool
         Whether the frame has one motion more with it. What it does is then not told by derivatives at its null value,
         and a fit begins at its start values.

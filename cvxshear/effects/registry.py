@@ -21,7 +21,7 @@ from cvxshear.effects.open_class import (
     OtherShapes,
     OtherStiffness,
 )
-from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongPrior
+from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
 from cvxshear.util import checks
@@ -51,6 +51,7 @@ _catalogue: dict[str, Effect] = {
         ShapeScale(),
         ForceScale(),
         WrongPrior(),
+        WrongExactPrior(),
     )
 }
 

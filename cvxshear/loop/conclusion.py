@@ -102,7 +102,7 @@ def conclude(
                 (
                     *_granted(search, found),
                     *_granted_of_the_scale(search, found),
-                    *_granted_exactly(fitter.experiment),
+                    *_granted_of_bounds(fitter.experiment),
                 )
             ),
         ),
@@ -355,7 +355,8 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
         # Not all that is done to single stories or floors of the state, whose sum it is.
         alike = [other for other in said if other.place.state == placed.place.state]
         if invariances.untold(placed, alike):
-            untold[placed.effect.granted].append(str(placed.place.state))
+            said_of = placed.effect.granted.replace("{prior}", str(placed.place.prior))
+            untold[said_of].append(str(placed.place.state))
     for statement, names in untold.items():
         yield statement.format(state=_quoted(names))
 
@@ -372,10 +373,11 @@ def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
         yield "that forces and motions were measured in right proportion, which is that of all masses"
 
 
-def _granted_exactly(experiment: Experiment) -> Iterator[str]:
-    """Say which statements hold in every model that was looked at."""
-    for words, rows in experiment.soft_statements:
-        if not rows:
+def _granted_of_bounds(experiment: Experiment) -> Iterator[str]:
+    """Say which inequalities hold in every model that was looked at."""
+    for words, prior in experiment.stated.items():
+        said = prior.constraints(experiment.stories)
+        if any(part is not None for part in (said.lower, said.upper, said.G)):
             yield f'that "{words}" holds, as declared'
 
 
