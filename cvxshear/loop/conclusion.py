@@ -237,9 +237,10 @@ def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
         said = f"{said}: {significant(factor['factor'], 2)} times"
+    own = [each for each in final.effects if each in posterior.of_effects]
     return AddedEffect(
         placed,
-        posterior.of_effects[placed],
+        posterior.of_effects[placed] * posterior.no_pile(placed, own),
         parameters,
         std,
         said,

@@ -78,7 +78,7 @@ class Linearised:
         return columns
 
     def _shift(self, placed: Placed) -> Floats:
-        """Find the least change of the frame, in typical units, that keeps all equalities with an effect's parameters."""
+        """Find the least change of the frame, in typical units, with which all equalities hold with the effect."""
         scale, base = self.expectation.scale, self.base
         assert scale is not None
         n2 = 2 * base.experiment.stories
