@@ -23,7 +23,7 @@ from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
-from cvxshear.loop.posterior import RIVAL, Posterior
+from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
 from cvxshear.loop.search import Search, fits_alike
@@ -95,7 +95,7 @@ def conclude(
     return Closure(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
-        verdict=_verdict(added, numbering, final, unexplained=significant and not negligible),
+        verdict=_verdict(added, here, numbering, final, unexplained=significant and not negligible),
         rests_on=(
             *_rests_on(final),
             *dict.fromkeys(
@@ -153,12 +153,18 @@ def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> li
 
 
 def _verdict(
-    added: Sequence[AddedEffect], numbering: NumberingProbability, final: Estimate, *, unexplained: bool
+    added: Sequence[AddedEffect],
+    posterior: Posterior,
+    numbering: NumberingProbability,
+    final: Estimate,
+    *,
+    unexplained: bool,
 ) -> str:
     if unexplained:
         return "unexplained"
     if not added and not numbering.changes:
-        return "adequate" if numbering.probability >= NUMBERED and final.dof > 0 else "ambiguous"
+        told = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
+        return "adequate" if told else "ambiguous"
     sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:

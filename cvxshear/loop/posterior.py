@@ -214,6 +214,10 @@ class Posterior:
         """Return the logarithm of an effect's prior odds."""
         return log_odds(self._prior[placed])
 
+    def something(self) -> float:
+        """Return the probability that anything is there of what the data have made more probable than it was."""
+        return self._any([placed for placed in self.of_effects if self._raised([placed]) >= RAISED])
+
     def keeps_odds(self, placed: Placed) -> bool:
         """Tell whether the data left an effect's odds about as they were."""
         return placed in self._kept_odds

@@ -150,7 +150,7 @@ def _doubt(result: Closure) -> str:
     raised = [each for each in result.candidates if each.probability and each.probability > each.prior]
     if not result.effects and result.estimate.dof <= 0:
         return "nothing could speak against it, as there are no more data than unknowns"
-    if result.verdict == "adequate" and raised:
+    if not result.effects and raised and (result.verdict == "adequate" or not in_doubt(result)):
         best = raised[0]
         said = f"of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"
     elif _piled(result):
