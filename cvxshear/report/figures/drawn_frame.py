@@ -65,7 +65,7 @@ class _Columns:
     right: float
 
 
-NUMBERED = _Columns(0.46, 0.57)
+NUMBERS_SHOWN = _Columns(0.46, 0.57)
 """Columns of a frame with numbers on either side, which need as much room."""
 
 
@@ -350,13 +350,13 @@ def _numbered_frames(
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, result.experiment, found, title, height)
         if sensors:
-            _sensors(axes, result.experiment, None, elevations(result.experiment)[0], NUMBERED)
+            _sensors(axes, result.experiment, None, elevations(result.experiment)[0], NUMBERS_SHOWN)
     return drawn
 
 
 def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:
     z, label = elevations(experiment)
-    at = NUMBERED
+    at = NUMBERS_SHOWN
     _structure(axes, found, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
     axes.set_ylabel("" if style.narrow_page() else label)
