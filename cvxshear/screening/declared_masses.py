@@ -102,9 +102,7 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
     if best.frame.cost > UNEXPLAINED * given.cost or left > 2 * np.log(LEFT_TO_GIVEN):
         return
     named = [item for item in fitted if item.cost - best.cost < RIVAL_COST]
-    changes = [
-        (item.declared.name, item.declared.found.format(*_estimated(item)), item.declared.change) for item in named
-    ]
+    changes = [(item.declared.name, item.declared.found, item.declared.change) for item in named]
     evidence = (
         f"with the masses as declared the nearest frame is {np.sqrt(given.frame.cost):.0f} standard deviations from "
         f"the modes, with the change {np.sqrt(best.frame.cost):.0f}"
@@ -206,26 +204,13 @@ def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence
         stiffness = [near.theta[len(declared.expected) // 2 :]]
     cost, near = min(fits, key=lambda item: item[0])
     found = MassFit(declared, dataclasses.replace(near, cost=cost), cost + declared.prior_cost)
-    if declared.estimated is None or near.at is None:
+    floor = declared.estimated
+    if floor is None or near.at is None:
         return found
-    return dataclasses.replace(found, cost=found.cost + 2 * np.log(declared.width[declared.estimated] / _std(found)))
-
-
-def _std(found: MassFit) -> float:
-    """Return the standard deviation of the logarithm of the estimated mass."""
-    at, floor = found.frame.at, found.declared.estimated
-    if at is None or floor is None:
-        return 0.0
-    return float(np.sqrt(np.linalg.pinv(at.J.T @ at.J)[floor, floor]))
-
-
-def _estimated(found: MassFit) -> tuple[str, float, str] | tuple[()]:
-    """Return the estimated mass, its deviation in percent and what was declared; nothing where none is estimated."""
-    floor = found.declared.estimated
-    if floor is None:
-        return ()
-    value, said = (float(np.exp(each[floor])) for each in (found.frame.theta, found.declared.expected))
-    return quantity(value, "kg", 3), 100 * _std(found), quantity(said, "kg", 3)
+    std = float(np.sqrt(np.linalg.pinv(near.at.J.T @ near.at.J)[floor, floor]))
+    value, said = (quantity(float(np.exp(each[floor])), "kg", 3) for each in (near.theta, declared.expected))
+    named = dataclasses.replace(declared, found=declared.found.format(value, 100 * std, said))
+    return dataclasses.replace(found, declared=named, cost=found.cost + 2 * np.log(declared.width[floor] / std))
 
 
 CONTRADICTION = 4.0

@@ -10,7 +10,7 @@ from cvxshear.loop.posterior import ADDED, PILED
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect
 from cvxshear.loop.verdicts import VERDICTS, Verdict
-from cvxshear.report.describe.vocabulary import Facts, Row, Section, Table
+from cvxshear.report.describe.vocabulary import Row, Section, Table
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
 DOUBT = 0.05
@@ -54,12 +54,8 @@ def numbering_sections(result: Closure) -> Iterator[Section]:
     yield Section("numbering", "Which modes these are", (table,))
 
 
-def noise_facts(result: Closure) -> Facts:
+def noise_facts(result: Closure) -> Iterator[tuple[str, str]]:
     """For each kind of data the noise that counts."""
-    return Facts(tuple(_facts(result)))
-
-
-def _facts(result: Closure) -> Iterator[tuple[str, str]]:
     for kind in result.estimate.misfit.noises.values():
         name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
         if estimated is None:

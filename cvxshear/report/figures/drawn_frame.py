@@ -65,7 +65,7 @@ class _Columns:
     right: float
 
 
-NUMBERS_SHOWN = _Columns(0.46, 0.57)
+BETWEEN_NUMBERS = _Columns(0.46, 0.57)
 """Columns of a frame with numbers on either side, which need as much room."""
 
 
@@ -235,16 +235,17 @@ def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark
     _structure(axes, result.frame, z, at)
     _sensors(axes, result.experiment, state, z, at)
     total = float(axes.get_ylim()[1])
-    order = sorted(marks, key=lambda mark: _middle(mark.placed, z))
+    base = np.concatenate([[0.0], z])
+    middles = np.array([np.mean(_extent(mark.placed, z)) for mark in marks])
+    order = np.argsort(middles, kind="stable")
     room = max((mark.lines for mark in marks), default=1) * LINE * total / height
-    levels = style.spread(np.array([_middle(mark.placed, z) for mark in order]), room, room / 2, total - room / 2)
-    for mark, level in zip(order, levels, strict=True):
-        if mark.joined:
-            for low, high in mark.joined:
-                _tie(axes, low, high, z, at, sure=mark.sure)
-        else:
+    levels = style.spread(middles[order], room, room / 2, total - room / 2)
+    for mark, middle, level in zip([marks[each] for each in order], middles[order], levels, strict=True):
+        for low, high in mark.joined:
+            _tie(axes, float(base[low]), float(base[high]), at, sure=mark.sure)
+        if not mark.joined:
             _mark(axes, mark.placed, z, at, sure=mark.sure)
-        _leader(axes, (at.right + 0.05, _middle(mark.placed, z)), (at.right + LABEL_DISTANCE + 0.02, level))
+        _leader(axes, (at.right + 0.05, middle), (at.right + LABEL_DISTANCE + 0.02, level))
         axes.text(at.right + LABEL_DISTANCE + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
     if not marks:
         words = "nothing was found here"
@@ -266,48 +267,43 @@ def _sensors(axes: Axes, experiment: Experiment, state: str | None, z: Floats, a
     )
 
 
-def _middle(placed: Placed, z: Floats) -> float:
-    """Find the elevation of what an effect acts on."""
+def _extent(placed: Placed, z: Floats) -> tuple[float, float]:
+    """Find the elevations between which an effect acts: a story, a floor, two levels, or the whole frame."""
     place, base = placed.place, np.concatenate([[0.0], z])
     if place.story is not None:
-        return float(base[place.story - 1 : place.story + 1].mean())
+        return float(base[place.story - 1]), float(base[place.story])
     if place.floor is None:
-        return float(z[-1] / 2)
-    return float(base[place.floor] if place.to is None else (base[place.floor] + base[place.to]) / 2)
+        return 0.0, float(z[-1])
+    return float(base[place.floor]), float(base[place.floor if place.to is None else place.to])
 
 
 def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) -> None:
     """Colour what an effect acts on: a story, a floor, what joins two floors, or the whole frame."""
-    place, base = placed.place, np.concatenate([[0.0], z])
-    left, wide = at.left - 0.035, at.right - at.left + 0.07
-    if place.floor is not None and place.to is not None:
-        _tie(axes, place.floor, place.to, z, at, sure=sure)
+    place, (low, high) = placed.place, _extent(placed, z)
+    if place.to is not None:
+        _tie(axes, low, high, at, sure=sure)
         return
-    thick = 0.16 * float(np.diff(base).min())
-    low, high = 0.0, float(z[-1])
-    if place.story is not None:
-        low, high = float(base[place.story - 1]) + thick, float(base[place.story]) - thick
-    elif place.floor is not None:
-        low, high = float(base[place.floor]) - thick, float(base[place.floor]) + thick
-    else:
-        # The whole frame: a bracket beside it leaves the frame to be seen.
+    if place.story is None and place.floor is None:
+        # A bracket beside the whole frame leaves it to be seen.
         axes.plot([at.right + 0.03, at.right + 0.05, at.right + 0.05, at.right + 0.03], [low, low, high, high],
                   color=style.BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
         return
-    band = Rectangle((left, low), wide, high - low, fc="none", ec=style.BEFORE, lw=1.0, ls="--", zorder=4)
+    # A story without its floors, a floor with what is next to it.
+    thick = 0.16 * float(np.diff(z, prepend=0.0).min()) * (1 if place.story is None else -1)
+    low, high = low - thick, high + thick
+    corner, wide = (at.left - 0.035, low), at.right - at.left + 0.07
+    band = Rectangle(corner, wide, high - low, fc="none", ec=style.BEFORE, lw=1.0, ls="--", zorder=4)
     if sure:
         band.set(facecolor="#D55E0033", linewidth=1.6, linestyle="-")
     axes.add_patch(band)
-    if sure and place.story is not None:
-        for side in (at.left, at.right):
-            axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
+    for side in (at.left, at.right) if sure and place.story is not None else ():
+        axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
 
 
-def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool) -> None:
-    """Draw what joins two levels, 0 the ground."""
-    base = np.concatenate([[0.0], z])
+def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> None:
+    """Draw what joins two elevations."""
     dashes = "-" if sure else "--"
-    axes.plot([at.left, at.right], [base[low], base[high]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
+    axes.plot([at.left, at.right], [low, high], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
 
 
 # The identified frame with its numbers.
@@ -350,13 +346,13 @@ def _numbered_frames(
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, result.experiment, found, title, height)
         if sensors:
-            _sensors(axes, result.experiment, None, elevations(result.experiment)[0], NUMBERS_SHOWN)
+            _sensors(axes, result.experiment, None, elevations(result.experiment)[0], BETWEEN_NUMBERS)
     return drawn
 
 
 def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:
     z, label = elevations(experiment)
-    at = NUMBERS_SHOWN
+    at = BETWEEN_NUMBERS
     _structure(axes, found, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
     axes.set_ylabel("" if style.narrow_page() else label)
