@@ -48,8 +48,9 @@ def without_drifts(record: TimeRecord, eigenvalues: Complexes) -> tuple[TimeReco
         if abs(slope) < max(certain, DRIFT_SHORTEST / rate / (np.ptp(times) / 2)):
             break
         amplitudes[:, worst] *= np.exp(1j * omega * slope * times)
-        late[record.channels[worst].name] = (-slope * float(times.mean()), slope)
-        numbers = {"channel": record.channels[worst].name, "drift": slope, "drift_std": std, "corrected": True}
+        name, start = record.channels[worst].name, -slope * float(times.mean())
+        late[name] = (start, slope)
+        numbers = {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True}
         slow, spread = "slow" if slope > 0 else "fast", significant(1e6 * std, 2)
         findings.append(finding("clock drift/releases", numbers, slow=slow, by=abs(slope), std=spread))
     return (in_step(record, late) if late else record), findings

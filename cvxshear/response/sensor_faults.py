@@ -153,7 +153,7 @@ class SensorRecord:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
             elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
                 message = f"{message.removesuffix('; taken out')}; so short a delay may be chance and is left in"
-            elif finding.kind in ("clock offset", "clock drift"):
+            elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"
                 of_clocks.update(dict.fromkeys(columns, message))

@@ -18,6 +18,7 @@ from cvxshear.records.placement import Hypothesis, findings_of, weighed
 from cvxshear.records.signals import in_step, scaled
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
 from cvxshear.report import terminal
+from cvxshear.response.sensor_faults import SensorRecord
 from cvxshear.response.sources import load_unscaled
 from cvxshear.screening import Screening
 from cvxshear.util.errors import InputError
@@ -150,12 +151,17 @@ def test_a_drift_under_a_sweep_is_said_with_both_its_causes(drift):
     channels = [Channel(f"floor{floor}", floor) for floor in range(1, 7)]
     record = TimeRecord(channels, runs=[Run(moved, base[::finer])], sampling_rate=rate, input="base")
     # A clock that is set right though it was right runs slow.
-    found = examined(in_step(record, {"floor3": (0.0, -drift)}) if drift else record).findings
+    record = in_step(record, {"floor3": (0.0, -drift)}) if drift else record
+    found = examined(record).findings
     assert {item.numbers["channel"] for item in found} == ({"floor3"} if drift else set())
     for item in (item for item in found if item.kind == "clock drift"):
         assert not item.numbers["corrected"]
         assert item.numbers["drift"] == pytest.approx(drift, rel=0.2)
     assert len([item for item in found if item.kind == "clock drift"]) == bool(drift)
+    (run,) = record.runs
+    sensors = SensorRecord(record.channels, (run.responses,), (run.excitation,), rate, "base").set_right(6)
+    assert not np.any(sensors.late[:, 1])
+    assert len([said for said in sensors.remarks if "may run slow" in said]) == bool(drift)
 
 
 @pytest.mark.parametrize("kind", INPUTS)
