@@ -29,9 +29,7 @@ class Finding(InJson):
     Parameters
     ----------
     kind : str
-        "clock offset", "dead channel", "clipped channel", "held samples", "drift", "aliasing", "sign",
-        "swapped channels", "resolution", "reciprocity", "amplitude", "split mode", "missing mode",
-        "other mode", "overlooked mode", "complex mode", "leakage", "scale", "std".
+        "clock offset", "dead channel", ...: what stands before the slash of a key of `records/findings.toml`, or "pieces".
     message : str
         For people, with the numbers and their units.
     numbers : dict, optional
