@@ -29,7 +29,7 @@ class Finding(InJson):
     Parameters
     ----------
     kind : str
-        "clock offset", "dead channel", ...: what stands before the slash of a key of `records/findings.toml`, or "pieces".
+        "clock offset", "dead channel", ...: a key of `records/findings.toml`, up to its slash; or "pieces".
     message : str
         For people, with the numbers and their units.
     numbers : dict, optional
