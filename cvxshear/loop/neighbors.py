@@ -156,8 +156,8 @@ def with_companions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[Fi
     for pair in pairs:
         beside = [placed for placed in best.estimate.effects if placed not in pair]
         elsewhere = [placed for placed in beside if placed in fitter.assumed or placed.place != pair[1].place]
-        for rest in (beside, elsewhere) if len(elsewhere) < len(beside) else (beside,):
-            proposals.append((fitter.proposal(best.estimate, (*rest, *pair)), pair[1]))
+        others = (beside, elsewhere) if len(elsewhere) < len(beside) else (beside,)
+        proposals += [(fitter.proposal(best.estimate, (*rest, *pair)), pair[1]) for rest in others]
     return _from_starts(proposals, base, np.inf)
 
 
