@@ -17,6 +17,7 @@ from cvxshear.modal.functions import measured_functions
 from cvxshear.modal.picking import PICKABLE, Choice, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.modal.prepare import BLOCKS, MODAL_METHODS, Attempt, default_method, settled, source_of
 from cvxshear.modal.realization import Source
+from cvxshear.modal.releases import without_drifts
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.examination import Examined, examined
@@ -28,6 +29,8 @@ from cvxshear.records.signals import in_step, scaled
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 
+CLOCKS = ("clock offset", "clock drift")
+"""Kinds of findings that the whole band and the modes may both tell of a channel."""
 FUNCTION_RANGE = 1.5
 """Times the highest natural frequency: as far the functions of a record are kept."""
 
@@ -173,6 +176,11 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         return source, sweep_orders(source, options.criteria, choose, **limits)
 
     record, (source, sweep), of_places = _repaired(record, wanted, attempt, options)
+    if not isinstance(record, FrfRecord) and record.input == "free_decay":
+        steady, of_drifts = without_drifts(record, np.array([item.eigenvalue for item in sweep.chosen]))
+        if of_drifts:
+            record, of_places = steady, of_places + of_drifts
+            source, sweep = settled(record, wanted, attempt)
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     parts = Parts(source, sweep.poles)
@@ -323,6 +331,7 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
             seen.append(clock_offset(name, against, *offsets[name]))
         else:
             seen.append(finding)
-    twice = {finding.numbers["channel"] for finding in seen if finding.kind == "clock offset"}
-    left = [item for item in result.findings if item.kind != "clock offset" or item.numbers["channel"] not in twice]
+    # What the modes leave of a clock that was set right by the whole band is counted above, or a part of its drift.
+    twice = {(finding.kind, finding.numbers["channel"]) for finding in seen if finding.kind in CLOCKS}
+    left = [item for item in result.findings if (item.kind, item.numbers.get("channel")) not in twice]
     return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)

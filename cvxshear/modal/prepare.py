@@ -15,7 +15,7 @@ from cvxshear.records.signals import decimated, detrended, struck, without_offse
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import listed
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
 MODAL_METHODS = ("era", "okid", "subspace", "ssi")
 BLOCKS = 20
@@ -103,12 +103,18 @@ def _refuse_several_hits(record: TimeRecord) -> None:
 
 def _decays(record: TimeRecord) -> ImpulseSource:
     record = decimated(without_offset(record))
-    starts = [_release(run.responses) for run in record.runs]
-    samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
-    pieces = [run.responses[start : start + samples] for run, start in zip(record.runs, starts, strict=True)]
-    decays = np.stack(pieces, axis=2)
+    decays, _ = releases_of(record)
     impulse = Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
     return ImpulseSource(impulse, record.sampling_rate, releases=True)
+
+
+def releases_of(record: TimeRecord) -> tuple[Floats, Ints]:
+    """Cut the decay out of each run, shape (samples, channels, runs); the sample that it begins with comes second."""
+    runs = without_offset(record).runs
+    starts = np.array([_release(run.responses) for run in runs])
+    samples = min(run.samples - start for run, start in zip(runs, starts, strict=True))
+    pieces = [run.responses[start : start + samples] for run, start in zip(runs, starts, strict=True)]
+    return np.stack(pieces, axis=2), starts
 
 
 def _release(responses: Floats) -> int:

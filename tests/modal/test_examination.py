@@ -108,6 +108,37 @@ def test_a_damper_is_no_drift_where_one_floor_is_hit_after_another():
     assert "clock drift" not in {finding.kind for finding in found}
 
 
+@pytest.mark.parametrize("drift", [0.0, 6e-5])
+def test_a_drift_from_release_to_release(drift):
+    """Four releases in closed form, a dashpot in story 2; floor 4 is sampled at the times that its own clock shows."""
+    count, rate, random = 5, 30.0, np.random.default_rng(4)
+    story = np.eye(count) - np.eye(count, k=-1)
+    stiffness = 900.0 * story.T @ np.diag([1.0, 0.9, 0.9, 0.7, 0.6]) @ story
+    damper = 0.0006 * stiffness + 1.5 * np.outer(story[1], story[1])
+    system = np.block([[np.zeros((count, count)), np.eye(count)], [-stiffness, -damper]])
+    poles, vectors = np.linalg.eig(system)
+    runs, since = [], 0.0
+    for _ in range(4):
+        pulled = np.linalg.solve(stiffness, random.normal(size=count))
+        released = np.linalg.solve(vectors, np.append(pulled, np.zeros(count)))
+        weights = poles**2 * vectors[:count] * released
+        time = np.arange(-60, int(50 * rate)) / rate
+        late = time[:, None] - drift * (since + time[:, None] + 2.0) * (np.arange(count) == 3)
+        moved = np.einsum("ir,tir->ti", weights, np.exp(np.maximum(late, 0.0)[..., None] * poles)).real * (late >= 0.0)
+        runs.append(Run(moved + 0.01 * moved.std(axis=0) * random.standard_normal(moved.shape)))
+        since += len(time) / rate
+    channels = [Channel(f"floor{floor}", floor) for floor in range(1, count + 1)]
+    result = identify_modes(TimeRecord(channels, runs=runs, sampling_rate=rate, input="free_decay"))
+    found = [item for item in result.findings if item.kind == "clock drift"]
+    assert [item.numbers["channel"] for item in found] == ["floor4"] * bool(drift)
+    for item in found:
+        assert item.numbers["drift"] == pytest.approx(drift, abs=3.0 * item.numbers["drift_std"])
+        assert item.numbers["drift_std"] < 15e-6
+        assert item.message.startswith('the clock of "floor4" runs slow by')
+    exact = np.sort(np.abs(poles[poles.imag > 0])) / (2 * np.pi)
+    np.testing.assert_allclose(result.frequencies, exact, rtol=3e-3)
+
+
 @pytest.mark.parametrize("drift", [0.0, 4e-4])
 def test_a_drift_under_a_sweep_is_said_with_both_its_causes(drift):
     """A sweep passes each mode once: a damper could turn the phases as the clock does, so the drift is left in."""
