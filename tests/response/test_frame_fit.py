@@ -42,10 +42,10 @@ def log_density(at, p, prior):
 def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
     (at, p), prior = drawn(seed), gaussian((), 0.03)
     linear, freed = _Linear(at, p, prior), gaussian((0, 2), 0.03)
-    alone, both = linear.evidences(CHANGE * np.eye(5, 3), [(), (0, 2)])
+    alone, both = linear.evidence(CHANGE * np.eye(5, 3)).of([(), (0, 2)])
     assert both - alone == pytest.approx(log_density(at, p, freed) - log_density(at, p, prior))
     other = gaussian((), 0.1)
-    (found,) = _Linear(at, p, other).evidences(CHANGE * np.eye(5, 3), [()])
+    (found,) = _Linear(at, p, other).evidence(CHANGE * np.eye(5, 3)).of([()])
     assert found - alone == pytest.approx(log_density(at, p, other) - log_density(at, p, prior) - 30.0 * (0.1 - 0.03))
     mean, covariance = linear.posterior()
     expected = np.linalg.inv(np.linalg.inv(prior.covariance) + at.U.T @ at.U / at.inflation)

@@ -222,7 +222,7 @@ def verdict_section(result: Closure) -> Section:
     noise, *granted = result.rests_on
     said = [meaning, f"It rests on {noise}.", evidence_in_words(result)]
     if granted:
-        said.append(f"No datum tells, and it takes for granted, {'; '.join(text.rstrip('.') for text in granted)}.")
+        said.append(f"It takes for granted {'; '.join(text.rstrip('.') for text in granted)}.")
     if result.assumed:
         said.append(f"In the model from the start: {', '.join(placed.label for placed in result.assumed)}.")
     return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))
