@@ -364,7 +364,7 @@ def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
 
 def test_a_sensor_on_a_bracket_moves_no_drift_and_is_named():
     """The bracket is an oscillator, of six times the third frequency; a frame of eight stories, sound."""
-    models, motion, drift, _ = study.setting(8, "sound", 0)
+    models, motion, drift, _ = study.setting(8, "sound", 0, seconds=20.0)
     drive, rate = motion.drives[0], 1.0 / motion.step
     frequency = 6.0 * models.after.experiment.configurations[0].frequencies[2]
     line = np.fft.rfftfreq(len(drive.responses), 1.0 / rate)
@@ -482,7 +482,7 @@ def test_a_story_that_yields_leaves_the_rest_as_it_was_and_is_said():
 
     The peak drift of that story comes out a tenth too low, and its band says that it may.
     """
-    models, motion, drift, story = study.setting(4, "yields", 0)
+    models, motion, drift, story = study.setting(4, "yields", 0, seconds=20.0)
     found = reconstruct(models, motion, leave_out=False)
     others = np.arange(4) != story - 1
     np.testing.assert_allclose(found.frame.factors[others], 1.0, atol=0.03)
