@@ -19,7 +19,10 @@ from tests.frames import chain, configuration, experiment, modes_of, shared
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])
 ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3], [7e3, 0, 9.8e3, 5e3, 0])
-ELSEWHERE = {"total_mass", "floor_mass", "wrong_prior", "bracing", "attached_mass", "shape_scale", "force_scale"}
+ELSEWHERE = {
+    "total_mass", "floor_mass", "wrong_prior", "wrong_exact_prior", "bracing", "attached_mass", "load_mounting",
+    "shape_scale", "force_scale",
+}  # fmt: skip
 """Declarations and forces that are off, braces, which show beside turning joints alone, and what has two parameters:
 tested by themselves."""
 EFFECTS = [effect.name for effect in catalogue() if effect.name not in ELSEWHERE]

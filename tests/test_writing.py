@@ -272,9 +272,9 @@ import json, os, signal, sys
 from pathlib import Path
 from matplotlib.figure import Figure
 from cvxshear.cli.output import deliver
-from cvxshear.files.modes import IdentifiedRecord, write_merged
+from cvxshear.files.modes import write_merged
 from cvxshear.files.uff import write_uff
-from cvxshear.modal import from_arrays
+from cvxshear.modal import IdentifiedRecord, from_arrays
 from cvxshear.report import figures
 from cvxshear.util.writing import write_file
 

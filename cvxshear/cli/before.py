@@ -20,7 +20,7 @@ from cvxshear.util.writing import check_output, write_file
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
-    from cvxshear.files.modes import IdentifiedRecord
+    from cvxshear.modal import IdentifiedRecord
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
 
@@ -206,8 +206,9 @@ def measured(
         Where no mode was found in a record.
     """
     from cvxshear import Experiment, load
-    from cvxshear.files.modes import identify_modes_many, merged
+    from cvxshear.files.modes import identify_modes_many
     from cvxshear.files.toml import is_built_in, is_record_file
+    from cvxshear.modal import merged
 
     files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
     if len(files) == 1 and not is_record_file(files[0]):
@@ -226,7 +227,8 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Identify the modes of each record."""
-    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of, scale_unknown
+    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of
+    from cvxshear.modal.result import scale_unknown
     from cvxshear.report import terminal
 
     for test in tests:

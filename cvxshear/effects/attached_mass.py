@@ -1,4 +1,4 @@
-"""A mass that hangs or stands on one floor by a spring: a tank, a machine on mounts, a tuned damper."""
+"""Masses that hang or stand on a floor by a spring: a tank, a machine on mounts, a tuned damper, a loose load."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.base import Effect, Parameter, Place, shown_states
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.model.shear import System
@@ -36,6 +36,11 @@ soil of stiffness s below story 1 of stiffness k, is to every floor the series o
 (k / (k + s))^2 of the base's mass, at the frequency that the base has between soil and story: above most modes."""
 
 
+STIFFEST_MOUNTING = 10.0
+"""Bound of the frequency of loads on their mountings, in parts of the highest that was measured: beyond it they weigh
+within 1 % what they would on the bare floor."""
+
+
 class AttachedMass(Effect):
     """M + m e_v e_v', K + m (2 pi f)^2 d d', d = e_v - e_j: one motion v more, which no sensor shows.
 
@@ -48,7 +53,8 @@ class AttachedMass(Effect):
     Expected size: 15 % of a floor's mass; tuned dampers weigh 1 to 5 % of the whole frame, tanks and machines 5 to 20 %
     of a floor (Soong and Dargush, Passive Energy Dissipation Systems). Any frequency among those that were measured
     is as probable. Such things can be seen, so one frame in fifty has one that nobody thought of; dampers and tanks
-    stand where the frame moves most, so that the top floor is as probable as all the others together.
+    stand where the frame moves most, so that the top floor is as probable as all the others together. In one state
+    of several it came or went between the tests.
     """
 
     name = "attached_mass"
@@ -85,34 +91,113 @@ class AttachedMass(Effect):
         starts += [(size * mass.start, part * highest) for part in AMONG_THE_HIGHEST for size in (1.0, 0.5)]
         return tuple((size, float(min(place, frequency.upper))) for size, place in starts)
 
+    def places(self, experiment: Experiment) -> list[Place]:
+        floors = range(1, experiment.stories + 1)
+        return [Place(floor=floor, state=state) for state in (None, *shown_states(experiment)) for floor in floors]
+
     def weight(self, place: Place, experiment: Experiment) -> float:
         return float(max(1, experiment.stories - 1)) if place.floor == experiment.stories else 1.0
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        system = state.system
-        motions, stories = len(system.K), len(state.story_stiffness)
-        mass = float(values[0] + LEAST_MASS * np.mean(state.floor_mass))
-        square = float((2 * np.pi * values[1]) ** 2)
-        d = np.zeros(motions + 1)
-        d[-1], d[place.floor_index] = 1.0, -1.0
-        unit = np.outer(d, d)
-        by_mass = np.zeros(len(system.dM))
+        stories = len(state.story_stiffness)
+        by_mass = np.zeros(len(state.system.dM))
         by_mass[own.start] = 1.0
         by_mass[:stories] = LEAST_MASS / stories
-        more = ((0, 1), (0, 1))
-        M, K = np.pad(system.M, more), np.pad(system.K, more)
-        dM, dK = (np.pad(slopes, ((0, 0), *more)) for slopes in (system.dM, system.dK))
-        M[-1, -1] = mass
-        dM[:, -1, -1] = by_mass
-        K += mass * square * unit
-        dK += (by_mass * square)[:, None, None] * unit
-        dK[own.start + 1] += mass * 2 * square / values[1] * unit
-        return dataclasses.replace(state, system=System(M, K, dM, dK), observation=state.observation.extended())
+        mass = float(values[0] + LEAST_MASS * np.mean(state.floor_mass))
+        return with_attached(state, place.floor_index, mass, by_mass, float(values[1]), own.start + 1)
 
     def sizes(self, scale: Scale) -> Floats:
         return np.array([0.15 * scale.floor_mass, np.inf])
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         mass, frequency = (with_std(value, error, unit) for value, error, unit in zip(values, std, units, strict=True))
-        said = f"a mass of {mass} swings on floor {place.floor} at {frequency} of its own"
+        said = f"a mass of {mass} swings on floor {place.floor} at {frequency} of its own{place.in_state}"
         return said if place.floor != 1 else f"{said}, or the base has a mass of its own on soft ground"
+
+
+class LoadMounting(Effect):
+    """Every declared added mass a_j is an attached one: off floor j, and on it by a spring a_j (2 pi f)^2.
+
+    f is the frequency that the loads would have on floors that stand still; to a mode of frequency w a load then weighs
+    a_j / (1 - (w / f)^2), more the higher the mode below f.
+
+    Any frequency between the lowest that was measured and ten times the highest is as probable: from there on loads
+    weigh within 1 % what they would on the bare floor. Weights are clamped or screwed down more often than not; those
+    that stand on rubber, on sand bags or in a loose stack move in one loaded test out of thirty.
+    """
+
+    name = "load_mounting"
+    summary = "The added masses are not fast to the floors: on rubber, on sand bags or in a loose stack they move."
+    formula = "a_j off floor j; M + a_j e_v e_v', K + a_j (2 pi f)^2 d d',  d = e_v - e_j, for every load j"
+    source = "Den Hartog, Mechanical Vibrations: the undamped absorber"
+    stage = "attachment"
+    parameters = (Parameter("frequency", "Hz", lower=0.01, upper=1000.0, start=10.0),)
+    adds_motion = True
+    probability = 0.03
+
+    def bound(self, experiment: Experiment) -> Self:
+        """Make a copy whose frequency lies above the lowest that was measured."""
+        measured = np.concatenate([each.frequencies for each in experiment.configurations])
+        lowest, highest = float(measured.min()), float(measured.max())
+        stiff = STIFFEST_MOUNTING * highest
+        own = self.having([Parameter("frequency", "Hz", lower=lowest, upper=stiff, null=stiff, start=2.0 * highest)])
+        own.measured = lowest, highest
+        return own
+
+    measured: tuple[float, float] = (1.0, 1.0)
+    """The lowest and the highest frequency that was measured, Hz."""
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Frequencies from between those that were measured to above them."""
+        lowest, highest = self.measured
+        return tuple((float(each),) for each in (np.sqrt(lowest * highest), 1.2 * highest, 2.0 * highest))
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "" if any(each.added_mass.any() for each in experiment.tested) else "added_mass"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        loads = state.tested.added_mass
+        M, none = state.system.M.copy(), np.zeros(len(state.system.dM))
+        at = np.arange(len(loads))
+        M[at, at] -= loads
+        state = state.with_mass(M, state.system.dM)
+        for floor in np.flatnonzero(loads).tolist():
+            state = with_attached(state, floor, float(loads[floor]), none, float(values[0]), own.start)
+        return state
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        return f"the added masses are not fast to the floors: they swing at {with_std(values[0], std[0], units[0])}"
+
+
+def with_attached(state: State, floor: int, mass: float, by_mass: Floats, frequency: float, own: int) -> State:
+    """Attach a mass to one floor, with a motion of its own that no sensor shows.
+
+    Parameters
+    ----------
+    state : State
+    floor : int
+        Counted from 0.
+    mass : float
+        kg.
+    by_mass : ndarray, shape (P,)
+        Derivatives of the mass by all parameters.
+    frequency : float
+        That it has on a floor that stands still, Hz.
+    own : int
+        Which parameter the frequency is.
+    """
+    system = state.system
+    square = (2 * np.pi * frequency) ** 2
+    d = np.zeros(len(system.K) + 1)
+    d[-1], d[floor] = 1.0, -1.0
+    unit = np.outer(d, d)
+    more = ((0, 1), (0, 1))
+    M, K = np.pad(system.M, more), np.pad(system.K, more)
+    dM, dK = (np.pad(slopes, ((0, 0), *more)) for slopes in (system.dM, system.dK))
+    M[-1, -1] = mass
+    dM[:, -1, -1] = by_mass
+    K += mass * square * unit
+    dK += (by_mass * square)[:, None, None] * unit
+    dK[own] += mass * 2 * square / frequency * unit
+    return dataclasses.replace(state, system=System(M, K, dM, dK), observation=state.observation.extended())

@@ -154,9 +154,10 @@ class Effect(ABC):
         own, and the factor on their standard deviations is its common size.
     granted : str
         What a verdict takes for granted as long as this effect is not in it, where no datum tells: a clause such as
-        "that the floors of {state} weigh what they did". Empty where there is nothing to say.
+        "that the floors of {state} weigh what they did", or one with {prior}. Empty where there is nothing to say.
     releases : tuple of str
-        Of "total_mass": declarations that do not hold as they stand where it is in the model.
+        Of "total_mass", "prior" (the one at its place): declarations that do not hold as they stand where it is in the
+        model.
     adds_motion : bool
         Whether the frame has one motion more with it. What it does is then not told by derivatives at its null value,
         and a fit begins at its start values.
@@ -353,6 +354,15 @@ class Effect(ABC):
     def weight(self, place: Place, experiment: Experiment) -> float:
         """How probable it is at a place in relation to others; the same everywhere by default."""
         return 1.0
+
+
+def shown_states(experiment: Experiment) -> list[str]:
+    """List, of several states, those that may have changed and whose shapes were measured.
+
+    A few frequencies more or less do not tell a spring or a tank in one state from stories that changed.
+    """
+    shown = {each.state for each in experiment.configurations if each.measured.any()}
+    return [state for state in experiment.changed_states if state in shown] if len(experiment.states) > 1 else []
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,9 @@ from cvxshear.effects.base import Effect, Parameter, Place, off_by
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.static_test import StaticTest
+from cvxshear.priors import Constraints, Prior
+from cvxshear.priors.base import QUANTITY_UNITS
+from cvxshear.util.quantities import scaled, with_std
 from cvxshear.util.typing import Floats
 
 
@@ -166,3 +169,73 @@ class WrongPrior(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         largest = float(np.max(np.abs(values)))
         return f'the statement "{place.prior}" is wrong by {largest:.1f} of its standard deviations'
+
+
+class WrongExactPrior(Effect):
+    """A x = b + e in place of A x = b: a statement that was declared as exact holds no more.
+
+    Each row is scaled to a largest coefficient of 1, so that e is what a floor mass or a story stiffness is off by.
+
+    Expected size: a tenth of the mean mass or stiffness. Who declares a statement as exact is sure of it: one in fifty
+    does not hold.
+    """
+
+    name = "wrong_exact_prior"
+    summary = "A statement that was declared as exact, such as two floors alike, does not hold."
+    formula = "A x = b + e for the rows of the statement"
+    source = "design values and judgement that do not hold for the frame as built"
+    stage = "story"
+    usual = 0.1
+    probability = 0.02
+    releases = ("prior",)
+    granted = 'that "{prior}" holds, as declared'
+    parameters: tuple[Parameter, ...] = ()
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        stated = experiment.stated
+        return [Place(prior=words) for words in stated if _equalities(stated[words], experiment)[1].size]
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "" if self.places(experiment) else "a prior that is an exact equation"
+
+    def bound_at(self, experiment: Experiment, place: Place) -> Self:
+        prior = experiment.stated[str(place.prior)]
+        rows = len(_equalities(prior, experiment)[1])
+        unit = QUANTITY_UNITS[prior.quantity]
+        own = self.having(Parameter(f"e{i}" if rows > 1 else "e", unit) for i in range(1, rows + 1))
+        own.about = prior.quantity
+        return own
+
+    about: str = "floor_mass"
+    """The quantity that the statement is about."""
+
+    def sizes(self, scale: Scale) -> Floats:
+        return np.full(len(self.parameters), self.usual * getattr(scale, self.about))
+
+    def limits(self, experiment: Experiment, place: Place) -> Constraints:
+        A, b = _equalities(experiment.stated[str(place.prior)], experiment)
+        n = experiment.stories
+        wide = np.zeros((len(b), 2 * n + len(b)))
+        at = 0 if self.about == "floor_mass" else n
+        wide[:, at : at + n] = A
+        wide[:, 2 * n :] = -np.eye(len(b))
+        return Constraints(A=wide, b=b)
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        # It acts on the statement that its place names, not on the frame.
+        return state
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        at = int(np.argmax(np.abs(values)))
+        factor, unit = scaled([float(values[at])], units[at])
+        size = with_std(abs(float(values[at])), float(std[at]), unit, factor)
+        return f'the statement "{place.prior}", declared as exact, is off by {size}'
+
+
+def _equalities(prior: Prior, experiment: Experiment) -> tuple[Floats, Floats]:
+    """Return the exact equations of a prior, each scaled to a largest coefficient of 1; none where it has none."""
+    said = prior.constraints(experiment.stories)
+    if said.A is None or said.b is None:
+        return np.zeros((0, experiment.stories)), np.zeros(0)
+    largest = np.max(np.abs(said.A), axis=1)
+    return said.A / largest[:, None], said.b / largest

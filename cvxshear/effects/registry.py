@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cvxshear.effects.attached_mass import AttachedMass
+from cvxshear.effects.attached_mass import AttachedMass, LoadMounting
 from cvxshear.effects.base import Effect
 from cvxshear.effects.flexibility import AxialColumns, BaseRocking
 from cvxshear.effects.gravity import Gravity
@@ -21,7 +21,7 @@ from cvxshear.effects.open_class import (
     OtherShapes,
     OtherStiffness,
 )
-from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongPrior
+from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
 from cvxshear.util import checks
@@ -47,9 +47,11 @@ _catalogue: dict[str, Effect] = {
         JointRelease(),
         Bracing(),
         AttachedMass(),
+        LoadMounting(),
         ShapeScale(),
         ForceScale(),
         WrongPrior(),
+        WrongExactPrior(),
     )
 }
 

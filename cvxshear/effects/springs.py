@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place
+from cvxshear.effects.base import Effect, Parameter, Place, shown_states
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.quantities import scaled, with_std
@@ -99,14 +99,8 @@ class Spring(Effect):
 
 
 def _in_all_or_since(experiment: Experiment) -> list[str | None]:
-    """List None for all states and, where a sound state is named, each other one: a prop, or a brace of a repair.
-
-    Those with shapes alone: a few frequencies more or less do not tell a spring from stories that changed.
-    """
-    if experiment.frame.reference is None:
-        return [None]
-    shown = {each.state for each in experiment.configurations if each.measured.any()}
-    return [None, *(state for state in experiment.changed_states if state in shown)]
+    """List None for all states and, where a sound state is named, each other one: a prop, or a brace of a repair."""
+    return [None] if experiment.frame.reference is None else [None, *shown_states(experiment)]
 
 
 def unit_springs(pairs: Sequence[tuple[int, int]], stories: int) -> Floats:

@@ -174,12 +174,13 @@ def _header(
     """Names, their line, and units, from the lines right before the first numbers; None where none fits."""
     fitting: list[tuple[int, tuple[str, ...]]] = []
     for number, line in reversed(before[-3:]):
-        cells = _split(line.lstrip().removeprefix("#").strip("\r\n"), separator)
+        # A tab at the start of a line of units stands for the time, which has none.
+        cells = _split(line.lstrip(" ").removeprefix("#").strip("\r\n"), separator)
         # Whoever ends each line with a separator ends all of them so; a quotation mark that is left begins a name.
         if cells is None or len(cells) != count or any('"' in cell for cell in cells):
             break
         fitting.append((number, tuple(cell.strip() for cell in cells)))
-    named = [(n, cells) for n, cells in fitting if not all(_is_number(each.replace(",", ".") or "0") for each in cells)]
+    named = [(n, cells) for n, cells in fitting if not all(_is_datum(each.replace(",", ".")) for each in cells)]
     if not named or len(named) < len(fitting[:1]):
         return None
     units: tuple[str, ...] = ()
@@ -192,9 +193,7 @@ def _header(
 def _numbers_in(line: str, separator: str | None) -> int:
     """How many cells a line has where each is a number, a stamp or empty, and one at least is a number; else 0."""
     cells = _split(line if separator == "," else line.replace(",", "."), separator)
-    if not cells or not all(
-        not cell or _is_number(cell) or STAMP.fullmatch(cell) or DATE.fullmatch(cell) for cell in map(str.strip, cells)
-    ):
+    if not cells or not all(_is_datum(cell.strip()) for cell in cells):
         return 0
     return len(cells) if any(_is_number(cell) for cell in cells) else 0
 
@@ -360,6 +359,10 @@ def _comment(line: str) -> bool:
 def _refuse_many(names: Sequence[str], where: str, line: int) -> None:
     if len(names) > MOST_COLUMNS:
         raise InputError(f"{where}, line {line} names {len(names)} columns; {MOST_COLUMNS} are the most that are read")
+
+
+def _is_datum(cell: str) -> bool:
+    return bool(not cell or _is_number(cell) or STAMP.fullmatch(cell) or DATE.fullmatch(cell))
 
 
 def _is_number(text: str) -> bool:

@@ -8,7 +8,7 @@ has them all.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -26,10 +26,12 @@ from cvxshear.files.record_tables import (
     pieces_of,
     placed,
     runs_of,
+    since_first,
     tables_of,
 )
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.records.findings import finding
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
@@ -46,6 +48,10 @@ NEXT_TABLE = re.compile(r"^[ \t]*\[+\w", re.MULTILINE)
 PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
 """Patterns of the header of the record's table, of the next table's, and of the line of poles picked by hand."""
 
+OFF_CENTER = 50.0
+"""m from the center of a floor to a sensor; few halls are wider than twice that."""
+SLENDER = 20.0
+"""Story heights from the center of a floor to a sensor: 60 m in a building, 8 m in a frame of a laboratory."""
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
 
@@ -246,7 +252,8 @@ class RecordTables:
                     excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
                 called = name if len(stretches) == 1 else f"{name}, piece {number}"
                 whole = rows == slice(0, len(columns.values))
-                span = (None, None) if whole else (round(rows.start / rate, 9), round(rows.stop / rate, 9))
+                clock = None if whole else since_first(columns, self.declared)
+                span = (None, None) if clock is None else (round(clock[rows.start], 9), round(clock[rows.stop - 1], 9))
                 found.append(Piece(place, name, called, part, excitation, floor, span, left_out if number == 1 else ""))
         return found, rates[0][0]
 
@@ -306,12 +313,24 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
             notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
     if not responses:
         raise InputError("no channel is on a floor above the ground")
+    notes.extend(_far_off(responses, tables.table.get("frame", {}).get("story_heights")))
     runs = []
     for each in pieces:
         table = [item.factor * each.columns.column(item.name, item.place or tables.path.name) for item in responses]
         runs.append(Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
     common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
     return TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
+
+
+def _far_off(channels: Sequence[ChannelDeclaration], heights: object) -> Iterator[Finding]:
+    """Ask about sensors that are declared farther from the center of their floor than frames are wide."""
+    known = [each for each in (heights if isinstance(heights, list) else [heights]) if isinstance(each, int | float)]
+    limit = min(OFF_CENTER, SLENDER * max(known, default=np.inf))
+    for channel in channels:
+        off = 0.0 if channel.position is None else float(np.hypot(*channel.position))
+        if off > limit:
+            beyond = f"in a frame with stories of {max(known):g} m" if known else "farther than in most halls"
+            yield finding("position", {"channel": channel.name, "off": off}, where=channel, beyond=beyond)
 
 
 def _frf_record(tables: RecordTables) -> FrfRecord:

@@ -9,23 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.files.columns import Columns, sampling_rate_of
+from cvxshear.files.columns import Columns
 from cvxshear.files.formats import refuse_data
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, sound_pieces
 from cvxshear.records.record import RECORDED_QUANTITIES, Channel
+from cvxshear.records.stamps import TIME_UNITS, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import CHANNEL_UNITS
+from cvxshear.util.quantities import CHANNEL_UNITS, counted
 from cvxshear.util.typing import Bools, Floats
 
 CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity", "unit", "position", "direction")
 RUN_KEYS = ("file", "name", "input_floor", "start", "end")
 PASSED_ON = ("frame", "prior", "added_mass", "state")
-
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
-"""Units of a time column, s."""
 
 LONG_STEP = 1.75
 """Longest step without a gap, as a multiple of the usual one; a longer one lost a sample, whatever the rounding."""
@@ -222,7 +220,7 @@ def pieces_of(
         jumps = np.flatnonzero(steps > LONG_STEP * np.median(steps)) if steps.size else np.zeros(0, dtype=int)
         if 0 < jumps.size <= MOST_GAPS * len(time) and np.all(steps > 0):
             breaks = np.flatnonzero(sound)[jumps + 1].tolist()
-    first, last = _asked(columns, name, declared, run)
+    first, last = _asked(columns, declared, run)
     kept = sound_pieces(sound, breaks, slice(first, last))
     whole = kept == [slice(first, last)]
     for item in needed if whole else ():
@@ -232,24 +230,29 @@ def pieces_of(
         rate = rate_of(declared, columns.rows(max(kept, key=lambda each: each.stop - each.start)))
     if whole:
         return kept, rate, ""
-    used = sum(each.stop - each.start for each in kept)
-    told = ", ".join(f"{each.start / rate:.4g} to {each.stop / rate:.4g} s" for each in kept)
-    return kept, rate, (
-        f"{last - first - used} of {last - first} samples are missing or stand between gaps; the longest sound pieces "
-        f"are used as runs of their own: {told}"
-    )  # fmt: skip
+    lost = last - first - sum(each.stop - each.start for each in kept)
+    jumped = sum(first < row < last for row in breaks)
+    why = [f"{lost} of {last - first} samples are missing or stand between gaps"] if lost else []
+    why += [f"the clock jumps {counted(jumped, 'time')}"] if jumped else []
+    clock = since_first(columns, declared)
+    told = ", ".join(f"{clock[each.start]:.4g} to {clock[each.stop - 1]:.4g} s" for each in kept)
+    return kept, rate, f"{', '.join(why)}; the longest sound pieces are used as runs of their own: {told}"
 
 
-def _asked(columns: Columns, name: str | None, declared: Mapping[str, Any], run: Mapping[str, Any]) -> tuple[int, int]:
-    """Return the rows from `start` to `end` of a run: the first, and the one after the last."""
-    count = len(columns.values)
-    if not {"start", "end"} & set(run):
-        return 0, count
+def since_first(columns: Columns, declared: Mapping[str, Any]) -> Floats:
+    """Return the time of each sample since the first, s, by the clock where there is one."""
+    name = time_column_of(declared, columns)
     if name is None:
-        time = np.arange(count) / rate_of(declared, columns)
-    else:
-        time = seconds_of(declared, columns.values[:, columns.names.index(name)])
-        time = np.maximum.accumulate(np.nan_to_num(time - time[np.isfinite(time)][0], nan=0.0))
+        return np.arange(len(columns.values)) / rate_of(declared, columns)
+    time = seconds_of(declared, columns.values[:, columns.names.index(name)])
+    return np.asarray(np.maximum.accumulate(np.nan_to_num(time - time[np.isfinite(time)][0], nan=0.0)))
+
+
+def _asked(columns: Columns, declared: Mapping[str, Any], run: Mapping[str, Any]) -> tuple[int, int]:
+    """Return the rows from `start` to `end` of a run: the first, and the one after the last."""
+    if not {"start", "end"} & set(run):
+        return 0, len(columns.values)
+    time = since_first(columns, declared)
     first, last = np.searchsorted(time, [run.get("start", 0.0), run.get("end", np.inf)])
     if last - first < FEWEST_SAMPLES:
         raise InputError(
@@ -271,14 +274,8 @@ def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
         if columns.stated_rate is not None:
             return columns.stated_rate[1]
         raise InputError(f"record: give sampling_rate, in Hz, or time, the name of the time column of {columns.source}")
-    rate = sampling_rate_of(seconds_of(declared, columns.column(name, "record: time")), columns, name, said)
-    if said is not None:
-        if abs(rate - said) > 0.01 * said:
-            raise InputError(
-                f'record: sampling_rate = {said:g} Hz, but column "{name}" of {columns.source} ticks at {rate:.6g} Hz'
-            )
-        return said
-    return rate
+    time = seconds_of(declared, columns.column(name, "record: time"))
+    return sampling_rate_of(time, columns, f'column "{name}"', said)
 
 
 def time_column_of(declared: Mapping[str, Any], columns: Columns) -> str | None:

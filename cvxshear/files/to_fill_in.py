@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from cvxshear.files.columns import LIMIT, Columns, sampling_rate_of
+from cvxshear.files.columns import LIMIT, Columns
 from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
-from cvxshear.files.record_tables import TIME_UNITS
+from cvxshear.records.stamps import TIME_UNITS, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import CHANNEL_UNITS
+from cvxshear.util.quantities import CHANNEL_UNITS, counted
 from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
 
@@ -238,7 +238,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         if NO_MOTION.search(each) and each != time
     ]
     return _blank("record.toml").format(
-        masses=", ".join(["0.0"] * top),
+        masses=", ".join(["0.0"] * top), stories=top + 1,
         file=printable(path.name) + (f" and {len(others)} more" if others else ""),
         name=toml_line("x", named_after(path))[4:], kind=kind, why=why, rate=rate,
         source="" if others else toml_line("file", os.path.relpath(path, folder)) + "\n",
@@ -295,11 +295,13 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
     line = toml_line("time", time)
     more = "" if unit == "s" else f'\ntime_unit = "{unit}"  # GUESSED from the header'
     try:
-        rate = sampling_rate_of(values[np.isfinite(values)], columns, time)
+        rate = sampling_rate_of(values[np.isfinite(values)], columns, "time")
         return f"{line}  # GUESSED: it ticks at {rate:.6g} Hz, {len(values) / rate:.4g} s long{more}"
     except InputError:
         steps = np.diff(values[np.isfinite(values)])
-        return f"{line}  # GUESSED: its steps are uneven, {np.median(steps):.4g} s in the middle{more}"
+        usual = np.median(steps)
+        others = counted(int(np.count_nonzero(np.abs(steps - usual) > EVEN * usual)), "other step")
+        return f"{line}  # GUESSED: mostly steps of {usual:.4g} s, and {others}; gaps part a record into runs{more}"
 
 
 def _unit(columns: Columns, name: str) -> tuple[str, str]:

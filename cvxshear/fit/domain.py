@@ -81,9 +81,11 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     mass = _least(theta[:n], float(np.median(theta[:n])) if known is None else known / n)
     stiffness = _least(theta[n : 2 * n], float(np.median(theta[n : 2 * n])))
     frame = _exact(experiment.frame, effects)
+    gone = {placed.place.prior for placed in effects if "prior" in placed.effect.releases}
+    priors = [prior for words, prior in experiment.stated.items() if words not in gone]
     parts = spread(
-        statements(experiment.priors, "floor_mass", n, frame, least=mass),
-        statements(experiment.priors, "story_stiffness", n, least=stiffness),
+        statements(priors, "floor_mass", n, frame, least=mass),
+        statements(priors, "story_stiffness", n, least=stiffness),
         n,
         size,
     )

@@ -326,7 +326,7 @@ class Misfit:
             rows.append(row)
         for placed, own in slices(self.effects, 2 * n):
             # A test that is only imagined has no priors that could be wrong.
-            if placed.place.prior in self._statements:
+            if placed.place.prior in self._statements and "prior" not in placed.effect.releases:
                 at_prior = 1 + self._statements.index(placed.place.prior)
                 residuals[at_prior] = residuals[at_prior] - theta[own]
                 rows[at_prior][:, own] -= np.eye(own.stop - own.start)

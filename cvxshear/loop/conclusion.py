@@ -23,7 +23,7 @@ from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
-from cvxshear.loop.posterior import RIVAL, Posterior
+from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
 from cvxshear.loop.search import Search, fits_alike
@@ -95,14 +95,14 @@ def conclude(
     return Closure(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
-        verdict=_verdict(added, numbering, final, unexplained=significant and not negligible),
+        verdict=_verdict(added, here, numbering, final, unexplained=significant and not negligible),
         rests_on=(
             *_rests_on(final),
             *dict.fromkeys(
                 (
                     *_granted(search, found),
                     *_granted_of_the_scale(search, found),
-                    *_granted_exactly(fitter.experiment),
+                    *_granted_of_bounds(fitter.experiment),
                 )
             ),
         ),
@@ -153,12 +153,18 @@ def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> li
 
 
 def _verdict(
-    added: Sequence[AddedEffect], numbering: NumberingProbability, final: Estimate, *, unexplained: bool
+    added: Sequence[AddedEffect],
+    posterior: Posterior,
+    numbering: NumberingProbability,
+    final: Estimate,
+    *,
+    unexplained: bool,
 ) -> str:
     if unexplained:
         return "unexplained"
     if not added and not numbering.changes:
-        return "adequate" if numbering.probability >= NUMBERED and final.dof > 0 else "ambiguous"
+        told = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
+        return "adequate" if told else "ambiguous"
     sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:
@@ -237,9 +243,10 @@ def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
         said = f"{said}: {significant(factor['factor'], 2)} times"
+    own = [each for each in final.effects if each in posterior.of_effects]
     return AddedEffect(
         placed,
-        posterior.of_effects[placed],
+        posterior.of_effects[placed] * posterior.no_pile(placed, own),
         parameters,
         std,
         said,
@@ -355,7 +362,8 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
         # Not all that is done to single stories or floors of the state, whose sum it is.
         alike = [other for other in said if other.place.state == placed.place.state]
         if invariances.untold(placed, alike):
-            untold[placed.effect.granted].append(str(placed.place.state))
+            said_of = placed.effect.granted.replace("{prior}", str(placed.place.prior))
+            untold[said_of].append(str(placed.place.state))
     for statement, names in untold.items():
         yield statement.format(state=_quoted(names))
 
@@ -372,10 +380,11 @@ def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
         yield "that forces and motions were measured in right proportion, which is that of all masses"
 
 
-def _granted_exactly(experiment: Experiment) -> Iterator[str]:
-    """Say which statements hold in every model that was looked at."""
-    for words, rows in experiment.soft_statements:
-        if not rows:
+def _granted_of_bounds(experiment: Experiment) -> Iterator[str]:
+    """Say which inequalities hold in every model that was looked at."""
+    for words, prior in experiment.stated.items():
+        said = prior.constraints(experiment.stories)
+        if any(part is not None for part in (said.lower, said.upper, said.G)):
             yield f'that "{words}" holds, as declared'
 
 

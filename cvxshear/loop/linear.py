@@ -15,6 +15,7 @@ from scipy import special
 
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
+from cvxshear.fit.domain import domain_of
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.misfit import Misfit
@@ -77,16 +78,15 @@ class Linearised:
         return columns
 
     def _shift(self, placed: Placed) -> Floats:
-        """Find the least change of the frame, in typical units, that an effect's equalities ask for."""
-        scale = self.expectation.scale
+        """Find the least change of the frame, in typical units, with which all equalities hold with the effect."""
+        scale, base = self.expectation.scale, self.base
         assert scale is not None
-        n2 = 2 * self.base.experiment.stories
+        n2 = 2 * base.experiment.stories
         unit = np.repeat([scale.floor_mass, scale.story_stiffness], n2 // 2)
-        A = placed.effect.limits(self.base.experiment, placed.place).A
-        if A is None:
-            # Declared floor masses stay; the effect multiplies them.
-            return np.zeros((n2, len(placed.effect.parameters)))
-        shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, n2:])
+        theta = np.concatenate([base.theta, placed.start])
+        said = [each.constraints.A for each in domain_of(base.experiment, (*base.effects, placed), theta).statements]
+        A = np.concatenate([np.zeros((0, len(theta))), *(rows for rows in said if rows is not None)])
+        shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, len(base.theta) :])
         return shift
 
     def columns(self, placed: Placed) -> Floats:

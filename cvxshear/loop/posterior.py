@@ -27,6 +27,13 @@ RAISED = 3.0
 RIVAL = 0.05
 """Probability, relative to that of the best set, of a set whose effects count as rivals."""
 
+PILED = 3
+UNTHOUGHT_OF, WITH_EACH_MORE = 1e-4, 10.0
+"""Kinds of effects in one place, the frame or a state of it, from which on they are a pile; and the probability of one
+cause that the catalogue lacks and that so many do the work of, with the factor by which each kind more raises it. One
+frame in fifty has such a cause, and the more effects are free to be added, the more of these causes they can imitate:
+three kinds one in two hundred, five half of them."""
+
 AS_PROBABLE = 0.01
 """Relative difference of two probabilities below which they are one: fits end within some such distance of their
 optimum, and which of two equals comes first must not depend on the machine."""
@@ -109,6 +116,25 @@ class Posterior:
         """Return the same probabilities, with what no datum tells known."""
         return Posterior(self.models, self._hypotheses, twins)
 
+    def no_pile(self, placed: Placed, effects: Iterable[Placed]) -> float:
+        """Return the probability of an effect's kinds of company, against one cause that nobody thought of.
+
+        Parameters
+        ----------
+        placed : Placed
+        effects : iterable of Placed
+            Among which it is in the model; those in its state, or in the frame as it, may be a pile with it.
+        """
+        kinds = {each.effect.name for each in effects if each.place.state == placed.place.state}
+        if len(kinds) < PILED:
+            return 1.0
+        absent = dict.fromkeys(kinds, 1.0)
+        for item in self._hypotheses:
+            if item.placed.effect.name in kinds and item.placed.place.state == placed.place.state:
+                absent[item.placed.effect.name] *= 1.0 - item.probability
+        there = float(np.prod([1.0 - each for each in absent.values()]))
+        return there / (there + UNTHOUGHT_OF * WITH_EACH_MORE ** (len(kinds) - PILED))
+
     def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
         """Effects, the most probable first; of those as probable, what changed from state to state comes first."""
         chance = self.of_effects if probability is None else probability
@@ -187,6 +213,10 @@ class Posterior:
     def _log_odds(self, placed: Placed) -> float:
         """Return the logarithm of an effect's prior odds."""
         return log_odds(self._prior[placed])
+
+    def something(self) -> float:
+        """Return the probability that anything is there of what the data have made more probable than it was."""
+        return self._any([placed for placed in self.of_effects if self._raised([placed]) >= RAISED])
 
     def keeps_odds(self, placed: Placed) -> bool:
         """Tell whether the data left an effect's odds about as they were."""

@@ -257,6 +257,12 @@ class Experiment(Shown):
         return all(each.noise_declared for each in self.configurations)
 
     @property
+    def stated(self) -> dict[str, Prior]:
+        """The priors by their words, as `soft_statements` has them."""
+        words = [text for text, _ in self.soft_statements]
+        return dict(zip(words[len(words) - len(self.priors) :], self.priors, strict=True))
+
+    @property
     def soft_statements(self) -> tuple[tuple[str, int], ...]:
         """Each prior in words with its number of residuals, none where it is exact; a soft total mass comes first.
 

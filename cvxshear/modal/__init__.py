@@ -3,11 +3,11 @@
 from cvxshear.modal.adapters import from_arrays, from_pyoma, from_sdypy
 from cvxshear.modal.agreement import second_opinion
 from cvxshear.modal.identify import identify_modes
-from cvxshear.modal.result import ModalResult
+from cvxshear.modal.result import IdentifiedRecord, ModalResult, merged
 from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.record import Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 
 __all__ = [
-    "Channel", "Criteria", "Finding", "FrfRecord", "FrfRun", "ModalResult", "Record", "Run", "TimeRecord",
-    "from_arrays", "from_pyoma", "from_sdypy", "identify_modes", "second_opinion",
+    "Channel", "Criteria", "Finding", "FrfRecord", "FrfRun", "IdentifiedRecord", "ModalResult", "Record", "Run",
+    "TimeRecord", "from_arrays", "from_pyoma", "from_sdypy", "identify_modes", "merged", "second_opinion",
 ]  # fmt: skip

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cvxshear.modal.deviations import independent_std
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.picking import PoleCandidate
-from cvxshear.modal.result import ModalResult, independent_std
+from cvxshear.modal.result import ModalResult
 from cvxshear.records.mode_shapes import collinearity, lost_phase, sign_changes
 from cvxshear.records.record import Record
 from cvxshear.util.typing import Floats, Ints

@@ -11,10 +11,11 @@ from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.frf import FrfSource
 from cvxshear.modal.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
 from cvxshear.modal.result import OVERLOOKED_KIND, ModalResult
-from cvxshear.records.clocks import Segments, straight
+from cvxshear.records.clocks import straight
 from cvxshear.records.findings import finding
 from cvxshear.records.floors import ROTATES
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
+from cvxshear.records.segments import Segments
 from cvxshear.util.quantities import listed, numbered, significant
 from cvxshear.util.typing import Floats, Ints
 

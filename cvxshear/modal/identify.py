@@ -19,7 +19,8 @@ from cvxshear.modal.prepare import BLOCKS, MODAL_METHODS, Attempt, default_metho
 from cvxshear.modal.realization import Source
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
-from cvxshear.records.examination import CERTAIN_DELAY, Examined, clock_offset, examined
+from cvxshear.records.examination import Examined, examined
+from cvxshear.records.late_clocks import CERTAIN_DELAY, clock_offset
 from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.placement import SURE, findings_of, weighed
 from cvxshear.records.record import Finding, FrfRecord, Record

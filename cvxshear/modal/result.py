@@ -1,18 +1,20 @@
-"""Identified modes with their standard deviations, and what the record got wrong."""
+"""Identified modes with their standard deviations, and the measurement that those of one or several records make."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import nnls
 
+from cvxshear.modal.deviations import DAMPING_REPRODUCED_TO, REPRODUCED_TO, entry_std, frequency_std
 from cvxshear.modal.functions import Functions
 from cvxshear.modal.picking import Sweep
 from cvxshear.records.record import Finding
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown, ask, data_frame
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
@@ -22,58 +24,6 @@ if TYPE_CHECKING:
 OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
 
-SENSOR_STD = 0.005
-"""Standard deviation of a shape entry, over the mode's largest, that no scatter shows: a sensor 5 degrees askew loses
-0.4 %, one with a transverse sensitivity of 3 % picks up as much of a floor's other motions."""
-
-
-def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> Floats:
-    """Relative standard deviations of the frequencies, those that depend on amplitude being known no better than that.
-
-    The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
-    frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
-    for which no change could be told is taken to change by as much as the one that changes least. One that is only
-    suspected to change, by its scatter, has that scatter in its deviation already.
-
-    Parameters
-    ----------
-    scatter : ndarray, shape (m,)
-    modes : ndarray of int, shape (m,)
-    findings : sequence of Finding
-    """
-    changes = {
-        item.numbers["mode"]: 2.0 * abs(item.numbers["change"]) / np.sqrt(12.0)
-        for item in findings
-        if item.kind == "amplitude" and "change" in item.numbers
-    }
-    least = min(changes.values(), default=0.0)
-    return np.hypot(scatter, [changes.get(int(mode), least) for mode in modes])
-
-
-def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[Finding]) -> Floats:
-    """Add what sensors get wrong unseen to the standard deviations of the entries, over each mode's largest.
-
-    Where the response at floor i to a force at j differs from that at j to a force at i by the share d, one of four
-    calibrations is off, those of two sensors and of the force at two driving points. With s the standard deviation of
-    each, d has that of 2 s; an entry takes half of its sensor's error and half of its driving point's, which is
-    s / sqrt(2) = d / (2 sqrt(2)).
-
-    Parameters
-    ----------
-    scatter : ndarray, shape (m, n)
-    shapes : ndarray, shape (m, n)
-        In any scaling.
-    floors : ndarray of int, shape (n,)
-    findings : sequence of Finding
-    """
-    failures = [item.numbers for item in findings if item.kind == "reciprocity"]
-    of_floors = ([each["by_mode"] for each in failures if floor in each["floors"]] for floor in floors.tolist())
-    share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
-    relative = np.abs(shapes) / np.max(np.abs(shapes), axis=1, keepdims=True)
-    result: Floats = np.hypot(np.hypot(scatter, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
-    return result
-
-
 def other_modes(findings: Sequence[Finding]) -> list[Json]:
     """Which other modes of the frame those of a record may be, as `other_modes` of a measurement file has it."""
     return [
@@ -81,16 +31,6 @@ def other_modes(findings: Sequence[Finding]) -> list[Json]:
         for item in findings
         if item.kind == OVERLOOKED_KIND
     ]
-
-
-DRAWN = 0.3
-"""Weight of equal variances against those that the covariance asks for."""
-REPRODUCED_TO = 2e-4
-"""Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
-100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
-Without it a day's change of temperature between two tests would be found as a cause."""
-DAMPING_REPRODUCED_TO = 0.01
-"""Least relative std of a damping ratio: friction in joints and cables changes it by more between two tests."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -294,57 +234,142 @@ class ModalResult(Shown):
         to 1, with `total_mass_placeholder = true`: masses and stiffnesses then come out relative to it, and no
         command shows them in kilograms or newtons. A comment at the head of the measurement file says so too.
         """
-        table = frame_in({"stories": self.stories, **(frame or {})}, {state or self.name})
-        if self.needs_mass(table, priors):
-            table |= {"total_mass": 1.0, "total_mass_placeholder": True}
-        result: Json = {"frame": table}
-        if priors:
-            result["prior"] = [dict(prior) for prior in priors]
-        result["configuration"] = [self.configuration(added_mass=added_mass, state=state)]
-        return result
-
-    def needs_mass(self, frame: Mapping[str, object], priors: Sequence[Mapping[str, object]]) -> bool:
-        """Whether nothing tells how heavy the frame is."""
-        fixed = any(
-            prior.get("kind") == "value" or (prior.get("kind") == "nominal" and not prior.get("free_scale"))
-            for prior in priors
-        )
-        return not (self.mass_normalized or "total_mass" in frame or "floor_masses" in frame or fixed)
+        test = IdentifiedRecord(self.name, self, frame or {}, priors, added_mass, state)
+        return merged([test])
 
 
-def frame_in(frame: Mapping[str, Any], states: Set[str]) -> dict[str, Any]:
-    """Return the table `[frame]` for records of these states: no `reference` where all are of one other state.
-
-    Nothing differs from the reference then, and the frame itself is the one that was tested.
-    """
-    alone = len(states) == 1 and frame.get("reference") not in states
-    return {key: value for key, value in frame.items() if not (alone and key == "reference")}
-
-
-def independent_std(covariance: Floats, shape: Floats) -> Floats:
-    """Independent errors on all entries that, the scale free, scatter a shape as a covariance says.
-
-    An error along the shape itself is lost in the scale: with P the projector off the shape, P D P and
-    P cov P have the same diagonal for the diagonal matrix D = diag(std^2) sought, a linear system with
-    the squared entries of P. Solved for non-negative variances.
+@dataclass(frozen=True, eq=False)
+class IdentifiedRecord:
+    """One record with the modes found in it, and what its file says of the frame besides.
 
     Parameters
     ----------
-    covariance : array, shape (n, n)
-        In any scaling of the shape to a fixed length or entry.
-    shape : array, shape (n,)
+    file : str
+        The record file, for messages.
+    modes : ModalResult
+    frame : dict
+        The table `[frame]`.
+    priors : sequence of dict
+        The tables `[[prior]]`.
+    added_mass : sequence of float, optional
+        kg on each floor during the record.
+    state : str, optional
+        The state of the frame that was tested.
+    """
+
+    file: str
+    modes: ModalResult
+    frame: Mapping[str, object]
+    priors: Sequence[Mapping[str, object]] = ()
+    added_mass: Sequence[float] | None = None
+    state: str | None = None
+
+
+def merged(tests: Sequence[IdentifiedRecord]) -> Json:
+    """Make a dict of the measurement file's shape, for `Experiment.from_dict`.
+
+    Parameters
+    ----------
+    tests : sequence of IdentifiedRecord
+        Of one frame; at least one.
 
     Returns
     -------
-    array, shape (n,)
+    dict
+        One configuration a record, in their order. `total_mass` is 1 kg where nothing tells how heavy the frame is.
+
+    Raises
+    ------
+    InputError
+        Where two records contradict each other, naming both files, the key and the values.
     """
-    off = np.eye(len(shape)) - np.outer(shape, shape) / (shape @ shape)
-    seen = np.diag(off @ covariance @ off)
-    typical = float(seen.sum()) / max(1, len(shape) - 1)
-    if typical <= 0:
-        return np.zeros(len(shape))
-    # Drawn towards equal variances: the system is singular for two floors, and a covariance from a score of
-    # pieces is no better known than that.
-    rows = np.vstack([off**2, DRAWN * np.eye(len(shape))])
-    variances = nnls(rows, np.concatenate([seen / typical, np.full(len(shape), DRAWN)]))[0] * typical
-    return np.sqrt(np.maximum(variances, 0.1 * typical))
+    if not tests:
+        raise InputError("there is no record whose modes were found; a measurement needs one at least")
+    _refuse_shared_names(tests)
+    frame, priors = _frame(tests), _priors(tests)
+    states = {test.state or test.modes.name for test in tests}
+    if len(states) == 1 and frame.get("reference") not in states:
+        # Nothing differs from the reference then, and the frame itself is the one that was tested.
+        frame.pop("reference", None)
+    if scale_unknown(tests):
+        frame |= {"total_mass": 1.0, "total_mass_placeholder": True}
+    result: Json = {"frame": frame}
+    if priors:
+        result["prior"] = priors
+    result["configuration"] = [test.modes.configuration(added_mass=test.added_mass, state=test.state) for test in tests]
+    return result
+
+
+def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:
+    """Whether nothing in any record file, nor a change of added mass between them, tells how heavy the frame is."""
+    for test in tests:
+        if test.modes.mass_normalized or {"total_mass", "floor_masses"} & set(test.frame):
+            return False
+        kinds = {prior.get("kind") for prior in test.priors if not prior.get("free_scale")}
+        if {"value", "nominal"} & kinds:
+            return False
+    stories = max(test.modes.stories for test in tests)
+    added = [np.zeros(stories) if test.added_mass is None else np.asarray(test.added_mass) for test in tests]
+    return all(np.array_equal(mass, added[0]) for mass in added)
+
+
+PLACES = ("kind", "quantity", "at", "of", "to")
+"""Keys of a prior that say what it speaks of; the others are what it says."""
+
+
+def _refuse_shared_names(tests: Sequence[IdentifiedRecord]) -> None:
+    seen: dict[str, str] = {}
+    for test in tests:
+        name = test.modes.name
+        if name in seen:
+            raise InputError(f'{seen[name]} and {test.file} are both named "{name}"; give each its own record: name')
+        seen[name] = test.file
+
+
+def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
+    """Merge the tables [frame]: every key that any file gives."""
+    frame: dict[str, Any] = {}
+    said: dict[str, str] = {}
+    for test in tests:
+        for key, value in {"stories": test.modes.stories, **test.frame}.items():
+            if key in frame and not _same(frame[key], value):
+                remedy = "records of one frame must agree, and one of them is enough to say it"
+                if key == "stories":
+                    remedy = "say record: stories in each file whose top floor has no sensor"
+                raise InputError(
+                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; {remedy}"
+                )
+            frame.setdefault(key, value)
+            said.setdefault(key, test.file)
+    return frame
+
+
+def _same(one: object, other: object) -> bool:
+    """Whether two values say the same; one number for all stories equals a list of it."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    numbers = (int, float, list)
+    if isinstance(one, numbers) and isinstance(other, numbers):
+        try:
+            a, b = np.broadcast_arrays(np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))
+        except (TypeError, ValueError):
+            return False
+        return bool(np.allclose(a, b, rtol=1e-9, atol=0.0))
+    return one == other
+
+
+def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
+    """Collect the tables [[prior]], each once."""
+    kept: list[tuple[dict[str, object], str]] = []
+    for test in tests:
+        for prior in test.priors:
+            if any(_same(other, prior) for other, _ in kept):
+                continue
+            for other, file in kept:
+                if file != test.file and all(_same(other.get(key), prior.get(key)) for key in PLACES):
+                    raise InputError(
+                        f"prior: {shown(other)} by {file} and {shown(dict(prior))} by {test.file} speak of the same "
+                        "thing and differ; leave one out"
+                    )
+            kept.append((dict(prior), test.file))
+    return [prior for prior, _ in kept]

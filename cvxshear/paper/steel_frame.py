@@ -1,7 +1,7 @@
 """Section 6: the two-story steel test frame in three structures, Tables 4 to 8."""
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize
@@ -15,6 +15,9 @@ from cvxshear.paper.tables import KILO, Row, Section
 from cvxshear.programs import story_stiffnesses
 from cvxshear.programs.orthogonality import normalized
 from cvxshear.util.typing import Floats
+
+PerStructure = Mapping[str, Any]
+"""Numbers, or printed figures, of each structure by its name."""
 
 
 class RecoveredShapes(NamedTuple):
@@ -80,11 +83,7 @@ class SteelFrame:
         self.net_mass = {name: parts[name].frame.floor_mass for name in tables.STRUCTURES}
         self.stiffness = {name: parts[name].frame.story_stiffness / KILO for name in tables.STRUCTURES}
         self.frequencies = {name: parts[name].predictions[0].frequencies for name in tables.STRUCTURES}
-
-    @property
-    def mass(self) -> dict[str, Floats]:
-        """Floor masses, counterweights included, kg."""
-        return {name: net + self.tested[name].added_mass for name, net in self.net_mass.items()}
+        self.mass = {name: net + self.tested[name].added_mass for name, net in self.net_mass.items()}
 
     def recovered(self, name: str) -> RecoveredShapes:
         """Read the shapes of Fig. 8 from the printed figures of one structure."""
@@ -95,9 +94,20 @@ class SteelFrame:
 
 def sections(ours: SteelFrame) -> Iterator[Section]:
     """Tables 4 to 8, Fig. 8, and what Section 7 concludes from them."""
-    notes = (tables.note("inputs"),)
-    yield Section("Tables 4 and 5: what is identified from", tuple(_inputs(ours)), notes, counted=False)
-    yield _figure_8(ours)
+    added = {name: each.added_mass for name, each in ours.tested.items()}
+    measured = {name: each.frequencies for name, each in ours.tested.items()}
+    inputs = (
+        *_rows("Table 4", "counterweight of floor {}, kg", tables.TABLE_4, added),
+        *_rows("Table 5", "f{}, Hz", tables.TABLE_5, measured),
+        Row("net total mass, kg", "Section 6", tables.TOTAL_NET_MASS, ours.experiment.frame.known_total or np.nan),
+    )
+    yield Section("Tables 4 and 5: what is identified from", inputs, (tables.note("inputs"),), counted=False)
+    shapes = {name: ours.recovered(name) for name in tables.STRUCTURES}
+    in_file = {name: [f"{low / high:.5f}" for low, high in each.mode_shapes] for name, each in ours.tested.items()}
+    ratios = _rows("Fig. 8", "mode {}, floor 1 / floor 2", in_file, {name: each[:2] for name, each in shapes.items()})
+    notes = (tables.note("figure_8", misfit=max(each.misfit for each in shapes.values())),)
+    title, source = "Fig. 8: mode shapes recovered from Table 6", "in the file `paper`"
+    yield Section(title, tuple(ratios), notes, printed_in=source, counted=False)
     identified = (
         *_rows("Table 6", "m{}, kg", tables.TABLE_6_MASS, ours.mass),
         *_rows("Table 6", "net m{}, kg", tables.TABLE_6_NET_MASS, ours.net_mass),
@@ -106,68 +116,37 @@ def sections(ours: SteelFrame) -> Iterator[Section]:
     yield Section("Table 6: identified masses and stiffnesses", identified)
     frequencies = _rows("Table 7", "f{}, Hz", tables.TABLE_7, ours.frequencies)
     yield Section("Table 7: analytical frequencies", tuple(frequencies))
-    notes = (tables.note("table_8"),)
-    yield Section("Table 8: errors of the analytical frequencies", tuple(_table_8(ours)), notes)
-    yield Section("Section 7: largest differences", tuple(_conclusions(ours)))
-
-
-def _rows(table: str, what: str, printed: Mapping[str, tuple[str, ...]], found: Mapping[str, Floats]) -> Iterator[Row]:
-    for name in tables.STRUCTURES:
-        for place, (text, number) in enumerate(zip(printed[name], found[name], strict=True), 1):
-            yield Row(what.format(place), f"{table}, {name}", text, float(number))
-
-
-def _inputs(ours: SteelFrame) -> Iterator[Row]:
-    added = {name: each.added_mass for name, each in ours.tested.items()}
-    measured = {name: each.frequencies for name, each in ours.tested.items()}
-    yield from _rows("Table 4", "counterweight of floor {}, kg", tables.TABLE_4, added)
-    yield from _rows("Table 5", "f{}, Hz", tables.TABLE_5, measured)
-    total = ours.experiment.frame.total_mass
-    yield Row("net total mass, kg", "Section 6", tables.TOTAL_NET_MASS, float("nan") if total is None else total)
-
-
-def _figure_8(ours: SteelFrame) -> Section:
-    rows, misfits = [], []
-    for name in tables.STRUCTURES:
-        found = ours.recovered(name)
-        misfits.append(found.misfit)
-        shapes = ours.tested[name].mode_shapes
-        for mode, ratio in enumerate((found.first, found.second)):
-            in_file = shapes[mode, 0] / shapes[mode, 1]
-            rows.append(Row(f"mode {mode + 1}, floor 1 / floor 2", f"Fig. 8, {name}", f"{in_file:.5f}", ratio))
-    title, notes = "Fig. 8: mode shapes recovered from Table 6", (tables.note("figure_8", misfit=max(misfits)),)
-    return Section(title, tuple(rows), notes, printed_in="in the file `paper`", counted=False)
-
-
-def _table_8(ours: SteelFrame) -> Iterator[Row]:
-    for name in tables.STRUCTURES:
-        measured = ours.tested[name].frequencies
-        for place, text in enumerate(tables.TABLE_8[name]):
-            rounded = tables.value(tables.TABLE_7[name][place])
-            exact = float(ours.frequencies[name][place])
-            yield Row(
-                f"f{place + 1}, %", f"Table 8, {name}", text, 100 * float(exact / measured[place] - 1),
-                from_rounded=100 * float(rounded / measured[place] - 1),
-            )  # fmt: skip
-
-
-def _conclusions(ours: SteelFrame) -> Iterator[Row]:
-    yield Row(
-        "largest difference of a net mass, %", "Section 7", tables.NET_MASS_DIFFERENCE, _spread(ours.net_mass),
-        from_rounded=_spread(tables.TABLE_6_NET_MASS),
+    printed = {name: tables.values(texts) for name, texts in tables.TABLE_7.items()}
+    both = ours.frequencies, printed
+    errors, rounded = ({name: 100 * (each[name] / seen - 1) for name, seen in measured.items()} for each in both)
+    rows = tuple(_rows("Table 8", "f{}, %", tables.TABLE_8, errors, rounded))
+    yield Section("Table 8: errors of the analytical frequencies", rows, (tables.note("table_8"),))
+    conclusions = (
+        ("difference of a net mass", tables.NET_MASS_DIFFERENCE, _spread, ours.net_mass, tables.TABLE_6_NET_MASS),
+        ("difference of a story stiffness", tables.STIFFNESS_DIFFERENCE, _spread, ours.stiffness,
+         tables.TABLE_6_STIFFNESS),
+        ("error of a frequency", tables.LARGEST_FREQUENCY_ERROR, _largest, errors, rounded),
     )  # fmt: skip
-    yield Row(
-        "largest difference of a story stiffness, %", "Section 7", tables.STIFFNESS_DIFFERENCE, _spread(ours.stiffness),
-        from_rounded=_spread(tables.TABLE_6_STIFFNESS),
-    )  # fmt: skip
-    errors = [row for row in _table_8(ours) if row.from_rounded is not None]
-    yield Row(
-        "largest error of a frequency, %", "Section 7", tables.LARGEST_FREQUENCY_ERROR,
-        max(abs(row.recomputed) for row in errors), from_rounded=max(abs(row.from_rounded or 0.0) for row in errors),
-    )  # fmt: skip
+    largest = (
+        Row(f"largest {what}, %", "Section 7", text, measure(found), from_rounded=measure(of_printed))
+        for what, text, measure, found, of_printed in conclusions
+    )
+    yield Section("Section 7: largest differences", tuple(largest))
 
 
-def _spread(found: Mapping[str, Floats | tuple[str, ...]]) -> float:
+def _rows(
+    table: str, what: str, printed: PerStructure, found: PerStructure, rounded: PerStructure | None = None
+) -> Iterator[Row]:
+    for name in tables.STRUCTURES:
+        own = None if rounded is None else rounded[name]
+        yield from tables.rows(f"{table}, {name}", what, printed[name], found[name], own)
+
+
+def _spread(found: PerStructure) -> float:
     """Largest over smallest structure, percent of the largest: as the paper's 2.41 and 5.73 % are taken."""
     table = np.array([found[name] for name in tables.STRUCTURES], dtype=float)
     return 100 * float(np.max((table.max(axis=0) - table.min(axis=0)) / table.max(axis=0)))
+
+
+def _largest(found: PerStructure) -> float:
+    return float(max(np.max(np.abs(found[name])) for name in tables.STRUCTURES))

@@ -5,8 +5,10 @@ and 6. Cases 1 and 2 are its two initial masses; "present" is its own method, "R
 """
 
 import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -28,28 +30,26 @@ ITERATIONS = {1: "14", 2: "16"}
 _PRINTED = tomllib.loads(resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8"))
 """The tables of figures, with what each holds and in which unit."""
 
+
+
+def _by_case(name: str) -> dict[tuple[str, int], Any]:
+    """Read a table of Section 5 by method and case."""
+    return {(method, int(case)): each for method, cases in _PRINTED[name].items() for case, each in cases.items()}
+
+
 TABLE_1 = {
-    (method, int(case)): {(int(place[0]), int(place[1])): text for place, text in entries.items()}
-    for method, cases in _PRINTED["table_1"].items()
-    for case, entries in cases.items()
+    key: {(int(place[0]), int(place[1])): text for place, text in entries.items()}
+    for key, entries in _by_case("table_1").items()
 }
 """Corrected mass matrices, kg, upper triangle: entry (i, j) by method and case."""
 
 MISPRINT = ("berman", 1, (2, 3))
 """Method, case and entry of Table 1 that is not what the formula gives."""
 
-TABLE_2 = {
-    (method, int(case)): tuple(texts)
-    for case, methods in _PRINTED["table_2"].items()
-    for method, texts in methods.items()
-}
-"""Identified story stiffnesses, kN/m, by method and case."""
+TABLE_2 = dict(sorted(_by_case("table_2").items(), key=lambda item: item[0][1]))
+"""Identified story stiffnesses, kN/m, by method and case, the first case first."""
 
-LARGEST_ERRORS = {
-    (method, int(case)): tuple(texts)
-    for method, cases in _PRINTED["largest_errors"].items()
-    for case, texts in cases.items()
-}
+LARGEST_ERRORS = _by_case("largest_errors")
 """Section 5.1: largest relative errors of the floor masses and of the story stiffnesses, percent."""
 
 PARAMETERS = ("m1", "m2", "m3", "k1", "k2", "k3")
@@ -98,7 +98,7 @@ def decimals(printed: str) -> int:
     return len(printed.partition(".")[2])
 
 
-def values(printed: tuple[str, ...]) -> Floats:
+def values(printed: Sequence[str]) -> Floats:
     """Read printed figures as numbers."""
     return np.array([value(each) for each in printed])
 
@@ -198,6 +198,15 @@ class Section(InJson):
     counted: bool = True
 
     json_keys = "title rows notes"
+
+
+def rows(
+    where: str, what: str, printed: Sequence[str], found: Sequence[float] | Floats, rounded: Floats | None = None
+) -> Iterator[Row]:
+    """Set the figures of one line of a table beside ours; `what` has a place for their numbers from 1."""
+    from_rounded = [None] * len(printed) if rounded is None else rounded.tolist()
+    for place, each in enumerate(zip(printed, found, from_rounded, strict=True), 1):
+        yield Row(what.format(place), where, each[0], float(each[1]), each[2])
 
 
 def same_digits(number: float, printed: str) -> bool:

@@ -109,26 +109,22 @@ def _misprint(ours: ThreeStory) -> str:
 def _table_2(ours: ThreeStory) -> Iterator[Row]:
     for (method, case), printed in tables.TABLE_2.items():
         stiffness = ours.parts[method, case].frame.story_stiffness / KILO
-        for story, (text, found) in enumerate(zip(printed, stiffness, strict=True), 1):
-            yield Row(f"k{story}, kN/m", _place("Table 2", method, case), text, float(found))
+        yield from tables.rows(_place("Table 2", method, case), "k{}, kN/m", printed, stiffness)
 
 
 def _largest_errors(ours: ThreeStory) -> Iterator[Row]:
-    for (method, case), (mass, stiffness) in tables.LARGEST_ERRORS.items():
-        frame = ours.parts[method, case].frame
-        where = _place("Section 5.1", method, case)
-        diagonal = tuple(text for (i, j), text in tables.TABLE_1[method, case].items() if i == j)
-        truth = ours.truth
-        yield Row(
-            "largest error of a floor mass, %", where, mass, _largest(frame.floor_mass, truth.floor_mass),
-            from_rounded=_largest(tables.values(diagonal), truth.floor_mass),
-        )  # fmt: skip
-        rounded = KILO * tables.values(tables.TABLE_2[method, case])
-        yield Row(
-            "largest error of a story stiffness, %", where, stiffness,
-            _largest(frame.story_stiffness, truth.story_stiffness),
-            from_rounded=_largest(rounded, truth.story_stiffness),
-        )  # fmt: skip
+    for (method, case), printed in tables.LARGEST_ERRORS.items():
+        frame, truth = ours.parts[method, case].frame, ours.truth
+        diagonal = tables.values([text for (i, j), text in tables.TABLE_1[method, case].items() if i == j])
+        stiffness = KILO * tables.values(tables.TABLE_2[method, case])
+        quantities = (
+            ("floor mass", frame.floor_mass, diagonal, truth.floor_mass),
+            ("story stiffness", frame.story_stiffness, stiffness, truth.story_stiffness),
+        )
+        for text, (what, found, rounded, true) in zip(printed, quantities, strict=True):
+            errors = _largest(found, true), _largest(rounded, true)
+            where = _place("Section 5.1", method, case)
+            yield Row(f"largest error of a {what}, %", where, text, errors[0], from_rounded=errors[1])
 
 
 def _largest(found: Floats, truth: Floats) -> float:

@@ -132,11 +132,10 @@ def choose(
     work = comb(problem.count, number) * frames * (rows / TYPICAL) ** 3
     if work <= enumerate_up_to:
         return _best_of_all(problem, number, by)
-    found = relaxed(problem, number, by, solver)
-    value, chosen = min(exchanged(problem, start, by) for start in _roundings(found.weights, number))
-    bound = found.bound
+    weights, bound = relaxed(problem, number, by, solver)
+    value, chosen = min(exchanged(problem, start, by) for start in _roundings(weights, number))
     # Tangents at the program's own weights are far below where it leaves whole parts of the frame without any.
-    evened = (found.weights + number / problem.count) / 2
+    evened = (weights + number / problem.count) / 2
     for width in _affordable(widths, problem):
         if value <= (1 + CLOSE_ENOUGH) * bound:
             break
@@ -217,22 +216,7 @@ def exchanged(problem: Candidates, start: Sequence[int], by: Criterion) -> tuple
         value, chosen = least, nearest
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxed:
-    """The solved program.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (n,)
-    bound : float
-        Standard deviation that no choice can beat.
-    """
-
-    weights: Floats
-    bound: float
-
-
-def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clarabel") -> Relaxed:
+def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clarabel") -> tuple[Floats, float]:
     """Weights of the candidates at which the criterion is least, and the bound that follows.
 
     Parameters
@@ -244,6 +228,12 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
     solver : str, optional
         "clarabel" or "scs".
 
+    Returns
+    -------
+    weights : ndarray, shape (n,)
+    bound : float
+        Standard deviation that no choice can beat.
+
     Raises
     ------
     NoSolutionError
@@ -252,7 +242,7 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
     checks.choice(solver, SOLVERS, "solver")
     if number >= problem.count:
         weights = np.ones(problem.count)
-        return Relaxed(weights, float(by.value(problem, problem.information(weights))))
+        return weights, float(by.value(problem, problem.information(weights)))
     import cvxpy  # noqa: PLC0415 - takes a second
 
     # Most of its functions have no types.
@@ -280,7 +270,7 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
         improved = descended(partial(by.smooth, problem), weights, total, rounds=100, tolerance=1e-8)
         found.append((by.bound(problem, improved, number), improved))
     bound, weights = max(found, key=lambda pair: pair[0])
-    return Relaxed(weights, bound)
+    return weights, bound
 
 
 def _reduced(problem: Candidates, weight: float) -> Reduced:

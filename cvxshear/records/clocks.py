@@ -8,24 +8,17 @@ and the modes' own phases make it finer (`modal.clock_offsets`). A damper turns 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
-from cvxshear.records.record import TimeRecord
-from cvxshear.records.signals import struck
+from cvxshear.records.segments import Segments
 from cvxshear.util.typing import Complexes, Floats, Ints
 
-SEGMENT = 20.0
-"""s; long beside the longest delay, short enough that a record has many."""
 LONGEST_DELAY = 2.6
 """Longest delay, s, that is looked for: two seconds, which loggers started by hand are apart, and room beyond."""
 FASTEST_DRIFT = 1e-3
 """s a second; crystals differ by a tenth of that at most."""
-GROUPS = 12
-"""Parts of a record in which the delay is estimated by itself."""
 DELAY_BANDS = 8
 """Parts of the band, of equal weight, that must agree in a delay."""
 NO_PHASE = 3.0
@@ -40,21 +33,10 @@ TRUSTED_DRIFT = 4.0
 """Standard deviations of a drift, or else the delay is looked for without one."""
 FINER = 4
 """Steps of the search in the time that a quarter of a sample makes."""
-NOISE_FLOOR = 10.0
-"""Times the tenth of a channel's lines that hold least: below it a line counts little."""
-BETWEEN_RESONANCES = 0.03
-"""Of the highest line: below it lines of a decay count little. There the tails of several modes overlap, with phases
-that change from release to release; counted in full, drifts erred by twice their standard deviations."""
-MAINS = (50.0, 60.0)
-"""Hz; lines at these and twice and three times as much, folded, say nothing of a frame."""
 NO_DRIFT = 0.97
 """Of the agreement with a drift: reached without one, there is none."""
-DRIFT_CHANCE = 1e-6
-"""Probability that chance makes a slope so steep of the delays in the parts of a record."""
 STEADY = 0.01
 """Samples that the delay of a sound clock may seem to change by, as modes ring with other weights."""
-DRIFT_SHORTEST = 0.08
-"""Samples from the middle of the record to its end that a drift must make."""
 AS_GOOD = 0.97
 """Of the largest agreement: of delays that reach it the smallest is taken, which a sidelobe of a few modes is not."""
 
@@ -94,145 +76,6 @@ class BandClock:
     time: float = 0.0
     reach: float = 0.0
     steepest: float = 0.0
-
-
-def drift_of(clocks: Sequence[BandClock], rate: float) -> tuple[float, float]:
-    """Drift of a clock that was compared with several others, s a second, and its standard deviation; 0 for none.
-
-    Every comparison holds the noise of the clock itself, so more of them make the drift no surer; but the scatter
-    about each line is one more estimate of the same deviation, which few stretches of motion tell badly.
-
-    Parameters
-    ----------
-    clocks : sequence of BandClock
-    rate : float
-        Sampling rate, Hz.
-    """
-    fitted = [clock for clock in clocks if clock.freedom > 0]
-    if not fitted:
-        return 0.0, np.inf
-    slope = float(np.median([clock.slope for clock in fitted]))
-    std = float(np.median([clock.slope_std for clock in fitted]))
-    certain = -float(special.stdtrit(sum(clock.freedom for clock in fitted), DRIFT_CHANCE))
-    reach = float(np.median([clock.reach for clock in fitted]))
-    # A sound clock moves against one that drifts, and against no other.
-    alone = sum(abs(clock.slope - slope) > abs(slope) / 2 for clock in fitted) > len(fitted) / 2
-    if abs(slope) < certain * std or abs(slope) * reach < DRIFT_SHORTEST / rate or alone:
-        return 0.0, std
-    return slope, std
-
-
-@dataclass(frozen=True, eq=False)
-class Segments:
-    """Spectra of a record in overlapping segments.
-
-    Parameters
-    ----------
-    spectra : array of complex, shape (segments, lines, clocks)
-        The channels, then the input where there is one.
-    weights : array, shape (segments, lines, clocks)
-        Between 0 and 1: how far a line stands out of what may be noise.
-    times : array, shape (segments,)
-        Middle of each, s.
-    groups : list of array of int
-        The segments of each part of the record in which delays are estimated by themselves.
-    hit : array of int, shape (groups,)
-        The floor that a hammer hit in each; 0 for other records.
-    length : int
-        Samples.
-    rate : float
-        Hz.
-    """
-
-    spectra: Complexes
-    weights: Floats
-    times: Floats
-    groups: list[Ints]
-    hit: Ints
-    length: int
-    rate: float
-
-    @staticmethod
-    def of(record: TimeRecord) -> Segments:
-        """Cut a record into segments and transform them."""
-        rate = record.sampling_rate
-        length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
-        blows = struck(record)
-        window = _window(length, decaying=blows or record.input == "free_decay")
-        spectra, times, driven, started = [], [], [], 0
-        for run in record.runs:
-            both = [run.responses] if run.excitation is None else [run.responses, run.excitation[:, None]]
-            values = np.column_stack(both)
-            values = values - np.median(values, axis=0)
-            for start in range(0, run.samples - length + 1, length // 2):
-                spectra.append(np.fft.rfft(values[start : start + length] * window, axis=0))
-                times.append((started + start + length / 2) / rate)
-                driven.append(run.floor if blows else 0)
-            started += run.samples
-        found = np.array(spectra)
-        power = np.abs(found) ** 2
-        floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
-        mains = mains_lines(length, rate)
-        if record.input == "free_decay":
-            loudest = np.delete(power.mean(axis=0), mains, axis=0).max(axis=0)
-            floor = np.maximum(floor, BETWEEN_RESONANCES * loudest)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            weights = np.nan_to_num(power / (power + floor)) ** 2
-        weights[:, mains] = 0.0
-        weights[:, :2] = 0.0
-        # With dampers a frame answers to a blow at another floor with other phases.
-        apart = [np.flatnonzero(np.array(driven) == floor) for floor in np.unique(driven)]
-        shares = [min(max(1, round(GROUPS * len(each) / len(times))), len(each)) for each in apart]
-        groups = [part for each, count in zip(apart, shares, strict=True) for part in np.array_split(each, count)]
-        hit = np.array([driven[group[0]] for group in groups])
-        return Segments(found, weights, np.array(times), groups, hit, length, rate)
-
-    def agreement(self, first: int, second: int) -> tuple[Complexes, Floats, Floats, float]:
-        """Find what two clocks agree in: squared phasors and their weights by groups, mean times, and the chance level.
-
-        Squared, the phasors of nought and half a turn are the same.
-        """
-        cross = self.spectra[:, :, first] * np.conj(self.spectra[:, :, second])
-        size = np.abs(cross)
-        weight = self.weights[:, :, first] * self.weights[:, :, second]
-        square = weight * np.divide(cross, size, out=np.zeros_like(cross), where=size > 0) ** 2
-        many = weight.sum() ** 2 / max(float((weight**2).sum()), 1e-300)
-        return (
-            np.array([square[group].sum(axis=0) for group in self.groups]),
-            np.array([weight[group].sum() for group in self.groups]),
-            np.array([self.times[group].mean() for group in self.groups]),
-            float(1.0 / np.sqrt(2.0 * max(many, 1.0))),
-        )
-
-    @property
-    def omega(self) -> Floats:
-        """Angular frequency of each line, rad/s."""
-        return 2 * np.pi * np.arange(self.spectra.shape[1]) * self.rate / self.length
-
-    def agreed(self, first: int, second: int, seconds: float) -> float:
-        """Find how far the lines of two clocks agree in phase if the first is late by so much: 1 where all do."""
-        squares, weights, _, _ = self.agreement(first, second)
-        turn = np.exp(2j * self.omega * seconds)
-        return float(np.sum((squares.sum(axis=0) * turn).real) / max(float(weights.sum()), 1e-300))
-
-
-def _window(length: int, *, decaying: bool) -> Floats:
-    """Hann's window, its rise cut to a tenth where what comes first is loudest, shape (length, 1)."""
-    if not decaying:
-        return np.hanning(length)[:, None]
-    rise = max(length // 10, 2)
-    return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
-
-
-def mains_lines(length: int, rate: float) -> Ints:
-    """List the lines of a spectrum of so many samples at mains frequencies, folded where they lie beyond its end."""
-    places = {
-        round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
-        for mains in MAINS
-        for multiple in (1, 2, 3)
-        for near in (-1, 0, 1)
-    }
-    return np.array([place for place in sorted(places) if 0 <= place <= length // 2], dtype=np.int64)
 
 
 def band_clock(segments: Segments, first: int, second: int) -> BandClock:

@@ -8,16 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cvxshear.records.stamps import TIME_UNITS, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import IN_SI
 from cvxshear.util.typing import Bools, Floats, Ints
-
-UNEVEN = 0.01
-"""Largest change of a step, over the usual step: time stamps are rounded, and a gap is at least one step."""
-SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
-"""Units of a coordinate of time, in seconds."""
-
 
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
 """Names of a column of times, s, that need no declaration."""
@@ -86,6 +81,15 @@ class TableColumns:
             raise InputError(f'there is no channel "{label(name)}" in the table; there are {", ".join(self.names)}')
         return np.asarray(self.values[:, self.names.index(label(name))])
 
+    @property
+    def source(self) -> str:
+        """What messages call it."""
+        return "the table"
+
+    def at(self, row: int) -> str:
+        """Name the place of a row."""
+        return f"the table, sample {row + 1}"
+
     def sampling_rate(self, given: float | None = None) -> float:
         """Hz, from the times, or as given.
 
@@ -98,30 +102,7 @@ class TableColumns:
             if given is None:
                 raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
             return given
-        if not np.all(np.isfinite(self.times)):
-            place = int(np.argmin(np.isfinite(self.times)))
-            raise InputError(f"the table's time is missing at sample {place + 1}; samples must be evenly spaced")
-        steps, step = np.diff(self.times), float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
-        back = np.flatnonzero(steps <= 0)
-        if back.size:
-            raise InputError(
-                f"the table's time goes from {self.times[back[0]]:g} s to {self.times[back[0] + 1]:g} s; it must "
-                "ascend: sort the table by its time"
-            )
-        # Times in single precision are rounded to so much.
-        rounded = 2.0 * float(np.spacing(np.float32(np.abs(self.times).max())))
-        usual = float(np.median(steps))
-        uneven = np.flatnonzero(np.abs(steps - usual) > max(UNEVEN * usual, min(rounded, usual / 4)))
-        if uneven.size:
-            raise InputError(
-                f"the table's time steps from {self.times[uneven[0]]:g} s to {self.times[uneven[0] + 1]:g} s, where "
-                f"its step is {usual:g} s; samples must be evenly spaced"
-            )
-        if given is not None and abs(given * step - 1.0) > UNEVEN:
-            raise InputError(
-                f"sampling_rate = {given:g} Hz, but the table's time ticks at {1 / step:g} Hz; leave one out"
-            )
-        return 1.0 / step if given is None else given
+        return sampling_rate_of(self.times, self, "the time", given)
 
 
 def label(name: Hashable) -> str:
@@ -175,9 +156,9 @@ def _seconds(times: Any) -> Floats | None:
     if values.dtype.kind in "mM":
         return np.asarray((values - values[0]) / np.timedelta64(1, "s"))
     unit = str(getattr(times, "attrs", {}).get("units", "s"))
-    if unit not in SECONDS:
-        raise InputError(f'the unit of the time is "{unit}"; it must be one of {", ".join(SECONDS)}')
-    return values.astype(np.float64) * SECONDS[unit]
+    if unit not in TIME_UNITS:
+        raise InputError(f'the unit of the time is "{unit}"; it must be one of {", ".join(TIME_UNITS)}')
+    return values.astype(np.float64) * TIME_UNITS[unit]
 
 
 def _unit_of(table: Any) -> str | None:

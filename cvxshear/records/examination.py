@@ -4,43 +4,20 @@ Every step that changes the record is said in a finding; a record with nothing w
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import scipy
 
-from cvxshear.records.clocks import BandClock, Segments, band_clock, drift_of, straight
 from cvxshear.records.findings import finding
 from cvxshear.records.floors import along, one_a_floor, turning
+from cvxshear.records.late_clocks import CERTAIN_DELAY, with_right_clocks
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
-from cvxshear.records.signals import detrended, impulsive, in_step, only, scaled, struck
-from cvxshear.util.quantities import IN_SI, significant
+from cvxshear.records.signals import detrended, impulsive, scaled
+from cvxshear.util.quantities import IN_SI
 from cvxshear.util.typing import Floats
 
-SILENT = 6.0
-"""Times the agreement that chance makes at one delay, which the search over delays and drifts brings it to."""
-LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
-"""Bounds of that limit: hum has a little in common with everything, up to a sixth of what channels have that measure;
-few lines leave much to chance."""
-AGREED = 0.25
-"""Agreement of phases that tells a channel's clock; half of what is usual in an ambient record where that is less."""
-IN_COMMON = 30.0
-"""Times the agreement that chance makes, from which on drifts are looked for where less than `AGREED` is in common: of
-a long ambient record sampled far beyond its highest mode."""
-LATE = 0.5
-"""Samples; a delay of less is left to the phases of the modes, which tell it finer."""
-IN_STEP = 0.6
-"""Agreement of phases without a delay, over that with it, from which on the delay may be chance: of few modes, which
-nearly agree at many delays. Delays of half a sample and more leave a third at most."""
-CERTAIN_DELAY = 4.0
-"""Standard deviations of a delay that is taken out."""
-DELAYS_AGREE = 0.05
-"""Of a delay: as near half of the other clocks must come to it. Dampers part them by a fraction of a sample."""
-SLOPES_AGREE = 0.6
-"""Of a drift: as near the drifts against every other clock must come to it. Those that dampers feign differ by more."""
-HINT = 2.0
-"""Standard deviations of a drift against one clock from which on the others are asked."""
 QUIET = 0.5
 """Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
 FEWEST_LINES_BELOW = 3
@@ -62,13 +39,10 @@ class Examined:
     findings : tuple of Finding
     turning : callable or None
         The share of rotation at a frequency, Hz, where some floor has several sensors.
-    late : dict
-        What was taken out of the clocks of channels, and of "input": (s at the start, s a second).
     """
 
     record: Record
     findings: tuple[Finding, ...]
-    late: dict[str, tuple[float, float]]
     turning: Callable[[float], float] | None = None
 
 
@@ -92,8 +66,8 @@ def examined(record: Record) -> Examined:
     record = without_sick(record, findings)
     if isinstance(record, FrfRecord):
         record, of_floors = one_a_floor(record)
-        return Examined(record, (*findings, *of_floors), {})
-    steady, of_clocks, late = _in_step(without_spikes(record, findings))
+        return Examined(record, (*findings, *of_floors))
+    steady, of_clocks = with_right_clocks(without_spikes(record, findings))
     steady, of_directions = along(steady)
     share = turning(steady)
     steady, of_floors = one_a_floor(steady)
@@ -101,129 +75,7 @@ def examined(record: Record) -> Examined:
     if steady.input == "base":
         steady, of_signs = _with_the_base(steady)
         findings += of_signs
-    return Examined(steady, tuple(findings), late, share)
-
-
-def _in_step(record: TimeRecord) -> tuple[TimeRecord, list[Finding], dict[str, tuple[float, float]]]:
-    """Channels that share nothing with the others out; clocks that are late set right."""
-    names = [channel.name for channel in record.channels]
-    driven = record.runs[0].excitation is not None
-    clocks = [*names, "input"] if driven else names
-    if len(clocks) < 2 or min(run.samples for run in record.runs) < 4 * record.sampling_rate:
-        return record, [], {}
-    segments = Segments.of(record)
-    plain = np.array([[_in_common(segments, i, j) for j in range(len(clocks))] for i in range(len(clocks))])
-    reference = int(np.argmax(np.median(plain, axis=0) if len(clocks) > 3 else plain.sum(axis=0)))
-    against = {i: band_clock(segments, i, reference) for i in range(len(clocks)) if i != reference}
-    usual = float(np.median(np.delete(plain[reference], reference)))
-    least = max(LEAST_AGREEMENT, usual / 6)
-    limits = {i: min(max(SILENT * item.chance, least), MOST_CHANCE) for i, item in against.items()}
-    # Sampled far beyond its highest mode a frame has much of its band where forces of the wind move each floor alone.
-    agreed = min(AGREED, usual / 2) if record.input == "none" else AGREED
-    heard_by = {i: item for i, item in against.items() if item.agreement > max(agreed, limits[i])}
-    if len(heard_by) < len(against) / 2:
-        # Nothing is sure where most have little in common: a few sine waves, a record of noise.
-        return record, [], {}
-    silent = [i for i, item in against.items() if item.agreement < limits[i] and names[i : i + 1]]
-    findings = [_silent(record, i, against[i]) for i in silent]
-    heard_by[reference] = BandClock(0.0, 0.0, 1.0, 0.0)
-    # Where little more is in common than chance makes, the search over drifts finds one in its noise. Several blows in
-    # one run may be at several floors, whatever is declared, and with dampers the phases are other ones at each.
-    apart = len(record.runs) > 1 or not struck(record)
-    common = apart and usual > min(AGREED, IN_COMMON * float(np.median([item.chance for item in against.values()])))
-    drifts = {i: _drift(segments, i, heard_by) if common else (0.0, np.inf) for i in heard_by}
-    # The clock that is nearest to all others counts as right, of those that do not drift.
-    middles = {i: item.middle for i, item in heard_by.items()}
-    right = min(
-        middles, key=lambda i: (drifts[i][0] != 0, sum(abs(middles[i] - other) for other in middles.values()), i)
-    )
-    wrong: dict[str, tuple[float, float]] = {}
-    limit = LATE / record.sampling_rate
-    for i, item in heard_by.items():
-        late, std, (slope, slope_std) = item.middle - middles[right], np.hypot(item.std, heard_by[right].std), drifts[i]
-        if driven and not slope and i < len(names) and i != reference and not struck(record):
-            others = [band_clock(segments, i, k) for k in heard_by if k != i]
-            findings += _perhaps_drifting(clocks[i], others, limit / 2)
-        if i == right or (abs(late) < max(limit, CERTAIN_DELAY * std) and not slope):
-            continue
-        if not slope:
-            off = np.abs(_by_others(segments, i, right, len(clocks)) - late)
-            if sum(off < max(2 * limit, DELAYS_AGREE * abs(late))) < len(off) / 2:
-                continue
-            std = np.hypot(std, np.median(off) if len(off) else 0.0)
-        if not slope and segments.agreed(i, right, 0.0) > IN_STEP * segments.agreed(i, right, late):
-            continue
-        if not straight(segments, i, right, late, slope, item.time):
-            continue
-        start = late - slope * (item if i != reference else heard_by[right]).time
-        wrong[clocks[i]] = (start, slope)
-        if slope:
-            findings.append(_drifting(clocks[i], clocks[right], start, slope, slope_std))
-        else:
-            findings.append(clock_offset(clocks[i], clocks[right], late, float(std)))
-    kept = [column for column in range(len(names)) if column not in silent]
-    record = only(record, kept) if silent else record
-    return (in_step(record, wrong) if wrong else record), findings, wrong
-
-
-def _in_common(segments: Segments, first: int, second: int) -> float:
-    """Find the largest agreement of two clocks over all delays, over what chance makes; 0 of a clock with itself."""
-    if first == second:
-        return 0.0
-    squares, weights, _, _ = segments.agreement(first, second)
-    total = float(weights.sum())
-    if total <= 0:
-        return 0.0
-    delays = np.fft.ifft(squares.sum(axis=0), n=2 * segments.length).real * 2 * segments.length
-    return float(delays.max()) / total
-
-
-def _by_others(segments: Segments, late: int, right: int, clocks: int) -> Floats:
-    """Find how late a clock is against another by each of the remaining clocks, s."""
-    others = [k for k in range(clocks) if k not in (late, right)]
-    return np.array([band_clock(segments, late, k).middle - band_clock(segments, right, k).middle for k in others])
-
-
-def _drift(segments: Segments, place: int, heard: dict[int, BandClock]) -> tuple[float, float]:
-    """Drift of a clock by all that are heard, and its standard deviation; 0 where nothing hints at any."""
-    hints = {i for i, item in heard.items() if abs(item.slope) > HINT * item.slope_std}
-    # Where the clock that all were compared with drifts, most of them seem to.
-    reference = heard[place].freedom == 0
-    if not (len(hints) > 1 if reference else place in hints):
-        return 0.0, heard[place].slope_std
-    return drift_of([band_clock(segments, place, k) for k in heard if k != place], segments.rate)
-
-
-def _silent(record: TimeRecord, column: int, clock: BandClock) -> Finding:
-    channel = record.channels[column]
-    numbers = {"channel": channel.name, "floor": channel.floor, "agreement": clock.agreement, "out": True}
-    return finding("dead channel/silent", numbers, where=channel, chance=clock.chance)
-
-
-def _perhaps_drifting(name: str, clocks: list[BandClock], least: float) -> Iterator[Finding]:
-    """Report a clock that seems to drift against every other, in a record that passes one mode after the other."""
-    slopes = np.array([clock.steepest for clock in clocks])
-    slope, reach = float(np.median(slopes)), float(np.median([clock.reach for clock in clocks]))
-    alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
-    if len(slopes) < 3 or not alike or abs(slope) * reach < least:
-        return
-    numbers = {"channel": name, "drift": slope, "corrected": False}
-    yield finding("clock drift/doubtful", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope))
-
-
-def _drifting(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
-    numbers = {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True}
-    return finding(
-        "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope), std=significant(1e6 * std, 2),
-        start=abs(start), late="late" if start > 0 else "early", reference=reference,
-    )  # fmt: skip
-
-
-def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
-    """Report a clock that was late, or early, by the phases of the whole band, and has been set right."""
-    numbers = {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True}
-    late, spread = "late" if seconds > 0 else "early", significant(1e3 * std, 2)
-    return finding("clock offset", numbers, by=abs(seconds), late=late, spread=spread)
+    return Examined(steady, tuple(findings), share)
 
 
 def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:

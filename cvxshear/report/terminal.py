@@ -5,12 +5,13 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
-from rich.table import Column
 from rich.table import Table as Grid
 from rich.text import Text
 
@@ -20,9 +21,10 @@ from cvxshear.effects import catalogue
 from cvxshear.loop import VERDICTS
 from cvxshear.methods import Identification
 from cvxshear.modal import ModalResult
-from cvxshear.report.describe import Facts, Points, Section, Sentence, Table, describe, line
+from cvxshear.report.describe import Facts, Points, Row, Section, Sentence, Table, describe, line
 from cvxshear.report.describe.from_records import doubts_section, poles_table
 from cvxshear.report.describe.identified import damping_section
+from cvxshear.report.describe.vocabulary import plain_rows
 from cvxshear.response import IdentifiedDamping
 from cvxshear.screening import Finding
 from cvxshear.util.errors import optional
@@ -36,88 +38,68 @@ NARROWEST = 18
 """What a column of words keeps of its width at least, where it has as much."""
 
 
-class HouseTable(Grid):
+@dataclass(frozen=True)
+class HouseTable:
     """A table without a box; where the terminal is too narrow for it, its columns go below each other in blocks.
+
+    Columns of words may be wrapped, those of numbers not.
 
     Parameters
     ----------
-    heading : str
-        Not wrapped to the table's width, as rich would.
-    words : tuple of int
-        Columns of words, which may be wrapped; the others hold numbers, which may not.
+    found : Table
     """
 
-    def __init__(self, heading: str, words: Sequence[int] = (0,)) -> None:
-        super().__init__(box=None, pad_edge=False, padding=(0, COLUMN_GAP, 0, 0))
-        self.heading = heading
-        self.words = tuple(words)
-
-    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        """Add a row; a str is data and no markup."""
-        super().add_row(*(Text(printable(each)) if isinstance(each, str) else each for each in cells), **options)
+    found: Table
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        if self.heading:
-            yield Text(printable(self.heading), style="bold")
-        for place, block in enumerate(self._blocks(options.max_width)):
+        if self.found.title:
+            yield Text(printable(self.found.title), style="bold")
+        rows = (row.cells for row in self.found.rows)
+        columns = [[printable(cell) for cell in column] for column in zip(self.found.head, *rows, strict=True)]
+        least = [_least(column, at in self.found.words) for at, column in enumerate(columns)]
+        for place, block in enumerate(self._blocks(least, options.max_width)):
             if place:
                 yield Text("")
-            yield from super(HouseTable, block).__rich_console__(console, options)
+            yield self._grid({at: columns[at] for at in block}, least, options.max_width)
 
-    def _blocks(self, width: int) -> Iterator[HouseTable]:
-        """Yield the table, or several of its columns each with its leading words before them."""
-        least = [_least(column, at in self.words) for at, column in enumerate(self.columns)]
-        if sum(least) + COLUMN_GAP * len(least) <= width:
-            yield self._of(range(len(self.columns)), least, width)
-            return
-        lead = [at for at in range(len(self.columns)) if at in self.words and all(i in self.words for i in range(at))]
-        taken = sum(least[at] + COLUMN_GAP for at in lead)
-        block, used = list(lead), taken
-        for at in range(len(lead), len(self.columns)):
-            if len(block) > len(lead) and used + least[at] + COLUMN_GAP > width:
-                yield self._of(block, least, width)
-                block, used = list(lead), taken
+    def _blocks(self, least: Sequence[int], width: int) -> Iterator[list[int]]:
+        """Yield all columns, or as many as there is room for, each time with the leading words before them."""
+        lead = list(takewhile(lambda at: at in self.found.words, range(len(least))))
+        block = list(lead)
+        for at in range(len(lead), len(least)):
+            if len(block) > len(lead) and sum(least[each] + COLUMN_GAP for each in (*block, at)) > width:
+                yield block
+                block = list(lead)
             block.append(at)
-            used += least[at] + COLUMN_GAP
-        yield self._of(block, least, width)
+        yield block
 
-    def _of(self, columns: Sequence[int], least: Sequence[int], width: int) -> HouseTable:
-        """Cut out some of the columns, the numbers never narrower than they are."""
-        block = HouseTable("", [place for place, at in enumerate(columns) if at in self.words])
-        chosen = [self.columns[at] for at in columns]
+    def _grid(self, columns: Mapping[int, Sequence[str]], least: Sequence[int], width: int) -> Grid:
+        """Lay out some of the columns, the numbers never narrower than they are."""
         # Where the headers have to be wrapped, rich makes all columns alike, whatever their least width, and cuts what
         # then is too wide: so the columns of numbers are given theirs, and the words have the rest.
-        natural = (max(cell_len(str(cell)) for cell in (each.header, *each.cells)) for each in chosen)
-        tight = sum(natural) + COLUMN_GAP * len(chosen) > width + COLUMN_GAP
-        for at in columns:
-            block.add_column(
-                self.columns[at].header,
-                justify=self.columns[at].justify,
-                min_width=least[at],
-                width=least[at] if tight and at not in self.words else None,
-            )
-        for cells in zip(*(self.columns[at].cells for at in columns), strict=True):
-            block.add_row(*cells)
-        return block
+        tight = sum(max(map(cell_len, cells)) + COLUMN_GAP for cells in columns.values()) > width + COLUMN_GAP
+        grid = Grid(box=None, pad_edge=False, padding=(0, COLUMN_GAP, 0, 0))
+        for at, (head, *_) in columns.items():
+            word = at in self.found.words
+            fixed = None if word or not tight else least[at]
+            grid.add_column(Text(head), justify="left" if word else "right", min_width=least[at], width=fixed)
+        for cells in zip(*(each[1:] for each in columns.values()), strict=True):
+            grid.add_row(*map(Text, cells))
+        return grid
 
 
-def _least(column: Column, wraps: bool) -> int:
+def _least(column: Sequence[str], wraps: bool) -> int:
     """Measure the width that a column needs: its longest cell, and the longest word of its header."""
-    cells = max((cell_len(str(cell)) for cell in column.cells), default=0)
-    header = max((cell_len(word) for word in str(column.header).split()), default=0)
+    cells = max(map(cell_len, column[1:]), default=0)
+    header = max(map(cell_len, column[0].split()), default=0)
     return max(min(cells, NARROWEST), header) if wraps else max(cells, header)
 
 
 def plain_table(
-    title: str, *columns: str, words: Sequence[int] = (0,), rows: Iterable[Sequence[str]] = ()
+    title: str, *columns: str, words: tuple[int, ...] = (0,), rows: Iterable[Sequence[str]] = ()
 ) -> HouseTable:
     """Lay out a table in the house style: words to the left, numbers to the right, no box around."""
-    table = HouseTable(title, words)
-    for place, column in enumerate(columns):
-        table.add_column(Text(printable(column)), justify="left" if place in words else "right")
-    for row in rows:
-        table.add_row(*row)
-    return table
+    return HouseTable(Table("", title, columns, plain_rows(rows), words))
 
 
 STYLES = {"strong": "bold", "warning": "yellow", "mistake": "bold red", "": ""}
@@ -171,17 +153,11 @@ def damping(found: IdentifiedDamping) -> Iterator[RenderableType]:
 
 def listed_backends(listed: Sequence[Solver]) -> Iterator[RenderableType]:
     """Which backends are installed, with the version of their solver, and how to get the others."""
-    there = plain_table("installed", "backend", "solver", "version", "called by")
-    missing = plain_table("not installed", "backend", "how to get it", words=(0, 1))
-    for each in listed:
-        if each.installed:
-            there.add_row(each.name, each.package or "this library", each.version or "–", each.through or "–")
-        else:
-            missing.add_row(each.name, each.how_to_get)
-    yield there
-    if missing.row_count:
+    there = [(x.name, x.package or "this library", x.version or "–", x.through or "–") for x in listed if x.installed]
+    yield plain_table("installed", "backend", "solver", "version", "called by", rows=there)
+    if missing := [(each.name, each.how_to_get) for each in listed if not each.installed]:
         yield Text("")
-        yield missing
+        yield plain_table("not installed", "backend", "how to get it", words=(0, 1), rows=missing)
 
 
 def catalogued() -> Iterator[RenderableType]:
@@ -243,11 +219,10 @@ def _grid(pairs: Iterator[tuple[str, str]] | list[tuple[str, str]] | tuple[tuple
 
 
 def _table(found: Table) -> RenderableType:
-    brief = len(found.rows) if found.brief is None or len(found.rows) <= found.brief + 1 else found.brief
-    table = plain_table(found.title, *found.head, words=found.words, rows=(row.cells for row in found.rows[:brief]))
-    if brief < len(found.rows):
-        table.add_row(f"and {len(found.rows) - brief} more", *([""] * (len(found.head) - 1)))
-    return table
+    if found.brief is None or len(found.rows) <= found.brief + 1:
+        return HouseTable(found)
+    more = Row((f"and {len(found.rows) - found.brief} more", *([""] * (len(found.head) - 1))))
+    return HouseTable(replace(found, rows=(*found.rows[: found.brief], more)))
 
 
 def line_of(result: object) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -247,28 +248,44 @@ class FramePrior:
         same : bool, optional
             Whether stiffnesses and damping are still those of the tests.
         """
+        if (form_std, gain_std) not in self._told:
+            self._told[form_std, gain_std] = self._told_by_modes(form_std, gain_std)
+        told = self._told[form_std, gain_std]
+        covariance = told.covariance.copy()
+        if not same:
+            N, ratios, frame = self.sizes[0], slice(self.sizes[0], self.dashpots.start), sum(self.sizes)
+            covariance[:N, :N] += AMPLITUDE_STD**2 + scatter_std**2 * np.eye(N)
+            covariance[ratios, ratios] += DAMPING_STD**2 + OTHER_DAMPING_STD**2 * np.eye(len(self.own_damping))
+            at = self.single[list(changed)]
+            covariance[at, at] += self.single_std[list(changed)] ** 2
+            covariance[:frame, :frame] += mass_std**2 * self._heavier
+        return Gaussian(told.mean, covariance, told.evidence)
+
+    @cached_property
+    def _heavier(self) -> Floats:
+        """Covariance of the unknowns, each floor's mass off by itself, shape (N + D + W + X, N + D + W + X)."""
+        return np.asarray(self.heavier_floors @ self.heavier_floors.T)
+
+    @cached_property
+    def _told(self) -> dict[tuple[float, float], Gaussian]:
+        """What `_told_by_modes` returned, by its arguments: dozens of answers share each."""
+        return {}
+
+    def _told_by_modes(self, form_std: float, gain_std: float) -> Gaussian:
+        """Return the prior of a record in which stories, masses and damping are those of the tests."""
         N, D, W, X = self.sizes
         # What modes say of masses and effects is no better than the form of the model.
         modal = np.isfinite(self.nuisance_share)
         nuisances = 1.0 + (form_std / self.nuisance_share) ** 2 / max(int(modal.sum()), 1)
         nuisances[~modal] = (gain_std / GAIN_UNIT) ** 2
-        rest = np.concatenate([nuisances, np.full(X, form_std**2)])
-        tested = linalg.block_diag(self.identified, np.diag(rest))
-        damping = np.diag(self.own_damping**2)
-        if not same:
-            damping += DAMPING_STD**2 + OTHER_DAMPING_STD**2 * np.eye(len(damping))
-        idle = NO_DASHPOT_STD**2 * np.eye(D - len(damping))
-        whole = linalg.block_diag(self.identified, damping, idle, np.diag(rest), NOISE_STD**2 * np.eye(self.others))
-        if not same:
-            whole[:N, :N] += AMPLITUDE_STD**2 + scatter_std**2 * np.eye(N)
-            at = self.single[list(changed)]
-            whole[at, at] += self.single_std[list(changed)] ** 2
-            frame = N + D + W + X
-            whole[:frame, :frame] += mass_std**2 * self.heavier_floors @ self.heavier_floors.T
+        rest = np.diag(np.concatenate([nuisances, np.full(X, form_std**2)]))
+        tested = linalg.block_diag(self.identified, rest)
+        damping = np.diag(np.append(self.own_damping, np.full(D - len(self.own_damping), NO_DASHPOT_STD)) ** 2)
+        whole = linalg.block_diag(self.identified, damping, rest, NOISE_STD**2 * np.eye(self.others))
         # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
         crossed = np.zeros((len(whole), len(tested)))
         crossed[:N, :N] = self.identified
-        crossed[N + D : N + D + W + X, N:] = np.diag(rest)
+        crossed[N + D : N + D + W + X, N:] = rest
         J, data = self.measured.J, self.measured.data
         seen = J @ tested @ J.T + np.eye(len(data))
         gain = np.linalg.solve(seen, J @ crossed.T).T

@@ -177,18 +177,19 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
         weight = weights[first]
         H = model.H * (weight > 0)[:, None]
         noise = R / np.where(weight > 0, weight, 1.0)
+        added = np.diag(noise)
         t = first
         while t < last:
             PH = P @ H.T
-            S = H @ PH + np.diag(noise)
+            S = H @ PH + added
             inverse = np.linalg.inv(S)
             K = A @ PH @ inverse
             F = A - K @ H
-            gains.append(_Gain(A, P[lower], H, inverse, K, np.sqrt(np.diag(S))))
+            gains.append(_Gain(A, P[lower], H, inverse, K, np.sqrt(S.diagonal())))
             which[t] = len(gains) - 1
             following = F @ P @ A.T + Q
             following = 0.5 * (following + following.T)
-            was, now = np.diag(P), np.diag(following)
+            was, now = P.diagonal(), following.diagonal()
             settled = bool(np.all(np.abs(now - was) <= SETTLED * now))
             P = following
             t += 1
@@ -221,26 +222,22 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     """Smoothed states and innovations in standard deviations: forward, then back."""
     y = np.nan_to_num(run.measured) - model.shown(run.excitation)
     y = np.where(weights > 0, y, 0.0)
-    samples, n = len(y), len(model.A)
-    predicted = np.empty((samples, n))
+    # What the excitation adds to each state, overwritten by what each sample pulls at the states.
+    pulled = model.driven(run.excitation)
+    predicted, innovations = np.empty_like(pulled), np.empty_like(y)
     stretches = list(_constant(which))
-    x = np.zeros(n)
+    x = np.zeros(len(model.A))
     for first, last, at in stretches:
-        gain = gains[at]
+        gain, part = gains[at], slice(first, last)
         F = gain.transition
-        inputs = y[first:last] @ gain.K.T
-        inputs += model.driven(run.excitation[first : last + 1])[: last - first]
-        predicted[first:last] = recursion(F, inputs, x)
+        inputs = pulled[part] + y[part] @ gain.K.T
+        predicted[part] = recursion(F, inputs, x)
         x = F @ predicted[last - 1] + inputs[-1]
-    innovations = np.empty_like(y)
-    pulled = np.empty((samples, n))
-    for first, last, at in stretches:
-        gain = gains[at]
-        e = y[first:last] - predicted[first:last] @ gain.H.T
-        innovations[first:last] = e / gain.innovation_std
-        pulled[first:last] = e @ (gain.inverse_S @ gain.H)
+        e = y[part] - predicted[part] @ gain.H.T
+        innovations[part] = e / gain.innovation_std
+        pulled[part] = e @ (gain.inverse_S @ gain.H)
     # r_(t-1) = H' S^-1 e_t + F' r_t, from zero after the last sample; what pulls each sample is overwritten by it.
-    r = np.zeros(n)
+    r = np.zeros(len(model.A))
     for first, last, at in reversed(stretches):
         F = gains[at].transition
         # What follows each sample; its own pull is still to be added.

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
@@ -97,17 +98,28 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
     rough.sort(key=lambda item: item[0])
     fitted = sorted((_fitted(readings, each, begin) for _, each in rough[:REFITTED]), key=lambda item: item.cost)
     best = fitted[0]
-    if best.frame.cost > UNEXPLAINED * given.cost or best.cost - given.cost > 2 * np.log(LEFT_TO_GIVEN):
+    left = best.cost - given.cost + _shared(given, best.declared)
+    if best.frame.cost > UNEXPLAINED * given.cost or left > 2 * np.log(LEFT_TO_GIVEN):
         return
     named = [item for item in fitted if item.cost - best.cost < RIVAL_COST]
-    changes = [
-        (item.declared.name, item.declared.found.format(*_estimated(item)), item.declared.change) for item in named
-    ]
+    changes = [(item.declared.name, item.declared.found, item.declared.change) for item in named]
     evidence = (
         f"with the masses as declared the nearest frame is {np.sqrt(given.frame.cost):.0f} standard deviations from "
         f"the modes, with the change {np.sqrt(best.frame.cost):.0f}"
     )
     yield Finding.of_changes(None, changes, evidence, refuses=changes[0][0] == "masses_from_top")
+
+
+def _shared(given: MassFit, changed: Declared) -> float:
+    """Return how much less the values that a change exchanges cost as declared if all err by one cause.
+
+    Design values come of one calculation: where all are off, that is as probable as what the farthest is off by.
+    """
+    if given.frame.at is None:
+        return 0.0
+    exchanged = changed.expected != given.declared.expected
+    costs = given.frame.at.r[-len(exchanged) :][exchanged] ** 2
+    return float(costs.sum() - costs.max(initial=0.0))
 
 
 def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> Declared | None:
@@ -158,7 +170,7 @@ def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: D
             declared, added=from_top, name="added_mass", choices=1,
             found="the added masses are listed from the top", change="list added_mass from the lowest floor up",
         )  # fmt: skip
-    loads = [(test, floor) for test, mass in enumerate(declared.added) for floor in np.flatnonzero(mass).tolist()]
+    loads = _loads(declared.added)
     for (test, floor), other in itertools.product(loads, range(N)):
         mass = declared.added[test].copy()
         if mass[other]:
@@ -192,26 +204,13 @@ def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence
         stiffness = [near.theta[len(declared.expected) // 2 :]]
     cost, near = min(fits, key=lambda item: item[0])
     found = MassFit(declared, dataclasses.replace(near, cost=cost), cost + declared.prior_cost)
-    if declared.estimated is None or near.at is None:
+    floor = declared.estimated
+    if floor is None or near.at is None:
         return found
-    return dataclasses.replace(found, cost=found.cost + 2 * np.log(declared.width[declared.estimated] / _std(found)))
-
-
-def _std(found: MassFit) -> float:
-    """Return the standard deviation of the logarithm of the estimated mass."""
-    at, floor = found.frame.at, found.declared.estimated
-    if at is None or floor is None:
-        return 0.0
-    return float(np.sqrt(np.linalg.pinv(at.J.T @ at.J)[floor, floor]))
-
-
-def _estimated(found: MassFit) -> tuple[str, float, str] | tuple[()]:
-    """Return the estimated mass, its deviation in percent and what was declared; nothing where none is estimated."""
-    floor = found.declared.estimated
-    if floor is None:
-        return ()
-    value, said = (float(np.exp(each[floor])) for each in (found.frame.theta, found.declared.expected))
-    return quantity(value, "kg", 3), 100 * _std(found), quantity(said, "kg", 3)
+    std = float(np.sqrt(np.linalg.pinv(near.at.J.T @ near.at.J)[floor, floor]))
+    value, said = (quantity(float(np.exp(each[floor])), "kg", 3) for each in (near.theta, declared.expected))
+    named = dataclasses.replace(declared, found=declared.found.format(value, 100 * std, said))
+    return dataclasses.replace(found, declared=named, cost=found.cost + 2 * np.log(declared.width[floor] / std))
 
 
 CONTRADICTION = 4.0
@@ -232,6 +231,15 @@ VAGUE = 0.05
 LOAD_UNITS = (("t", 1e3), ("kN", 1e3 / 9.81), ("g", 1e-3), ("N", 1 / 9.81))
 """Units other than kg in which added masses are written, with the factor by which the total then seems too large."""
 
+LARGEST_SLIP = float(np.log(30.0))
+"""Logarithm of the factor by which one added mass can be wrong: a decimal point in another place, and some more."""
+
+SLIP_STEP = 0.02
+"""Logarithm of the factor to which that mass is estimated: it is shown with two digits, and is no better known."""
+
+RIGHT_TOTAL_STD = 0.03
+"""Standard deviation of the logarithm of a declared total that is right, where a load is judged by it."""
+
 UNIT_OFF = 0.5
 """Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
 
@@ -250,7 +258,9 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     different = {tuple(each.added_mass) for each in experiment.configurations}
     if declared is None or len(different) < 2 or experiment.stories > TALLEST_FITTED:
         return
-    total, std = implied_total(experiment)
+    added = [each.added_mass for each in experiment.configurations]
+    frame = nearest_to_all(experiment, added)
+    total, std = implied_total(experiment, frame)
     off = float(np.log(declared / total))
     if std > POOREST or abs(off) < max(LEAST_CONTRADICTION, CONTRADICTION * std):
         return
@@ -258,7 +268,13 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
     heavy = right_in_kg(experiment, declared / experiment.stories)
     load = next((unit for unit, factor in LOAD_UNITS if abs(off - np.log(factor)) < UNIT_OFF), None)
     unit = next((unit for unit, factor in (("g", 1e3), ("t", 1e-3)) if abs(off - np.log(factor)) < UNIT_OFF), None)
-    if load is not None and (heavy or unit is None):
+    loads = list(_other_loads(experiment, added, declared, frame))
+    if loads:
+        alone = load is None or min(cost for cost, _ in loads) < frame.cost - RIVAL_COST
+        unit_too = "" if alone else f", or with all of them in {load}"
+        found = doubt("added_mass/size", **sizes, loads=" or ".join(said for _, said in loads), either=unit_too)
+        yield dataclasses.replace(found, rivals=("total_mass",))
+    elif load is not None and (heavy or unit is None):
         weight = "floors of that weight suit the story heights, so " if heavy else ""
         yield doubt("added_mass", **sizes, weight=weight, load=load)
     elif unit is not None:
@@ -268,7 +284,56 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
         yield doubt("total_mass", **sizes)
 
 
-def implied_total(experiment: Experiment) -> tuple[float, float]:
+def _other_loads(
+    experiment: Experiment, added: Sequence[Floats], declared: float, given: NearestFrame
+) -> Iterator[tuple[float, str]]:
+    """Find single loads with which, of another size, the declared total fits as well as another total does.
+
+    Yields the cost of the frame with each, and words.
+    """
+    sign = np.sign(np.log(declared) - _log_total(given))
+    for test, floor in _loads(added):
+
+        def cost(slip: float, test: int = test, floor: int = floor) -> float:
+            factor = np.where(np.arange(experiment.stories) == floor, np.exp(sign * slip), 1.0)
+            frame = nearest_to_all(experiment, [*added[:test], factor * added[test], *added[test + 1 :]])
+            return frame.cost + float(((_log_total(frame) - np.log(declared)) / RIGHT_TOTAL_STD) ** 2)
+
+        best = minimize_scalar(cost, bounds=(0.0, LARGEST_SLIP), method="bounded", options={"xatol": SLIP_STEP})
+        if best.fun < given.cost + RIVAL_COST:
+            said = float(added[test][floor])
+            now = quantity(said * float(np.exp(sign * best.x)), "kg", 2)
+            name = experiment.configurations[test].name
+            yield best.fun, f'{now} in place of {quantity(said, "kg", 3)} on floor {floor + 1} of "{name}"'
+
+
+def _loads(added: Sequence[Floats]) -> list[tuple[int, int]]:
+    """List the added masses, each by its test and its floor, from 0."""
+    return [(test, floor) for test, mass in enumerate(added) for floor in np.flatnonzero(mass).tolist()]
+
+
+def _log_total(frame: NearestFrame) -> float:
+    """Logarithm of a frame's mass, kg."""
+    return float(np.log(np.sum(np.exp(np.split(frame.theta, 2)[0]))))
+
+
+def nearest_to_all(experiment: Experiment, added: Sequence[Floats]) -> NearestFrame:
+    """Fit a frame of any scale to all configurations, with these added masses, kg."""
+    N = experiment.stories
+    readings = [Reading.of(each) for each in experiment.configurations]
+    problem = ShearFrames(list(zip(readings, added, strict=True)), centred=True)
+    # Floors as heavy as the added mass.
+    begin = np.repeat([np.log(max(float(mass.sum()) for mass in added) / N), 0.0], N)
+    found = problem.nearest(problem.tuned(begin))
+    if found.cost > POOR * sum(reading.count for reading in readings):
+        others = (
+            problem.nearest(problem.tuned(begin + start), shear_fit.ROUGH_STEPS) for start in shear_fit.odd_starts(N)
+        )
+        found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
+    return found
+
+
+def implied_total(experiment: Experiment, found: NearestFrame | None = None) -> tuple[float, float]:
     """Estimate the total mass without added mass, kg, from the configurations, and the std of its logarithm.
 
     The std is infinite where no shear frame is near all configurations.
@@ -277,20 +342,12 @@ def implied_total(experiment: Experiment) -> tuple[float, float]:
     ----------
     experiment : Experiment
         Of two configurations at least with different added mass.
+    found : NearestFrame, optional
+        To all of them.
     """
-    N = experiment.stories
-    readings = [Reading.of(each) for each in experiment.configurations]
-    added = [each.added_mass for each in experiment.configurations]
-    problem = ShearFrames(list(zip(readings, added, strict=True)), centred=True)
-    # Floors as heavy as the added mass.
-    begin = np.repeat([np.log(max(float(mass.sum()) for mass in added) / N), 0.0], N)
-    found = problem.nearest(problem.tuned(begin))
-    count = sum(reading.count for reading in readings)
-    if found.cost > POOR * count:
-        others = (
-            problem.nearest(problem.tuned(begin + start), shear_fit.ROUGH_STEPS) for start in shear_fit.odd_starts(N)
-        )
-        found = problem.nearest(min((found, *others), key=lambda item: item.cost).theta)
+    N, count = experiment.stories, sum(Reading.of(each).count for each in experiment.configurations)
+    if found is None:
+        found = nearest_to_all(experiment, [each.added_mass for each in experiment.configurations])
     share = np.exp(found.theta[:N])
     if found.at is None or found.cost > POOR * count:
         return float(share.sum()), np.inf

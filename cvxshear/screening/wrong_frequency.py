@@ -13,8 +13,9 @@ the tests, accounts for the data nearly as well.
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -25,7 +26,7 @@ from cvxshear.loop.close import begun
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
 from cvxshear.screening.compared_tests import by_state
-from cvxshear.screening.finding import Finding
+from cvxshear.screening.finding import Finding, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.errors import CvxshearError
@@ -94,19 +95,16 @@ def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Findi
     spare = sum(reading.count - int(reading.known.any(axis=1).sum()) for reading in readings) - 1
     if spare < FEWEST_SPARE:
         return None
-    problem = _problem(experiment, tests, [dataclasses.replace(each, part=FARTHER) for each in readings])
+    among = partial(_problem, experiment, tests)
+    problem = among([dataclasses.replace(each, part=FARTHER) for each in readings])
     about = problem.nearest(problem.tuned(problem.expected)).theta
-    given = _problem(experiment, tests, readings).nearest(about)
+    given = among(readings).nearest(about)
     if given.cost < SUSPICIOUS:
         return None
-    freed = [
-        _freed(experiment, tests, readings, about, (test, row), count)
-        for test, reading in enumerate(readings)
-        for row in range(len(reading.modes))
-    ]
-    freed.sort(key=lambda item: item.cost)
+    places = ((test, row) for test, reading in enumerate(readings) for row in range(len(reading.modes)))
+    freed = sorted((_freed(among, readings, about, *place) for place in places), key=lambda item: item.cost)
     best = freed[0]
-    given = min(given, _problem(experiment, tests, readings).nearest(best.frame.theta), key=lambda item: item.cost)
+    given = min(given, among(readings).nearest(best.frame.theta), key=lambda item: item.cost)
     if best.cost - given.cost - _log_det(given) > 2 * np.log(LEFT_TO_GIVEN) or not _as_stated(best, spare):
         return None
     named = [item for item in freed if item.cost - best.cost < RIVAL_COST and _as_stated(item, spare)]
@@ -133,26 +131,20 @@ def _log_det(found: NearestFrame) -> float:
 
 
 def _freed(
-    experiment: Experiment,
-    tests: Sequence[Configuration],
-    readings: Sequence[Reading],
-    about: Floats,
-    place: tuple[int, int],
-    count: int,
+    among: Callable[..., ShearFrames], readings: Sequence[Reading], about: Floats, test: int, row: int
 ) -> Freed:
     """Fit with one frequency left to the others."""
-    test, row = place
     reading = readings[test]
     noise = np.where(np.arange(len(reading.modes)) == row, MISTYPED, reading.frequency_noise)
     others = [*readings[:test], dataclasses.replace(reading, frequency_noise=noise), *readings[test + 1 :]]
-    found = _problem(experiment, tests, others).nearest(about)
+    found = among(others).nearest(about)
     if found.at is None:
         return Freed(test, row, found, np.inf, 0.0, np.inf)
     at = row + sum(each.shapes.size + len(each.modes) for each in readings[:test])
     slope = MISTYPED * found.at.J[at]
     std = float(np.sqrt(slope @ np.linalg.pinv(found.at.J.T @ found.at.J) @ slope))
     wider = 2 * float(np.log(MISTYPED / reading.frequency_noise[row]))
-    cost = found.cost + _log_det(found) + wider + prior_cost(count)
+    cost = found.cost + _log_det(found) + wider + prior_cost(sum(len(each.modes) for each in readings))
     return Freed(test, row, found, cost, float(reading.log_frequencies[row] + MISTYPED * found.at.r[at]), std)
 
 
@@ -206,25 +198,15 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
 
 def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> Finding:
     """Name the frequency, or those of which one is wrong, with what the other data say."""
-    said, change = [], []
+    changes = []
     for item in named:
         test = tests[item.test]
-        mode, value = int(test.modes[item.row]), float(test.frequencies[item.row])
-        expected = float(np.exp(item.expected))
+        expected, value = float(np.exp(item.expected)), float(test.frequencies[item.row])
+        std = significant(expected * item.std, 2)
         off = abs(np.log(value) - item.expected) / np.hypot(item.std, test.log_frequency_std[item.row])
-        said.append(
-            f'mode {mode} of "{test.name}" has {significant(value, 5)} Hz, where all other data say '
-            f"{significant(expected, 5)} ± {significant(expected * item.std, 2)} Hz ({off:.0f} standard deviations)"
-        )
-        change.append(
-            f'check the frequency of mode {mode} of "{test.name}", its digits and whether it is that mode\'s; '
-            "where something that swings was tied to the frame, accept it"
-        )
+        sizes = {"value": significant(value, 5), "expected": significant(expected, 5), "std": std, "off": off}
+        changes.append(in_words("frequency", mode=test.modes[item.row], test=test.name, **sizes))
     before, after = (float(np.sqrt(each.cost)) for each in (given, named[0].frame))
-    return Finding(
-        "frequency",
-        tests[named[0].test].name if len(named) == 1 else None,
-        f"{' or '.join(said)}: the nearest frame is {before:.0f} standard deviations away, without it {after:.0f}",
-        f"{'One of: ' if len(named) > 1 else ''}{'; or '.join(change)}",
-        refuses=True,
-    )
+    evidence = f"the nearest frame is {before:.0f} standard deviations away, without it {after:.0f}"
+    where = tests[named[0].test].name if len(named) == 1 else None
+    return Finding.of_changes(where, changes, evidence, refuses=True)

@@ -15,6 +15,7 @@ from cvxshear.effects import Placed, open_classes
 from cvxshear.effects.attached_mass import LEAST_MASS
 from cvxshear.model.shear import frame_modes, modes
 from tests.effects.common import (
+    ADDED,
     HEIGHTS,
     MASS,
     ROUNDING,
@@ -401,6 +402,30 @@ def test_attached_mass(mass, tuning, floor, number):
     floors = shapes[[assembled.coordinates["sway", i] for i in range(1, 5)]]
     assert len(model.frequencies) == 5
     assert_same(model, SwayModes(np.sqrt(eigenvalues) / (2 * np.pi), floors), within=1e-9)
+
+
+@pytest.mark.parametrize("tuning", [0.7, 1.4, 6.0])
+def test_loads_that_are_not_fast_to_their_floors(tuning):
+    """All six modes of four floors and two loads on rubber: 3 kg on floor 1 and 5 kg on floor 4."""
+    frequency = tuning * sway_modes(building(1)).frequencies[-1]
+    model = modes_with([placed("load_mounting")], frequency, number=1)
+    loads = {floor: float(load) for floor, load in enumerate(ADDED[1], 1) if load}
+    frame = replace(
+        building(0),
+        attached=tuple((floor, load, load * (2 * np.pi * frequency) ** 2) for floor, load in loads.items()),
+    )
+    assembled = assemble(frame)
+    eigenvalues, shapes = assembled.modes()
+    floors = shapes[[assembled.coordinates["sway", i] for i in range(1, 5)]]
+    assert len(model.frequencies) == 6
+    assert_same(model, SwayModes(np.sqrt(eigenvalues) / (2 * np.pi), floors), within=1e-9)
+
+
+def test_loads_on_stiff_mountings_are_fast():
+    """At a thousand times the highest frequency they weigh what they do on the floor, to a part in a million."""
+    fe = sway_modes(building(1))
+    model = modes_with([placed("load_mounting")], 1000 * fe.frequencies[-1], number=1)
+    np.testing.assert_allclose(model.frequencies[:4], fe.frequencies, rtol=1e-6)
 
 
 def test_a_neighbor_on_the_ground_is_an_attached_mass_and_a_spring_to_the_ground():

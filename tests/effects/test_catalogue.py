@@ -33,11 +33,11 @@ ACTING = [
 ]
 BESIDE_OTHERS = ["bracing"]
 """What changes a matrix only beside another effect."""
-WITH_A_MOTION = ["attached_mass"]
-"""What has two parameters and a motion of its own."""
+WITH_A_MOTION = ["attached_mass", "load_mounting"]
+"""What has motions of its own."""
 OF_FLOORS = ["floor_mass"]
 """What needs masses that are declared floor by floor."""
-OF_STATEMENTS = ["total_mass", "wrong_prior"]
+OF_STATEMENTS = ["total_mass", "wrong_prior", "wrong_exact_prior"]
 """What changes a statement about the frame, and no matrix."""
 OF_FORCES = ["shape_scale", "force_scale"]
 """What needs mass-normalized shapes, or a static test."""
@@ -99,7 +99,7 @@ def test_each_effect_is_there_once():
     assert sorted(names) == sorted(ALL)
 
 
-@pytest.mark.parametrize("name", sorted(set(ALL) - {"wrong_prior", *WITH_A_MOTION}))
+@pytest.mark.parametrize("name", sorted(set(ALL) - {"wrong_prior", "wrong_exact_prior", *WITH_A_MOTION}))
 def test_parameters(name):
     effect = one(name)
     assert [(each.name, each.unit) for each in effect.parameters] == UNITS[name]
@@ -446,7 +446,7 @@ def test_an_effect_brings_its_own_size_and_probability():
 
 def test_the_probability_of_an_effect_is_that_of_being_anywhere():
     """None anywhere has the probability of none at each place; a tank is on the roof in every second frame with one."""
-    of = experiment()
+    of = experiment(configurations=1)
     for name, floors in (("ground_spring", [2, 3, 4]), ("attached_mass", [1, 2, 3, 4])):
         found = hypotheses(of, [one(name)])
         assert [item.placed.place.floor for item in found] == floors
@@ -494,6 +494,11 @@ SAID = [
         "all mass-normalized shapes are 5.0 ± 1.0 % too small, as where the force was misread",
     ),
     ("force_scale", {}, 0.2, 0.01, "the forces of the static tests are 20.0 ± 1.0 % larger than declared"),
+    ("load_mounting", {}, 25.0, 0.5, "the added masses are not fast to the floors: they swing at 25.00 ± 0.50 Hz"),
+    (
+        "attached_mass", {"floor": 4, "state": "after"}, (1.5, 6.0), (0.1, 0.2),
+        'a mass of 1.50 ± 0.10 kg swings on floor 4 at 6.00 ± 0.20 Hz of its own in "after"',
+    ),
     ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
     # One hinged end of two columns: the stiffness 1 - (rho / 4) / (1 + 2 rho / 3) of each.
     (
@@ -521,7 +526,10 @@ def test_an_effect_in_words(name, place, value, std, expected):
 
 
 def test_every_effect_is_said_in_words():
-    assert {item[0] for item in SAID} == set(ALL) - {"wrong_prior", *WITH_A_MOTION}
+    assert {item[0] for item in SAID} == set(ALL) - {"wrong_prior", "wrong_exact_prior"}
+    exact = named(["wrong_exact_prior"])[0].having([Parameter("e", "N/m")])
+    said = exact.phrase(Place(prior="k"), np.array([-2e4]), np.array([1e3]), SCALE, ["N/m"])
+    assert said == 'the statement "k", declared as exact, is off by 20.0 ± 1.0 kN/m'
     said = one("attached_mass").phrase(Place(floor=3), np.array([1.2, 2.1]), np.array([0.1, 0.02]), SCALE, ["kg", "Hz"])
     assert said == "a mass of 1.20 ± 0.10 kg swings on floor 3 at 2.100 ± 0.020 Hz of its own"
 
@@ -537,7 +545,8 @@ def test_an_attached_mass_is_looked_for_about_the_measured_frequencies():
     for start in effect.bound(tested).starts:
         for item, value in zip((mass, frequency), start, strict=True):
             assert item.lower < value <= item.upper
-    assert effect.places(tested) == [Place(floor=floor) for floor in FOUR]
+    assert effect.places(tested) == [Place(floor=floor, state=state) for state in (None, *NAMES) for floor in FOUR]
+    assert effect.places(experiment(configurations=1)) == [Place(floor=floor) for floor in FOUR]
     state = composed([placed("attached_mass", floor=2)], 0.0, 2.0)
     np.testing.assert_allclose(state.system.K[:4, :4], shear_stiffness(STIFFNESS), rtol=0, atol=1e-2)
     np.testing.assert_array_equal(state.system.M[:4, :4], np.diag(MASS))

@@ -137,6 +137,17 @@ def test_an_attached_mass(mass, frequency, number):
     assert_derivatives(effects, [*own, mass, frequency, 0.3, 5.0], number, [*scales, 1.0, 1.0, 1.0, 1.0])
 
 
+@pytest.mark.parametrize("frequency", [3.1, 25.0])
+@pytest.mark.parametrize("number", range(len(NAMES)))
+def test_loads_on_mountings(frequency, number):
+    """One parameter and as many motions as there are loads, alone and with everything else."""
+    there = placed("load_mounting")
+    assert_derivatives([there], [frequency], number, [1.0])
+    effects = [effect for effect, _ in CASES.values()]
+    own, scales = flat(list(CASES.values()))
+    assert_derivatives([*effects, there], [*own, frequency], number, [*scales, 1.0])
+
+
 @pytest.mark.parametrize("with_others", [False, True])
 def test_beams_of_each_floor_by_themselves(with_others):
     """The class alone does nothing: it stands beside joints that turn."""
@@ -157,6 +168,8 @@ def test_derivatives_are_symmetric():
 
 def test_every_effect_of_the_catalogue_is_tested():
     """But statements about masses and priors, which change no matrix; forces are in `tests/test_open_classes.py`."""
-    elsewhere = {"attached_mass", "total_mass", "wrong_prior", "shape_scale", "force_scale"}
+    elsewhere = {
+        "attached_mass", "load_mounting", "total_mass", "wrong_prior", "wrong_exact_prior", "shape_scale", "force_scale"
+    }  # fmt: skip
     assert {effect.name for effect in catalogue()} == {*CASES, *elsewhere}
     assert set(CASES) == set(SCALES)

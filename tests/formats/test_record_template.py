@@ -44,6 +44,11 @@ HEADS = {
         1.0,
     ),
     "tabs": ("t\tinput (cm/s2)\tch1 (gal)\tch2 (Gal)\tch3 (cm/s²)\n", {"separator": "\t"}, 1e-2),
+    "tabs, and no unit for the time": (
+        "t\tinput\tch1\tch2\tch3\n\tcm/s2\tgal\tgal\tcm/s2\n",
+        {"separator": "\t"},
+        1e-2,
+    ),
     "commented header": ("# t ground a1 a2 a3\n", {"separator": " "}, 1.0),
     "a roof without a number": (
         "Zeit;Tisch;Etage 1;Etage 2;Dach\ns;cm/s2;cm/s2;cm/s2;cm/s2\n",
@@ -91,6 +96,34 @@ def test_a_column_that_is_no_motion_is_left_out_and_said(values, run, tmp_path):
     said, record = begun(run, tmp_path, "a.csv")
     check(record, values)
     assert "# Left out, no motion by its name: temp_degC" in said
+
+
+def test_a_gap_is_said_and_what_a_frame_may_need_is_listed(values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text("time,ground,a1,a2,a3\n", np.delete(values, slice(300, 340), axis=0)))
+    said, record = begun(run, tmp_path, "a.csv")
+    assert "GUESSED: mostly steps of 0.05 s, and 1 other step; gaps part a record into runs" in said
+    assert [each.start for each in record.runs] == [0.0, 17.0]
+    for key in ("stories = 4", 'reference = "bare"', "story_heights = 3.0"):
+        assert f"\n# {key}  # " in said
+
+
+@pytest.mark.parametrize(
+    ("position", "frame", "asked"),
+    [
+        ([120.0, 0.0], "", "120 m from the center of its floor, farther than in most halls"),
+        ([12.0, 9.0], "story_heights = 0.4", "15 m from the center of its floor, in a frame with stories of 0.4 m"),
+        ([12.0, 9.0], "story_heights = [3.0, 3.5, 3.0]", None),
+        ([12.0, 9.0], "", None),
+    ],
+)
+def test_positions_that_look_like_centimeters_are_asked_about(position, frame, asked, values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text("time,ground,a1,a2,a3\n", values))
+    said, _ = begun(run, tmp_path, "a.csv")
+    said = said.replace('column = "a2"', f'column = "a2"\nposition = {position}')
+    (tmp_path / "record.toml").write_text(f"{said}\n[frame]\n{frame}\n")
+    found = [note.message for note in read_record(tmp_path / "record.toml").notes]
+    assert len(found) == (asked is not None)
+    assert all(asked in each and "positions are in m" in each for each in found)
 
 
 CLOCKS = {

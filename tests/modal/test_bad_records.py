@@ -82,10 +82,11 @@ def pieces(path, pick=None):
 
 
 def test_pieces_beside_a_gap(tmp_path, good):
-    """Forty samples that are missing at 50 s part the record in two runs; a short one is left out."""
+    """Forty samples of 20 Hz that are missing at 50 s part the record in two runs; a short one is left out."""
     runs, said = pieces(written(tmp_path, np.delete(good, slice(1000, 1040), axis=0)))
-    assert runs == [(0.0, 1000), (50.0, len(good) - 1040)]
-    assert "the longest sound pieces are used as runs of their own: 0 to 50 s, 50 to" in said[0]
+    assert runs == [(0.0, 1000), (52.0, len(good) - 1040)]
+    assert "the clock jumps 1 time; the longest sound pieces" in said[0]
+    assert "are used as runs of their own: 0 to 49.95 s, 52 to" in said[0]
     runs, said = pieces(written(tmp_path, np.delete(good, slice(100, 140), axis=0)))
     assert [samples for _, samples in runs] == [len(good) - 140]
     assert "100 of " in said[0]
@@ -168,7 +169,7 @@ def test_two_sampling_rates(tmp_path, good):
     values = good.copy()
     values[1200:, 0] = values[1200, 0] + np.arange(len(values) - 1200) / 50  # the header is line 1, so line 1202
     message = refused(written(tmp_path, values))
-    assert 'line 1203: channel "t" has two sampling rates, 20 Hz and from here 50 Hz' in message
+    assert 'line 1203: column "t" has two sampling rates, 20 Hz and from here 50 Hz' in message
 
 
 def test_declared_rate_that_the_time_column_contradicts(tmp_path, good):
@@ -259,7 +260,7 @@ def test_wrong_record_file(tmp_path, good, old, new, expected):
 def test_time_that_goes_back(tmp_path, good):
     values = good.copy()
     values[[200, 201], 0] = values[[201, 200], 0]
-    assert 'line 202: channel "t"' in refused(written(tmp_path, values))
+    assert 'line 202: column "t"' in refused(written(tmp_path, values))
 
 
 def test_frf_on_different_lines(tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from cvxshear import InputError
 from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.modal.clock_offsets import offsets
-from cvxshear.modal.result import SENSOR_STD, entry_std
+from cvxshear.modal.deviations import SENSOR_STD, entry_std
 from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
 from cvxshear.records.signals import in_step, struck

@@ -13,11 +13,11 @@ from scipy import io
 import cvxshear
 from cvxshear.files.csv import read_csv
 from cvxshear.files.mat import read_mat
-from cvxshear.files.modes import IdentifiedRecord, write_merged
+from cvxshear.files.modes import write_merged
 from cvxshear.files.record_file import read_record
 from cvxshear.files.toml import write_measurement
 from cvxshear.files.uff import read_modes, read_uff, write_uff
-from cvxshear.modal import from_arrays
+from cvxshear.modal import IdentifiedRecord, from_arrays
 from cvxshear.util.errors import InputError
 from tests.modal.shared import csv
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.files.columns import Columns, rounding_of, sampling_rate_of
+from cvxshear.files.columns import Columns
+from cvxshear.records.stamps import rounding_of, sampling_rate_of
 from cvxshear.util.errors import InputError
 
 
 def rate(time, declared=None):
-    return sampling_rate_of(time, Columns("log.csv", ("t",), time[:, None]), "t", declared)
+    return sampling_rate_of(time, Columns("log.csv", ("t",), time[:, None]), 'column "t"', declared)
 
 
 def stamps(frequency, count, start=0.0, missing=None):
@@ -30,13 +31,13 @@ def test_stamps_rounded_to_a_millisecond(frequency, start, rounded):
 @pytest.mark.parametrize("declared", [False, True])
 def test_a_missing_sample_is_refused(frequency, declared):
     time = np.round(stamps(frequency, 3000, missing=1400), 3)
-    with pytest.raises(InputError, match=r"channel .t. (has a gap|goes back|has two)|rounded to"):
+    with pytest.raises(InputError, match=r"column .t. (has a gap|goes back|has two)|rounded to"):
         rate(time, frequency if declared else None)
 
 
 def test_stamps_coarser_than_the_samples_need_the_rate():
     time = np.round(stamps(4000.0, 3000), 3)
-    with pytest.raises(InputError, match=r"rounded to 0\.001 s, more than a sample.*give record: sampling_rate"):
+    with pytest.raises(InputError, match=r"rounded to 0\.001 s, more than a sample.*give sampling_rate"):
         rate(time)
     assert rate(time, 4000.0) == pytest.approx(4000.0, rel=1e-3)
 

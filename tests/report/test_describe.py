@@ -287,8 +287,7 @@ def test_the_other_results_show_themselves(paper, study, comparison):
 
 def test_a_wide_table_is_folded_and_loses_nothing():
     numbers = [f"{value:.5f}" for value in np.linspace(0, 1, 40)]
-    wide = plain_table("title", "mode", *(f"floor {i}" for i in range(1, 41)))
-    wide.add_row("1", *numbers)
+    wide = plain_table("title", "mode", *(f"floor {i}" for i in range(1, 41)), rows=[("1", *numbers)])
     console = terminal.Console(width=60, color_system=None)
     with console.capture() as captured:
         console.print(wide)
@@ -303,8 +302,8 @@ def test_a_wide_table_is_folded_and_loses_nothing():
 def test_headers_that_must_be_wrapped_cost_no_number():
     """The columns just fit with their headers wrapped: rich would make them alike, and cut the last."""
     names = ("floor / story", "mass, kg", *["as planned"] * 3, "all floors", "stiffness, MN/m", "one less", "one more")
-    table = plain_table("title", *names)
-    table.add_row("4", "16647", "1.67 %", "1.85 %", "1.53 %", "1.46 %", "69.58", "1.55 %", "3.64 %")
+    cells = ("4", "16647", "1.67 %", "1.85 %", "1.53 %", "1.46 %", "69.58", "1.55 %", "3.64 %")
+    table = plain_table("title", *names, rows=[cells])
     for width in range(78, 130):
         console = terminal.Console(width=width, color_system=None)
         with console.capture() as captured:

@@ -55,6 +55,17 @@ def test_design_values_listed_from_the_top_are_refused():
         assert [item.name for item in found(experiment(mass, stiffness, table, prior=prior))] == names
 
 
+@pytest.mark.parametrize(("tilt", "names"), [(0.15, []), (0.4, ["masses_from_top"])])
+def test_design_stiffnesses_that_tilt_the_other_way_within_their_deviations_are_not_doubted(tilt, names):
+    """Ten stories by 0.1: at the ends two deviations of 1.5 each way are no mistake, two of 4 are."""
+    height = np.linspace(-1.0, 1.0, 10)
+    mass, stiffness = np.full(10, 10.0), 20e3 * (1 + tilt * height)
+    prior = {"kind": "nominal", "quantity": "story_stiffness", "values": stiffness[::-1].tolist(), "std": 0.1}
+    table = configuration(mass, stiffness, rng=np.random.default_rng(7), shape_noise=0.001, frequency_noise=0.0001)
+    stated = {**table, "frequency_std": 0.0001, "mode_shape_std": 0.001}
+    assert [item.name for item in found(experiment(mass, stiffness, stated, prior=[prior]))] == names
+
+
 @pytest.mark.parametrize("moved", [1, 2])
 def test_a_load_on_another_floor_is_warned_of(moved):
     declared, _ = floor_masses_declared()

@@ -222,7 +222,7 @@ def verdict_section(result: Closure) -> Section:
     noise, *granted = result.rests_on
     said = [meaning, f"It rests on {noise}.", evidence_in_words(result)]
     if granted:
-        said.append(f"No datum tells, and it takes for granted, {'; '.join(text.rstrip('.') for text in granted)}.")
+        said.append(f"It takes for granted {'; '.join(text.rstrip('.') for text in granted)}.")
     if result.assumed:
         said.append(f"In the model from the start: {', '.join(placed.label for placed in result.assumed)}.")
     return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))
@@ -262,14 +262,15 @@ def _undetermined(result: Closure) -> Iterator[str]:
 
 
 def open_questions(result: Closure) -> tuple[str, ...]:
-    """List what a reader must know that the data cannot decide, the most important first, at most `MOST_QUESTIONS`.
+    """List what the headline does not say and the data cannot decide, the most important first, some at most.
 
     Parameters
     ----------
     result : Closure
     """
     said = []
-    for item in result.effects:
+    # The headline names the rivals of few effects.
+    for item in result.effects if len(result.effects) > NAMED else ():
         if item.rivals:
             first = item.rivals[0]
             how = "cannot be distinguished from" if first.twin else "may in truth be"

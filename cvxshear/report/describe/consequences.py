@@ -14,7 +14,7 @@ from cvxshear.loop.residual import by_part
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.shear import frame_modes, modes
 from cvxshear.report.describe.headline import noise_facts
-from cvxshear.report.describe.vocabulary import Block, Exact, Row, Section, Sentence, Table, table
+from cvxshear.report.describe.vocabulary import Block, Exact, Facts, Row, Section, Sentence, Table, table
 from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
@@ -62,10 +62,9 @@ def before_after(result: Closure) -> Section:
     first = capital(result.before.action)
     same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
     which = f"{first} beside the final model, in the same noise.{same}"
-    parts: list[Block] = [Sentence(which), errors_table(result)]
-    parts += not_converged(result)
-    parts.append(noise_facts(result))
-    return Section("before-after", "The shear model and the model with effects", tuple(parts))
+    noise = Facts(tuple(noise_facts(result)))
+    parts: tuple[Block, ...] = (Sentence(which), errors_table(result), *not_converged(result), noise)
+    return Section("before-after", "The shear model and the model with effects", parts)
 
 
 def errors_table(result: Closure) -> Table:

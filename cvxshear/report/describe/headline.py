@@ -6,10 +6,11 @@ from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.loop.numbering import Changes
+from cvxshear.loop.posterior import ADDED, PILED
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect
 from cvxshear.loop.verdicts import VERDICTS, Verdict
-from cvxshear.report.describe.vocabulary import Facts, Row, Section, Table
+from cvxshear.report.describe.vocabulary import Row, Section, Table
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
 DOUBT = 0.05
@@ -53,12 +54,8 @@ def numbering_sections(result: Closure) -> Iterator[Section]:
     yield Section("numbering", "Which modes these are", (table,))
 
 
-def noise_facts(result: Closure) -> Facts:
+def noise_facts(result: Closure) -> Iterator[tuple[str, str]]:
     """For each kind of data the noise that counts."""
-    return Facts(tuple(_facts(result)))
-
-
-def _facts(result: Closure) -> Iterator[tuple[str, str]]:
     for kind in result.estimate.misfit.noises.values():
         name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
         if estimated is None:
@@ -149,9 +146,11 @@ def _doubt(result: Closure) -> str:
     raised = [each for each in result.candidates if each.probability and each.probability > each.prior]
     if not result.effects and result.estimate.dof <= 0:
         return "nothing could speak against it, as there are no more data than unknowns"
-    if result.verdict == "adequate" and raised:
+    if not result.effects and raised and (result.verdict == "adequate" or not in_doubt(result)):
         best = raised[0]
         said = f"of what it might lack, {best.placed.label} is the most probable ({chance(best.probability)})"
+    elif _piled(result):
+        said = "so many kinds of cause at once are less probable than one that nobody thought of"
     elif doubtful and len(result.effects) <= NAMED:
         said = "; ".join(_rivals(item, several=len(result.effects) > 1) for item in doubtful)
     elif doubtful:
@@ -180,7 +179,20 @@ def _effects(result: Closure) -> str:
         else f"{item.size} ({chance(item.probability)} probable)"
         for item in result.effects
     ]  # fmt: skip
-    return listed(said) if len(said) <= NAMED else f"{len(said)} effects were found, the first: {said[0]}"
+    if len(said) <= NAMED:
+        return listed(said)
+    if _piled(result):
+        return f"{len(said)} effects together would explain the data, the first: {result.effects[0].size}"
+    return f"{len(said)} effects were found, the first: {said[0]}"
+
+
+def _piled(result: Closure) -> bool:
+    """Whether so many kinds of effects stand in one state, or in the frame, that none of them is probable."""
+    kinds: dict[str | None, set[str]] = {}
+    for item in result.effects:
+        if item.probability < ADDED:
+            kinds.setdefault(item.placed.place.state, set()).add(item.placed.effect.name)
+    return any(len(names) >= PILED for names in kinds.values())
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:

@@ -21,7 +21,6 @@ from cvxshear.report.describe.vocabulary import (
     Sentence,
     Table,
     describe,
-    line,
     plain_rows,
 )
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, exponential, significant
@@ -82,11 +81,6 @@ def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> Document:
     return Document("noise study", _headline(result), (levels_section,))
 
 
-@line.register
-def _line(result: NoiseStudy) -> str:
-    return f"<NoiseStudy {_headline(result)}>"
-
-
 def _headline(result: NoiseStudy) -> str:
     setups = counted(len({id(each.setup) for each in result.scatters}), "setup")
     methods = ", ".join(dict.fromkeys(each.method for each in result.scatters))
@@ -144,11 +138,6 @@ def _comparison(result: Comparison, units: Units = AUTOMATIC) -> Document:
     headline = f"{result.experiment}: {_backends_headline(result)}"
     every = Section("worst", "All programs", (worst(result),), detail=True)
     return Document(result.experiment, headline, (Section("programs", "Programs", tuple(tables)), every))
-
-
-@line.register
-def _comparison_line(result: Comparison) -> str:
-    return f"<Comparison {result.experiment}: {_backends_headline(result)}>"
 
 
 def _backends_headline(result: Comparison) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from cvxshear.effects import Placed
 from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
@@ -41,7 +42,7 @@ THINNEST, THICKEST = 1.0, 7.0
 """Widths of the columns of a vanishing and of the largest story stiffness, points."""
 
 MOST_PANELS = 4
-"""States drawn side by side; those in which most was found come first."""
+"""States drawn side by side; those of which most is sure come first."""
 
 MOST_MARKS = 6
 """Effects marked in one state; the table has them all."""
@@ -62,6 +63,10 @@ class _Columns:
 
     left: float
     right: float
+
+
+BETWEEN_NUMBERS = _Columns(0.46, 0.57)
+"""Columns of a frame with numbers on either side, which need as much room."""
 
 
 def elevations(experiment: Experiment) -> tuple[Floats, str]:
@@ -90,6 +95,8 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
         axes.add_patch(Rectangle(place, wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3))
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
+    # Of floors that are numbered for want of heights there is none and a half.
+    axes.yaxis.set_major_locator(MaxNLocator(5, integer=bool(np.all(heights == 1.0))))
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
@@ -101,11 +108,13 @@ def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) ->
 
 def _findings_caption(result: Closure) -> str:
     shown, tested = len(_shown_states(result)), len(result.experiment.states)
-    more = f" Of {tested} states those are drawn in which something was found." if 1 < shown < tested else ""
-    marks = "Orange: what was found, with its size and probability; dashed: what may be there in its place. "
+    more = f" Of {tested} states {shown} are drawn, those of which most is sure." if 1 < shown < tested else ""
+    marks = "Orange: what was found, with its size and probability; dashed: what may be there in its place."
+    numbers = "Floor masses without added mass and story stiffnesses are averages over all sets of effects."
+    heights = "equal stories, as no heights are declared" if result.experiment.frame.elevations is None else "to scale"
     return (
-        "The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its "
-        f"story. {marks if result.effects else ''}Triangles: floors with a sensor.{more}"
+        f"The frame, {heights}; a slab is the thicker the heavier its floor, a column the wider the stiffer its "
+        f"story. {marks if result.effects else numbers} Triangles: floors with a sensor.{more}"
     )
 
 
@@ -124,8 +133,11 @@ def _findings_caption(result: Closure) -> str:
 def findings(result: Closure) -> Figure:
     """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
 
-    One panel a state in which something was found, beside one of the frame itself.
+    One panel a state in which something was found, beside one of the frame itself; where nothing was added, the
+    frame's masses and stiffnesses stand in their place.
     """
+    if not result.effects:
+        return _numbered_frames(result, [("", result.averaged)], sensors=True)
     states = _shown_states(result)
     narrow = style.narrow_page()
     rows, columns = style.grid_of(len(states), 1 if narrow else 2)
@@ -150,10 +162,10 @@ def _shown_states(result: Closure) -> list[str | None]:
     concerned = [state for state in every if state is not None]
     if not concerned:
         return [None]
-    states = result.experiment.states
-    most = sorted(set(concerned), key=lambda state: (-concerned.count(state), states.index(state)))
-    free = [state for state in (result.experiment.frame.reference, *states) if state is not None and state not in most]
-    shown = {*most[: MOST_PANELS - bool(free)], *free[:1]}
+    # Effects stand in the order of their probabilities, and their rivals behind them.
+    found, states = list(dict.fromkeys(concerned)), result.experiment.states
+    free = [state for state in (result.experiment.frame.reference, *states) if state is not None and state not in found]
+    shown = {*found[: MOST_PANELS - bool(free)], *free[:1]}
     return [state for state in states if state in shown]
 
 
@@ -221,74 +233,77 @@ def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark
     z, label = elevations(result.experiment)
     at = _Columns(0.10, 0.34)
     _structure(axes, result.frame, z, at)
-    tests = [each for each in result.experiment.configurations if state in (None, each.state)]
-    sensors = sorted({int(floor) for each in tests for floor in each.measured_floors})
-    axes.plot(
-        [at.left - 0.06] * len(sensors), z[np.array(sensors, dtype=int) - 1], ls="none", marker=">", color=style.GREY
-    )
+    _sensors(axes, result.experiment, state, z, at)
     total = float(axes.get_ylim()[1])
-    order = sorted(marks, key=lambda mark: _middle(mark.placed, z))
+    base = np.concatenate([[0.0], z])
+    middles = np.array([np.mean(_extent(mark.placed, z)) for mark in marks])
+    order = np.argsort(middles, kind="stable")
     room = max((mark.lines for mark in marks), default=1) * LINE * total / height
-    levels = style.spread(np.array([_middle(mark.placed, z) for mark in order]), room, room / 2, total - room / 2)
-    for mark, level in zip(order, levels, strict=True):
-        if mark.joined:
-            for low, high in mark.joined:
-                _tie(axes, low, high, z, at, sure=mark.sure)
-        else:
+    levels = style.spread(middles[order], room, room / 2, total - room / 2)
+    for mark, middle, level in zip([marks[each] for each in order], middles[order], levels, strict=True):
+        for low, high in mark.joined:
+            _tie(axes, float(base[low]), float(base[high]), at, sure=mark.sure)
+        if not mark.joined:
             _mark(axes, mark.placed, z, at, sure=mark.sure)
-        _leader(axes, (at.right + 0.05, _middle(mark.placed, z)), (at.right + LABEL_DISTANCE + 0.02, level))
+        _leader(axes, (at.right + 0.05, middle), (at.right + LABEL_DISTANCE + 0.02, level))
         axes.text(at.right + LABEL_DISTANCE + 0.03, level, mark.text, ha="left", va="center", color="black", fontsize=8)
     if not marks:
-        words = "nothing was added" if state is None else "nothing was found here"
+        words = "nothing was found here"
         axes.text(at.right + LABEL_DISTANCE, total / 2, words, ha="left", va="center", color=style.GREY, style="italic")
     found = sum(mark.placed.place.state == state for mark in marks if mark.sure)
-    heading = "every state" if state is None else f"state {style.letters(state, 18)}"
+    heading = "every state" if state is None else style.letters(state, 18)
+    if state is not None and not heading.casefold().startswith("state"):
+        heading = f"state {heading}"
     axes.set_title(heading if state is None or not found else f"{heading}: {counted(found, 'finding')}", weight="bold")
     axes.set_ylabel(label)
 
 
-def _middle(placed: Placed, z: Floats) -> float:
-    """Find the elevation of what an effect acts on."""
+def _sensors(axes: Axes, experiment: Experiment, state: str | None, z: Floats, at: _Columns) -> None:
+    """Mark the floors that have a sensor in some test of a state."""
+    tests = [each for each in experiment.configurations if state in (None, each.state)]
+    floors = sorted({int(floor) for each in tests for floor in each.measured_floors})
+    axes.plot(
+        [at.left - 0.06] * len(floors), z[np.array(floors, dtype=int) - 1], ls="none", marker=">", color=style.GREY
+    )
+
+
+def _extent(placed: Placed, z: Floats) -> tuple[float, float]:
+    """Find the elevations between which an effect acts: a story, a floor, two levels, or the whole frame."""
     place, base = placed.place, np.concatenate([[0.0], z])
     if place.story is not None:
-        return float(base[place.story - 1 : place.story + 1].mean())
+        return float(base[place.story - 1]), float(base[place.story])
     if place.floor is None:
-        return float(z[-1] / 2)
-    return float(base[place.floor] if place.to is None else (base[place.floor] + base[place.to]) / 2)
+        return 0.0, float(z[-1])
+    return float(base[place.floor]), float(base[place.floor if place.to is None else place.to])
 
 
 def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) -> None:
     """Colour what an effect acts on: a story, a floor, what joins two floors, or the whole frame."""
-    place, base = placed.place, np.concatenate([[0.0], z])
-    left, wide = at.left - 0.035, at.right - at.left + 0.07
-    if place.floor is not None and place.to is not None:
-        _tie(axes, place.floor, place.to, z, at, sure=sure)
+    place, (low, high) = placed.place, _extent(placed, z)
+    if place.to is not None:
+        _tie(axes, low, high, at, sure=sure)
         return
-    thick = 0.16 * float(np.diff(base).min())
-    low, high = 0.0, float(z[-1])
-    if place.story is not None:
-        low, high = float(base[place.story - 1]) + thick, float(base[place.story]) - thick
-    elif place.floor is not None:
-        low, high = float(base[place.floor]) - thick, float(base[place.floor]) + thick
-    else:
-        # The whole frame: a bracket beside it leaves the frame to be seen.
+    if place.story is None and place.floor is None:
+        # A bracket beside the whole frame leaves it to be seen.
         axes.plot([at.right + 0.03, at.right + 0.05, at.right + 0.05, at.right + 0.03], [low, low, high, high],
                   color=style.BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
         return
-    band = Rectangle((left, low), wide, high - low, fc="none", ec=style.BEFORE, lw=1.0, ls="--", zorder=4)
+    # A story without its floors, a floor with what is next to it.
+    thick = 0.16 * float(np.diff(z, prepend=0.0).min()) * (1 if place.story is None else -1)
+    low, high = low - thick, high + thick
+    corner, wide = (at.left - 0.035, low), at.right - at.left + 0.07
+    band = Rectangle(corner, wide, high - low, fc="none", ec=style.BEFORE, lw=1.0, ls="--", zorder=4)
     if sure:
         band.set(facecolor="#D55E0033", linewidth=1.6, linestyle="-")
     axes.add_patch(band)
-    if sure and place.story is not None:
-        for side in (at.left, at.right):
-            axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
+    for side in (at.left, at.right) if sure and place.story is not None else ():
+        axes.plot([side, side], [low, high], color=style.BEFORE, lw=4.0, solid_capstyle="butt", zorder=5)
 
 
-def _tie(axes: Axes, low: int, high: int, z: Floats, at: _Columns, *, sure: bool) -> None:
-    """Draw what joins two levels, 0 the ground."""
-    base = np.concatenate([[0.0], z])
+def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> None:
+    """Draw what joins two elevations."""
     dashes = "-" if sure else "--"
-    axes.plot([at.left, at.right], [base[low], base[high]], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
+    axes.plot([at.left, at.right], [low, high], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
 
 
 # The identified frame with its numbers.
@@ -316,6 +331,13 @@ def frame(result: Closure | Identification) -> Figure:
     else:
         several = len(result.parts) > 1
         frames = [(style.letters(part.name) if several else "", part.frame) for part in result.parts]
+    return _numbered_frames(result, frames)
+
+
+def _numbered_frames(
+    result: Closure | Identification, frames: Sequence[tuple[str, IdentifiedFrame]], *, sensors: bool = False
+) -> Figure:
+    """Draw frames with their numbers, each below its title."""
     rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
     drawn = style.new_figure(
@@ -323,12 +345,14 @@ def frame(result: Closure | Identification) -> Figure:
     )
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, result.experiment, found, title, height)
+        if sensors:
+            _sensors(axes, result.experiment, None, elevations(result.experiment)[0], BETWEEN_NUMBERS)
     return drawn
 
 
 def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:
     z, label = elevations(experiment)
-    at = _Columns(0.46, 0.57)
+    at = BETWEEN_NUMBERS
     _structure(axes, found, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
     axes.set_ylabel("" if style.narrow_page() else label)

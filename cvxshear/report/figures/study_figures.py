@@ -69,44 +69,22 @@ def noise_variation(study: NoiseStudy) -> Figure:
     Returns
     -------
     Figure
-        Over the noise level; with one level only, over the masses and stiffnesses.
+        A panel a mass and a stiffness, over the noise level.
     """
     groups = _by_method(study)
-    if len(next(iter(groups.values()))) == 1:
-        return _one_level({method: scatters[0] for method, scatters in groups.items()})
     first = next(iter(groups.values()))
     figure, drawn, levels = _panels_of(first, "coefficient of\nvariation, %")
     for parameter, axes in enumerate(drawn):
         for method, look in _styles(groups).items():
             axes.plot(levels, [100 * each.variation[parameter] for each in groups[method]], label=method, **look)
         bound = [100 * each.relative_bound[parameter] for each in first]
-        axes.plot(levels, bound, color="black", lw=2.2, ls=(0, (1, 1)), label="Cramér-Rao bound")
+        # A single level has no line: its bound is the dash.
+        axes.plot(levels, bound, color="black", lw=2.2, ls=(0, (1, 1)), marker="_", ms=9.0, label="Cramér-Rao bound")
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
         axes.set_xticks([0, *levels] if len(levels) <= 6 else axes.get_xticks())
         axes.grid()
     style.legend(figure, drawn[0])
-    return figure
-
-
-def _one_level(scatters: dict[str, Scatter]) -> Figure:
-    first = next(iter(scatters.values()))
-    names = _names(first)
-    figure = style.new_figure(style.PAGE_WIDTH, 3.2)
-    axes = figure.subplots()
-    places = np.arange(len(names))
-    axes.bar(places, 100 * first.relative_bound, width=0.75, fc="#E4E4E4", ec="black", lw=0.8, label="Cramér-Rao bound")
-    step = 0.6 / max(len(scatters), 2)
-    for i, (method, look) in enumerate(_styles(scatters).items()):
-        at = places + (i - (len(scatters) - 1) / 2) * step
-        axes.plot(at, 100 * scatters[method].variation, label=method, **{**look, "ls": "none"})
-    turned = len(names) > 16
-    shown = names if turned else [name.replace(" ", "\n", 1) for name in names]
-    axes.set_xticks(places, shown, rotation=90 if turned else 0, fontsize=6.5)
-    axes.set_ylabel("coefficient of variation, %")
-    axes.set_xlabel(f"parameter (noise of a mode-shape entry: {100 * first.setup.mode_shape_std:g} %)")
-    axes.grid(axis="y")
-    figure.legend(loc="outside upper center", ncols=len(scatters) + 1)
     return figure
 
 
@@ -119,14 +97,10 @@ def _by_method(study: NoiseStudy) -> dict[str, list[Scatter]]:
     return {method: list(group) for method, group in groupby(ordered, key=lambda each: each.method)}
 
 
-def _names(scatter: Scatter) -> list[str]:
-    numbers = range(1, scatter.setup.stories + 1)
-    return [*(f"floor mass {i}" for i in numbers), *(f"story stiffness {i}" for i in numbers)]
-
-
 def _panels_of(scatters: list[Scatter], label: str) -> tuple[Figure, list[Axes], list[float]]:
     """One panel a mass and a stiffness, masses first; and the noise levels, %."""
-    names = _names(scatters[0])
+    numbers = range(1, scatters[0].setup.stories + 1)
+    names = [f"{quantity} {number}" for quantity in ("floor mass", "story stiffness") for number in numbers]
     rows, columns = style.grid_of(len(names), 3 if scatters[0].setup.stories % 4 else 4)
     figure = style.new_figure(style.PAGE_WIDTH, 1.75 * rows + 0.8)
     drawn = style.panels(figure, len(names), columns, sharex=True)

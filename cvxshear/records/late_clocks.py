@@ -1,0 +1,206 @@
+"""Channels that share nothing with the others left out, and clocks that are late or drift set right.
+
+Two channels are compared by the phases of the whole band (`records.clocks`); which of the two is wrong the other
+channels tell.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
+
+import numpy as np
+from scipy import special
+
+from cvxshear.records.clocks import BandClock, band_clock, straight
+from cvxshear.records.findings import finding
+from cvxshear.records.record import Channel, Finding, TimeRecord
+from cvxshear.records.segments import Segments
+from cvxshear.records.signals import in_step, only, struck
+from cvxshear.util.quantities import significant
+
+SILENT = 6.0
+"""Times the agreement that chance makes at one delay, which the search over delays and drifts brings it to."""
+LEAST_AGREEMENT, MOST_CHANCE = 0.08, 0.55
+"""Bounds of that limit: hum has a little in common with everything, up to a sixth of what channels have that measure;
+few lines leave much to chance."""
+AGREED = 0.25
+"""Agreement of phases that tells a channel's clock; half of what is usual in an ambient record where that is less."""
+IN_COMMON = 30.0
+"""Times the agreement that chance makes, from which on drifts are looked for where less than `AGREED` is in common: of
+a long ambient record sampled far beyond its highest mode."""
+LATE = 0.5
+"""Samples; a delay of less is left to the phases of the modes, which tell it finer."""
+IN_STEP = 0.6
+"""Agreement of phases without a delay, over that with it, from which on the delay may be chance: of few modes, which
+nearly agree at many delays. Delays of half a sample and more leave a third at most."""
+CERTAIN_DELAY = 4.0
+"""Standard deviations of a delay that is taken out."""
+DELAYS_AGREE = 0.05
+"""Of a delay: as near half of the other clocks must come to it. Dampers part them by a fraction of a sample."""
+SLOPES_AGREE = 0.6
+"""Of a drift: as near the drifts against every other clock must come to it. Those that dampers feign differ by more."""
+BEYOND_OTHERS = 4.0
+"""Times the median of what the other clocks seem to drift by among themselves: as much a drift under a sweep must be.
+Modes that a sweep passes one after the other feign as much in one sound sweep of a hundred."""
+HINT = 2.0
+"""Standard deviations of a drift against one clock from which on the others are asked."""
+DRIFT_CHANCE = 1e-6
+"""Probability that chance makes a slope so steep of the delays in the parts of a record."""
+DRIFT_SHORTEST = 0.08
+"""Samples from the middle of the record to its end that a drift must make."""
+LIKELY_DRIFT = 5e-4
+"""s a second; a steeper one under a sweep is a damper's: crystals are 100 ppm off, and a poor one 200."""
+
+
+Compare = Callable[[int, int], BandClock]
+"""How late the first of two clocks is against the second."""
+
+
+def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
+    """Leave out channels that share nothing with the others, and set clocks right that are late or drift."""
+    names = [channel.name for channel in record.channels]
+    driven = record.runs[0].excitation is not None
+    clocks = [*names, "input"] if driven else names
+    if len(clocks) < 2 or min(run.samples for run in record.runs) < 4 * record.sampling_rate:
+        return record, []
+    segments = Segments.of(record)
+    compare: Compare = cache(partial(band_clock, segments))
+    plain = np.array([[_in_common(segments, i, k) for k in range(len(clocks))] for i in range(len(clocks))])
+    reference = int(np.argmax(np.median(plain, axis=0) if len(clocks) > 3 else plain.sum(axis=0)))
+    against = {i: compare(i, reference) for i in range(len(clocks)) if i != reference}
+    usual = float(np.median(np.delete(plain[reference], reference)))
+    least = max(LEAST_AGREEMENT, usual / 6)
+    limits = {i: min(max(SILENT * item.chance, least), MOST_CHANCE) for i, item in against.items()}
+    # Sampled far beyond its highest mode a frame has much of its band where forces of the wind move each floor alone.
+    agreed = min(AGREED, usual / 2) if record.input == "none" else AGREED
+    heard = {i: item for i, item in against.items() if item.agreement > max(agreed, limits[i])}
+    if len(heard) < len(against) / 2:
+        # Nothing is sure where most have little in common: a few sine waves, a record of noise.
+        return record, []
+    silent = [i for i, item in against.items() if item.agreement < limits[i] and i < len(names)]
+    findings = [_silent(record.channels[i], against[i]) for i in silent]
+    heard[reference] = BandClock(0.0, 0.0, 1.0, 0.0)
+    # Where little more is in common than chance makes, the search over drifts finds one in its noise. Several blows in
+    # one run may be at several floors, whatever is declared, and with dampers the phases are other ones at each.
+    apart = len(record.runs) > 1 or not struck(record)
+    common = apart and usual > min(AGREED, IN_COMMON * float(np.median([item.chance for item in against.values()])))
+    drifts = {i: _drift(compare, i, heard, segments.rate) if common else (0.0, np.inf) for i in heard}
+    if driven and not struck(record):
+        steady = {i: clocks[i] for i, (slope, _) in drifts.items() if not slope and i < len(names)}
+        findings += _perhaps_drifting(compare, list(heard), steady, segments.rate)
+    # The clock that is nearest to all others counts as right, of those that do not drift.
+    middles = {i: item.middle for i, item in heard.items()}
+    right = min(middles, key=lambda i: (drifts[i][0] != 0, sum(abs(middles[i] - each) for each in middles.values()), i))
+    wrong: dict[str, tuple[float, float]] = {}
+    for i in heard.keys() - {right}:
+        late, (slope, slope_std) = middles[i] - middles[right], drifts[i]
+        std = float(np.hypot(heard[i].std, heard[right].std))
+        if not slope:
+            std = _std_of_delay(compare, segments, i, right, late, std)
+        if not np.isfinite(std) or not straight(segments, i, right, late, slope, heard[i].time):
+            continue
+        start = late - slope * heard[i if i != reference else right].time
+        wrong[clocks[i]] = (start, slope)
+        if slope:
+            findings.append(_drifting(clocks[i], clocks[right], start, slope, slope_std))
+        else:
+            findings.append(clock_offset(clocks[i], clocks[right], late, std))
+    if silent:
+        record = only(record, [column for column in range(len(names)) if column not in silent])
+    return (in_step(record, wrong) if wrong else record), findings
+
+
+def _in_common(segments: Segments, first: int, second: int) -> float:
+    """Find the largest agreement of two clocks over all delays, over what chance makes; 0 of a clock with itself."""
+    if first == second:
+        return 0.0
+    squares, weights, _, _ = segments.agreement(first, second)
+    total = float(weights.sum())
+    if total <= 0:
+        return 0.0
+    delays = np.fft.ifft(squares.sum(axis=0), n=2 * segments.length).real * 2 * segments.length
+    return float(delays.max()) / total
+
+
+def _std_of_delay(compare: Compare, segments: Segments, late: int, right: int, seconds: float, std: float) -> float:
+    """Find the standard deviation of a delay, what the other clocks say of it included; inf where it is not sure."""
+    limit = LATE / segments.rate
+    if abs(seconds) < max(limit, CERTAIN_DELAY * std):
+        return np.inf
+    others = [k for k in range(segments.spectra.shape[2]) if k not in (late, right)]
+    off = [abs(compare(late, k).middle - compare(right, k).middle - seconds) for k in others]
+    if sum(each < max(2 * limit, DELAYS_AGREE * abs(seconds)) for each in off) < len(off) / 2:
+        return np.inf
+    if segments.agreed(late, right, 0.0) > IN_STEP * segments.agreed(late, right, seconds):
+        return np.inf
+    return float(np.hypot(std, np.median(off) if off else 0.0))
+
+
+def _drift(compare: Compare, place: int, heard: Mapping[int, BandClock], rate: float) -> tuple[float, float]:
+    """Drift of a clock, s a second, and its standard deviation; 0 where nothing hints at any."""
+    hints = {i for i, item in heard.items() if abs(item.slope) > HINT * item.slope_std}
+    # Where the clock that all were compared with drifts, most of them seem to.
+    reference = heard[place].freedom == 0
+    if not (len(hints) > 1 if reference else place in hints):
+        return 0.0, heard[place].slope_std
+    return _drift_of([compare(place, k) for k in heard if k != place], rate)
+
+
+def _drift_of(clocks: list[BandClock], rate: float) -> tuple[float, float]:
+    """Drift of a clock that was compared with several others, s a second, and its standard deviation; 0 for none.
+
+    Every comparison holds the noise of the clock itself, so more of them make the drift no surer; but the scatter
+    about each line is one more estimate of the same deviation, which few stretches of motion tell badly.
+    """
+    fitted = [clock for clock in clocks if clock.freedom > 0]
+    if not fitted:
+        return 0.0, np.inf
+    slope = float(np.median([clock.slope for clock in fitted]))
+    std = float(np.median([clock.slope_std for clock in fitted]))
+    certain = -float(special.stdtrit(sum(clock.freedom for clock in fitted), DRIFT_CHANCE))
+    reach = float(np.median([clock.reach for clock in fitted]))
+    # A sound clock moves against one that drifts, and against no other.
+    alone = sum(abs(clock.slope - slope) > abs(slope) / 2 for clock in fitted) > len(fitted) / 2
+    if abs(slope) < certain * std or abs(slope) * reach < DRIFT_SHORTEST / rate or alone:
+        return 0.0, std
+    return slope, std
+
+
+def _perhaps_drifting(compare: Compare, heard: list[int], names: Mapping[int, str], rate: float) -> Iterator[Finding]:
+    """Report channels that seem to drift where one mode after the other is driven.
+
+    There all clocks seem to drift against each other. Of one that drifts all comparisons say the same, and those of the
+    other clocks among themselves much less.
+    """
+    if len(heard) < 4:
+        return
+    seen = np.array([[0.0 if i == k else compare(i, k).steepest for k in heard] for i in heard])
+    for row, place in enumerate(heard):
+        slopes = np.delete(seen[row], row)
+        slope = float(np.median(slopes))
+        reach = float(np.median([compare(place, k).reach for k in heard if k != place]))
+        among = np.delete(np.delete(seen, row, axis=0), row, axis=1)[np.triu_indices(len(slopes), 1)]
+        least = max(BEYOND_OTHERS * float(np.median(np.abs(among))), LATE / 2 / rate / max(reach, 1e-9))
+        alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
+        if place in names and alike and least < abs(slope) < LIKELY_DRIFT:
+            numbers = {"channel": names[place], "drift": slope, "corrected": False}
+            yield finding("clock drift/doubtful", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope))
+
+
+def _silent(channel: Channel, clock: BandClock) -> Finding:
+    numbers = {"channel": channel.name, "floor": channel.floor, "agreement": clock.agreement, "out": True}
+    return finding("dead channel/silent", numbers, where=channel, chance=clock.chance)
+
+
+def _drifting(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
+    numbers = {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True}
+    return finding(
+        "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope), std=significant(1e6 * std, 2),
+        start=abs(start), late="late" if start > 0 else "early", reference=reference,
+    )  # fmt: skip
+
+
+def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
+    """Report a clock that was late, or early, by the phases of the whole band, and has been set right."""
+    numbers = {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True}
+    late, spread = "late" if seconds > 0 else "early", significant(1e3 * std, 2)
+    return finding("clock offset", numbers, by=abs(seconds), late=late, spread=spread)
