@@ -58,6 +58,43 @@ class Answer:
         return self.changed, self.form_std, self.scatter_std, self.mass_std, self.gain_std
 
 
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """Log evidence of linear data, but for a constant.
+
+    Parameters
+    ----------
+    plain : float
+        Of the prior as it is.
+    G, b : ndarray, shapes (N, N) and (N,)
+        Products of the directions along which it may be wider, as the data see them, with each other and the data.
+    """
+
+    plain: float
+    G: Floats
+    b: Floats
+
+    def of(self, sets: Sequence[tuple[int, ...]], one_sided: Bools) -> Floats:
+        """Log evidences of priors whose covariance is larger by the outer products of some directions, shape (len,).
+
+        Parameters
+        ----------
+        sets : sequence of tuple of int
+        one_sided : ndarray of bool, shape (N,)
+            Directions along which unknowns are positive: sets in which one would be negative have no evidence.
+        """
+        result = np.full(len(sets), self.plain)
+        # Sets of one size together: one by one they take half the time of a reconstruction.
+        for size in {len(own) for own in sets} - {0}:
+            chosen = np.array([place for place, own in enumerate(sets) if len(own) == size])
+            at = np.array([sets[place] for place in chosen], dtype=np.int64)
+            wider = np.eye(size) + self.G[at[:, :, None], at[:, None, :]]
+            within = np.linalg.solve(wider, self.b[at][:, :, None])[:, :, 0]
+            result[chosen] += 0.5 * (np.sum(self.b[at] * within, axis=1) - np.linalg.slogdet(wider)[1])
+            result[chosen[np.any((within < 0) & one_sided[at], axis=1)]] = -np.inf
+        return result
+
+
 class Linear:
     """Linear data of unknowns with a Gaussian prior, the likelihood tempered by its inflation.
 
@@ -74,39 +111,19 @@ class Linear:
         self.data = at.U @ (p - prior.mean) - at.c
         self.seen = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(at.c))
 
-    def evidences(
-        self, columns: Floats, sets: Sequence[tuple[int, ...]], one_sided: Bools | None = None
-    ) -> Floats:
-        """Compute log evidences but for a constant, of priors that are wider along some columns.
+    def evidence(self, changes: Floats) -> _Evidence:
+        """Return the evidence, as it depends on what changed by itself.
 
         Parameters
         ----------
-        columns : ndarray, shape (P, N)
-        sets : sequence of tuple of int
-            Columns by whose outer products the covariance of each prior is larger.
-        one_sided : ndarray of bool, shape (N,), optional
-            Columns along which unknowns are positive: sets in which one would be negative have no evidence.
-
-        Returns
-        -------
-        ndarray, shape (len(sets),)
+        changes : ndarray, shape (P, N)
+            Directions, each a standard deviation long, along which the prior may be wider.
         """
-        more = self.U @ columns
         half = np.asarray(np.linalg.cholesky(self.seen))
-        white, data = np.linalg.solve(half, more), np.linalg.solve(half, self.data)
-        G, b = white.T @ white, white.T @ data
-        plain = self.prior.evidence - 0.5 * float(data @ data) - float(np.sum(np.log(np.diag(half))))
-        result = np.full(len(sets), plain)
-        # Sets of one size together: one by one they take half the time of a reconstruction.
-        for size in {len(own) for own in sets}:
-            chosen = [place for place, own in enumerate(sets) if len(own) == size]
-            at = np.array([sets[place] for place in chosen], dtype=np.int64)
-            wider = np.eye(size) + G[at[:, :, None], at[:, None, :]]
-            within = np.linalg.solve(wider, b[at][:, :, None])[:, :, 0]
-            if one_sided is not None:
-                result[np.array(chosen)[np.any((within < 0) & one_sided[at], axis=1)]] = -np.inf
-            result[chosen] += 0.5 * (np.sum(b[at] * within, axis=1) - np.linalg.slogdet(wider)[1])
-        return result
+        white = np.linalg.solve(half, np.column_stack([self.U @ changes, self.data]))
+        moved, data = white[:, :-1], white[:, -1]
+        plain = self.prior.evidence - 0.5 * float(data @ data) - float(np.sum(np.log(half.diagonal())))
+        return _Evidence(plain, moved.T @ moved, moved.T @ data)
 
     def posterior(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the unknowns."""
@@ -128,11 +145,11 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     prior : FramePrior
     p : ndarray, shape (P,)
     """
-    single, log_odds = range(len(prior.single)), prior.log_odds.tolist()
+    single, log_odds, one_sided = range(len(prior.single)), prior.log_odds.tolist(), prior.one_sided
     scores: dict[Widths, float] = {}
     changes = np.eye(len(p))[:, prior.single] * prior.single_std
     for widths in itertools.product(FORM_STDS, SCATTER_STDS, prior.mass_stds, prior.gain_stds):
-        linear = Linear(at, p, prior.gaussian((), *widths))
+        evidence = Linear(at, p, prior.gaussian((), *widths)).evidence(changes)
         level: list[tuple[int, ...]] = [()]
         for size in range(min(MOST_CHANGES, len(single)) + 1):
             grown = level
@@ -141,7 +158,7 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
                 grown = sorted({tuple(sorted({*base, other})) for base, other in pairs if other not in base})
             own = {
                 each: score + sum(log_odds[at] for at in each)
-                for each, score in zip(grown, linear.evidences(changes, grown, prior.one_sided).tolist(), strict=True)
+                for each, score in zip(grown, evidence.of(grown, one_sided).tolist(), strict=True)
             }
             scores |= {(each, *widths): score for each, score in own.items()}
             level = sorted(own, key=own.__getitem__, reverse=True)[:KEPT_SETS]

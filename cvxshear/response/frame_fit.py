@@ -231,7 +231,7 @@ def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[Answer]) -> f
     """Log of the probability of the record, all answers together: that of the best one over its share."""
     best = answers[0]
     linear = Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
-    own = float(linear.evidences(np.zeros((len(at.p), 0)), [()])[0]) + float(prior.log_odds[list(best.changed)].sum())
+    own = linear.evidence(np.zeros((len(at.p), 0))).plain + float(prior.log_odds[list(best.changed)].sum())
     # The triangle holds what depends on the unknowns; the rest of -2 log likelihood is the same for all of them.
     rest = at.posterior.errors.objective(at.p) - float(at.likelihood.c @ at.likelihood.c)
     return own - float(np.log(best.probability)) - 0.5 * rest

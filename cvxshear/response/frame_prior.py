@@ -253,9 +253,9 @@ class FramePrior:
         told = self._told[form_std, gain_std]
         covariance = told.covariance.copy()
         if not same:
-            N, frame, own = self.sizes[0], sum(self.sizes), len(self.own_damping)
+            N, ratios, frame = self.sizes[0], slice(self.sizes[0], self.dashpots.start), sum(self.sizes)
             covariance[:N, :N] += AMPLITUDE_STD**2 + scatter_std**2 * np.eye(N)
-            covariance[N : N + own, N : N + own] += DAMPING_STD**2 + OTHER_DAMPING_STD**2 * np.eye(own)
+            covariance[ratios, ratios] += DAMPING_STD**2 + OTHER_DAMPING_STD**2 * np.eye(len(self.own_damping))
             at = self.single[list(changed)]
             covariance[at, at] += self.single_std[list(changed)] ** 2
             covariance[:frame, :frame] += mass_std**2 * self._heavier
@@ -263,7 +263,7 @@ class FramePrior:
 
     @cached_property
     def _heavier(self) -> Floats:
-        """Covariance of the frame's unknowns, each floor's mass off by itself."""
+        """Covariance of the unknowns, each floor's mass off by itself, shape (N + D + W + X, N + D + W + X)."""
         return np.asarray(self.heavier_floors @ self.heavier_floors.T)
 
     @cached_property
@@ -280,9 +280,8 @@ class FramePrior:
         nuisances[~modal] = (gain_std / GAIN_UNIT) ** 2
         rest = np.diag(np.concatenate([nuisances, np.full(X, form_std**2)]))
         tested = linalg.block_diag(self.identified, rest)
-        damping = np.diag(self.own_damping**2)
-        idle, noise = NO_DASHPOT_STD**2 * np.eye(D - len(damping)), NOISE_STD**2 * np.eye(self.others)
-        whole = linalg.block_diag(self.identified, damping, idle, rest, noise)
+        damping = np.diag(np.append(self.own_damping, np.full(D - len(self.own_damping), NO_DASHPOT_STD)) ** 2)
+        whole = linalg.block_diag(self.identified, damping, rest, NOISE_STD**2 * np.eye(self.others))
         # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
         crossed = np.zeros((len(whole), len(tested)))
         crossed[:N, :N] = self.identified

@@ -14,6 +14,8 @@ from cvxshear.response.innovations import Likelihood
 STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07
 SINGLE, OFF, PROBABILITY_OFF = np.array([0, 1, 2, 4]), 0.8, 0.04
 """Three stories and one gain, the last of five unknowns."""
+EITHER = np.zeros(3, dtype=bool)
+"""Unknowns that may have either sign."""
 
 
 def drawn(seed, inflation=1.7):
@@ -42,10 +44,10 @@ def log_density(at, p, prior):
 def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
     (at, p), prior = drawn(seed), gaussian((), 0.03)
     linear, freed = Linear(at, p, prior), gaussian((0, 2), 0.03)
-    alone, both = linear.evidences(CHANGE * np.eye(5, 3), [(), (0, 2)])
+    alone, both = linear.evidence(CHANGE * np.eye(5, 3)).of([(), (0, 2)], EITHER)
     assert both - alone == pytest.approx(log_density(at, p, freed) - log_density(at, p, prior))
     other = gaussian((), 0.1)
-    (found,) = Linear(at, p, other).evidences(CHANGE * np.eye(5, 3), [()])
+    (found,) = Linear(at, p, other).evidence(CHANGE * np.eye(5, 3)).of([()], EITHER)
     assert found - alone == pytest.approx(log_density(at, p, other) - log_density(at, p, prior) - 30.0 * (0.1 - 0.03))
     mean, covariance = linear.posterior()
     expected = np.linalg.inv(np.linalg.inv(prior.covariance) + at.U.T @ at.U / at.inflation)
@@ -59,7 +61,7 @@ def test_what_is_positive_has_no_evidence_where_it_would_be_negative():
     at = Likelihood(np.eye(2), np.array([-2.0, 2.0]), 1.0)
     linear = Linear(at, np.zeros(2), Gaussian(np.zeros(2), 0.01 * np.eye(2), 0.0))
     sets = [(), (0,), (1,), (0, 1)]
-    either, positive = (linear.evidences(np.eye(2), sets, sides) for sides in (None, np.array([True, True])))
+    either, positive = (linear.evidence(np.eye(2)).of(sets, np.array([side, side])) for side in (False, True))
     assert np.isfinite(positive).tolist() == [True, True, False, False]
     np.testing.assert_array_equal(positive[:2], either[:2])
 
