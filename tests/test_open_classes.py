@@ -583,6 +583,24 @@ def test_a_tank_that_came_between_two_tests_is_found_in_that_state(tank_after, r
     assert np.all(np.abs(found.averaged.story_stiffness - stiffness) < 4 * found.averaged.story_stiffness_std)
 
 
+def test_a_neighbor_that_came_between_two_tests_is_no_lighter_floor():
+    """12 kg on 20 kN/m of its own, tied to floor 4 by 4 kN/m: a spring to the ground with a mass behind it."""
+    rng, mass, stiffness = frame(23)
+    M, K = np.diag([*mass, 12.0]), np.pad(stiffness_matrix(stiffness), ((0, 1), (0, 1)))
+    tie = np.array([0.0, 0.0, 0.0, 1.0, 0.0, -1.0])
+    K += 4e3 * np.outer(tie, tie) + 20e3 * np.diag(np.eye(N + 1)[N])
+    own = int(np.argmax(modes(M, K).shapes[:, N] ** 2))
+    tables = [
+        measured_in(mass, stiffness, rng, name="before"),
+        measured_of(M, K, np.delete(np.arange(N + 1), own), rng, name="after"),
+    ]
+    found = loop(tables, mass.sum(), reference="before")
+    assert {item.placed.effect.name for item in found.effects} == {"ground_spring", "attached_mass"}
+    assert {item.placed.place for item in found.effects} == {Place(floor=4, state="after")}
+    assert np.all(np.abs(found.averaged.floor_mass - mass) < 4 * found.averaged.floor_mass_std)
+    assert np.all(np.abs(found.averaged.story_stiffness - stiffness) < 4 * found.averaged.story_stiffness_std)
+
+
 def test_a_pile_of_causes_is_less_probable_than_one_that_nobody_thought_of(tank_after):
     """Without the tank in the catalogue it takes several kinds of cause in one state to do its work."""
     mass, _, tables = tank_after

@@ -139,7 +139,8 @@ def with_motions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitPr
 def with_companions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitProposal]:
     """Propose the best set with the other of a motion and its companion, from the shear model's frame and all starts.
 
-    With the companion the motion may be another one, which the fit without it is far from.
+    With the companion the motion may be another one, which the fit without it is far from; and something else at the
+    same place, such as a lighter floor, may have stood for it.
     """
     assert best.estimate is not None, "a best set has a fit"
     looked_for = [item.placed for item in fitter.hypotheses]
@@ -153,8 +154,10 @@ def with_companions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[Fi
     ]
     proposals = []
     for pair in pairs:
-        rest = [placed for placed in best.estimate.effects if placed not in pair]
-        proposals.append((fitter.proposal(best.estimate, (*rest, *pair)), pair[1]))
+        beside = [placed for placed in best.estimate.effects if placed not in pair]
+        elsewhere = [placed for placed in beside if placed in fitter.assumed or placed.place != pair[1].place]
+        others = (beside, elsewhere) if len(elsewhere) < len(beside) else (beside,)
+        proposals += [(fitter.proposal(best.estimate, (*rest, *pair)), pair[1]) for rest in others]
     return _from_starts(proposals, base, np.inf)
 
 

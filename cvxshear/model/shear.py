@@ -30,9 +30,12 @@ def mass_matrix(floor_mass: Floats) -> Floats:
 
 def stiffness_matrix(story_stiffness: Floats) -> Floats:
     """K = T diag(k) T' of Eq. 18, shape (N, N), N/m: symmetric and tridiagonal."""
-    own, above = story_stiffness, np.append(story_stiffness[1:], 0.0)
-    between = np.diag(-above[:-1], 1)
-    return np.diag(own + above) + between + between.T
+    n, above = len(story_stiffness), story_stiffness[1:]
+    K = np.zeros((n, n))
+    K.flat[:: n + 1] = story_stiffness
+    K.flat[: n * (n - 1) : n + 1] += above
+    K.flat[1 :: n + 1] = K.flat[n :: n + 1] = -above
+    return K
 
 
 @dataclass(frozen=True, eq=False)

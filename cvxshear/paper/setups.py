@@ -59,18 +59,16 @@ class Setup(InJson):
     )
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
-        mass = checks.vector(self.floor_mass, "floor_mass", above=0.0)
-        n = len(mass)
-        put(self, "floor_mass", mass)
-        put(self, "story_stiffness", checks.vector(self.story_stiffness, "story_stiffness", length=n, above=0.0))
-        put(self, "mode_shape_std", checks.number(self.mode_shape_std, "mode_shape_std", above=0.0))
-        put(self, "frequency_std", checks.number(self.frequency_std, "frequency_std", above=0.0))
+        checks.put(self, "floor_mass", checks.vector, "floor_mass", above=0.0)
+        n = self.stories
+        checks.put(self, "story_stiffness", checks.vector, "story_stiffness", length=n, above=0.0)
+        for key in ("mode_shape_std", "frequency_std"):
+            checks.put(self, key, checks.number, key, above=0.0)
         checks.choice(self.mode_shape_noise, ("multiplicative", "additive"), "mode_shape_noise")
         for key in ("modes", "measured_floors"):
-            value = getattr(self, key)
-            every = not len(value)
-            put(self, key, np.arange(1, n + 1) if every else checks.ascending_whole(value, key, most=n))
+            if not len(getattr(self, key)):
+                object.__setattr__(self, key, np.arange(1, n + 1))
+            checks.put(self, key, checks.ascending_whole, key, most=n)
 
     @property
     def stories(self) -> int:

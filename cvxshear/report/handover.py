@@ -16,7 +16,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.report.describe.consequences import MODELS
 from cvxshear.response import Fitted, Reconstruction, RecordPrediction, Response
 from cvxshear.response.damped import DampedModel
-from cvxshear.response.peaks import histories
+from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import as_json
@@ -229,17 +229,10 @@ ACCELERATION, DISPLACEMENT, FORCE = 12, 8, 13
 """Numbers of universal files: function type, direction, and kinds of ordinate."""
 
 
-COLUMN_NAMES = {
-    "floor_acceleration": "acceleration", "floor_displacement": "displacement", "story_drift": "drift",
-    "story_drift_ratio": "drift_ratio", "story_shear": "shear", "base_shear": "base_shear",
-    "overturning_moment": "overturning_moment",
-}  # fmt: skip
+COLUMN_NAMES = {name: quantity.word.replace(" ", "_") for name, quantity in RESPONSES.items()}
 """Names of the columns by quantity; those of floor or story 1 end in `_1`."""
 
-SERIES_UNITS = {
-    "time": "s", "acceleration": "m/s2", "displacement": "m", "drift": "m", "shear": "N", "base_shear": "N",
-    "overturning_moment": "N m",
-}  # fmt: skip
+SERIES_UNITS = {"time": "s"} | {COLUMN_NAMES[name]: each.unit.replace("²", "2") for name, each in RESPONSES.items()}
 """Units of the columns, which the header of a CSV file has in brackets; a drift ratio has none."""
 
 Moved = RecordPrediction | Reconstruction

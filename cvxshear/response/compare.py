@@ -27,6 +27,14 @@ BANDWIDTH_LINES = 8
 AROUND = 0.1
 """Half width of a mode's neighbourhood, relative to its natural frequency, unless the next mode is nearer."""
 
+SHIFTED = 0.25
+"""Half width of the neighbourhood in which a resonance is looked for, unless the next mode is nearer: a frame that has
+lost two fifths of its stiffness resonates that much lower."""
+
+AS_MUCH = 0.5
+"""Shift of a mode, relative to the least that is sure, from which on it is told beside it: modes of one frame move by
+amounts of one order."""
+
 COHERENT = 0.6
 """Mean coherence from which on a floor is taken to answer to the excitation and not to something else."""
 
@@ -94,10 +102,10 @@ def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: f
     return Transfer(frequencies, functions, np.nan_to_num(coherence))
 
 
-def around(frequencies: Floats, natural: Floats, mode: int) -> Bools:
+def around(frequencies: Floats, natural: Floats, mode: int, half: float = AROUND) -> Bools:
     """Return the lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
     own = natural[mode]
-    near: Bools = np.abs(frequencies - own) <= AROUND * own
+    near: Bools = np.abs(frequencies - own) <= half * own
     others = np.delete(natural, mode)
     if others.size:
         near &= np.abs(frequencies - own) < np.min(np.abs(frequencies[:, None] - others), axis=1)
@@ -134,7 +142,7 @@ def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
 def power_at(estimated: Transfer, natural: Floats, mode: int, frequency: float) -> float:
     """Squared size of the transfer functions of all floors together at a frequency, over the largest near a mode."""
     power = np.sum(np.abs(estimated.functions) ** 2, axis=1)
-    largest = power[around(estimated.frequencies, natural, mode)].max()
+    largest = power[around(estimated.frequencies, natural, mode, SHIFTED)].max()
     return float(np.interp(frequency, estimated.frequencies, power) / largest)
 
 
@@ -143,7 +151,7 @@ def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
 
     The top of the parabola through the largest line and its neighbours, of the logarithm.
     """
-    near = np.flatnonzero(around(estimated.frequencies, natural, mode))
+    near = np.flatnonzero(around(estimated.frequencies, natural, mode, SHIFTED))
     if len(near) < 3 or estimated.coherence[near].mean() < COHERENT:
         return None
     size = np.log(np.maximum(np.sum(np.abs(estimated.functions) ** 2, axis=1), 1e-300))
@@ -175,6 +183,11 @@ class Shift:
     mode: int
     measured: float
     modelled: float
+
+    @property
+    def size(self) -> float:
+        """Relative size of the shift."""
+        return abs(self.measured / self.modelled - 1)
 
     def __str__(self) -> str:
         change = 100 * (self.measured / self.modelled - 1)
@@ -276,10 +289,11 @@ def compared(
 def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_modes: Ints | None) -> tuple[Shift, ...]:
     """Find the modes whose resonance is elsewhere than the model's.
 
-    By more than a line of the spectrum, and so far that either transfer function has fallen where the other peaks.
+    By more than a line of the spectrum, and so far that either transfer function has fallen where the other peaks. Once
+    that is so of one mode, those that moved about as much relatively are found, too.
     """
     line = measured.frequencies[1] - measured.frequencies[0]
-    found = []
+    found, sure = [], []
     for mode in range(len(natural)):
         if measured_modes is not None and mode + 1 not in measured_modes:
             continue
@@ -287,9 +301,10 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_m
         if seen is None or made is None or abs(seen - made) <= line:
             continue
         left = power_at(measured, natural, mode, made), power_at(predicted, natural, mode, seen)
+        found.append(Shift(mode + 1, seen, made))
         if max(left) < FALLEN:
-            found.append(Shift(mode + 1, seen, made))
-    return tuple(found)
+            sure.append(found[-1].size)
+    return tuple(each for each in found if sure and each.size >= AS_MUCH * min(sure))
 
 
 def _around_modes(

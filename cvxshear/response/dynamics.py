@@ -27,7 +27,7 @@ from scipy import linalg
 
 from cvxshear.model.shear import transformation
 from cvxshear.response.damped import DampedModel
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 SETTLED_RICCATI = 1e-13
 """Relative change of a covariance at which the doubling of the Riccati equation ends: it doubles its digits a round, so
@@ -96,6 +96,10 @@ class Dynamics:
     def P0(self) -> Floats:  # noqa: N802
         """Stationary covariance of the state under the noise alone, shape (n, n)."""
         return doubled(self.A, self.Q)
+
+    def seen_by(self, channels: Bools) -> Dynamics:
+        """Return the model with some of its sensors, those where an array of shape (m,) is true."""
+        return dataclasses.replace(self, H=self.H[channels], direct=self.direct[channels], R=self.R[channels])
 
     def driven(self, excitation: Floats) -> Floats:
         """Return what the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
@@ -253,10 +257,14 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
 def _van_loan(rates: Floats, density: Floats, step: float) -> tuple[Floats, Floats]:
     """Transition over a step, and the covariance that white noise of this density leaves in it."""
     n = len(rates)
+    # Over a step in which a mode nearly dies away its growth backward in time would swamp the rest.
+    halvings = max(0, int(np.ceil(np.log2(float(np.max(np.abs(linalg.eigvals(rates)))) * step))))
     both = np.block([[-rates, np.diag(density)], [np.zeros((n, n)), rates.T]])
-    whole = linalg.expm(both * step)
+    whole = linalg.expm(both * (step / 2**halvings))
     A = whole[n:, n:].T
     Q = A @ whole[:n, n:]
+    for _ in range(halvings):
+        Q, A = Q + A @ Q @ A.T, A @ A
     return A, 0.5 * (Q + Q.T)
 
 

@@ -17,12 +17,14 @@ from cvxshear.backends import Backend
 from cvxshear.records.motion import Drive
 from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics
-from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
+from cvxshear.response.fitted_frame import FittedFrame
+from cvxshear.response.frame_fit import FITTED_SAMPLES, fit_frame
+from cvxshear.response.frame_prior import FramePrior
 from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
-from cvxshear.response.recording import AT_REST, Recording, rms
-from cvxshear.response.smoother import Observed, Smoothed, Steady, smooth
+from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
+from cvxshear.response.smoother import Observed, Piece, Smoothed, settled_states, smooth
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.response.varied_frame import FramePrior, VariedFrame
+from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, T
 
@@ -65,6 +67,8 @@ class ReconstructedRun:
     measured : ndarray, shape (samples, m)
         m/s2; nan where missing.
     excitation : ndarray, shape (samples,)
+    missed : ndarray, shape (N,)
+        Rms over time of the story forces that the model missed, relative to the rms story force.
     """
 
     name: str
@@ -74,6 +78,7 @@ class ReconstructedRun:
     base_std: Floats | None
     measured: Floats
     excitation: Floats
+    missed: Floats
 
 
 Sides = tuple[DampedModel, DampedModel, float]
@@ -192,19 +197,30 @@ class FrameMotion:
         return any(rms(run.measured[:first] / level) > AT_REST for run in self.recording.runs)
 
     def errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
-        """Set up the innovations of the strongest part of each run, gaps and spikes filled in by the smoother."""
-        stretches = []
+        """Set up the innovations of the strongest part of each run, spikes and short gaps filled in by the smoother."""
+        stretches, begins = [], []
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
-            start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[0]
-            stretches.append(Stretch(run.drive, y, start))
+            for part, channels in self.pieces(run):
+                start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[part.start]
+                if channels.any():
+                    stretches.append(Stretch(run.drive[part], y[part], channels, start))
+                    begins.append(self.moves_at_first or part.start > 0)
         errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
         at = np.zeros(errors.size) if p is None else p
-        if self.moves_at_first:
+        if any(begins):
             model = errors.dynamics(at)
-            stretches = [dataclasses.replace(each, spread=errors.spread(model, each.y)) for each in stretches]
+            stretches = [
+                dataclasses.replace(each, spread=errors.spread(model.seen_by(each.channels), each.seen))
+                if moving else each
+                for each, moving in zip(stretches, begins, strict=True)
+            ]  # fmt: skip
             errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
         return errors.shortened(FITTED_SAMPLES, at)
+
+    def pieces(self, run: RecordedRun) -> list[Piece]:
+        """Part a run where a sensor begins or ends to record for a period of the frame or longer."""
+        return run.pieces(self.varied.first_samples(self.recording.step))
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
         """Find the motion of each run, with deviations of outputs that are given by rows on the state, if any.
@@ -248,7 +264,7 @@ class FrameMotion:
             moved, std = rows.of(found.states, run.drive), found.output_std
             np.square(std, out=std)
             for sides in directions.sides:
-                std += directions.allowance * self.moved_by(sides, noise, run.drive, found) ** 2
+                std += directions.allowance * self.moved_by(sides, noise, run, found) ** 2
             np.sqrt(std, out=std)
             std *= wider
             acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
@@ -265,10 +281,13 @@ class FrameMotion:
                 stds["story_drift_ratio"] = stds["story_drift"] / model.heights
                 stds["overturning_moment"] = std[:, 4 * n]
             base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
-            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
+            missed = np.sqrt(np.mean(found.states[:, 2 * n : 3 * n] ** 2, axis=0))
+            result.append(
+                ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation, missed)
+            )
         return result
 
-    def moved_by(self, sides: Sides, noise: Noise, excitation: Floats, found: Smoothed) -> Floats:
+    def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Floats:
         """Half the difference of all outputs between two frames, for a standard deviation, shape (samples, outputs).
 
         Parameters
@@ -276,19 +295,21 @@ class FrameMotion:
         sides : (DampedModel, DampedModel, float)
             As in `FrameDirections`.
         noise : Noise
-        excitation : ndarray, shape (samples, 2)
+        run : RecordedRun
         found : Smoothed
             Whose measurements the frames are smoothed to.
         """
-        driven, seen = excitation.astype(SHORT), found.completed.astype(SHORT)
-        there, back = (self._motion(model, noise, driven, seen, found.states[0]) for model in sides[:2])
+        driven, seen, pieces = run.drive.astype(SHORT), found.completed.astype(SHORT), self.pieces(run)
+        there, back = (self._motion(model, noise, driven, seen, found.states[0], pieces) for model in sides[:2])
         result: Floats = 0.5 * sides[2] * (there - back)
         return result
 
-    def _motion(self, model: DampedModel, noise: Noise, excitation: Floats, y: Floats, start: Floats) -> Floats:
-        """All outputs of a frame that is smoothed to complete measurements, shape (samples, outputs)."""
+    def _motion(
+        self, model: DampedModel, noise: Noise, excitation: Floats, y: Floats, start: Floats, pieces: list[Piece]
+    ) -> Floats:
+        """All outputs of a frame that is smoothed to what the sensors recorded, shape (samples, outputs)."""
         system = dynamics(model, noise, self.setting)
-        return system.outputs.of(Steady.of(system).states(excitation, y, start), excitation)
+        return system.outputs.of(settled_states(system, excitation, y, start, pieces), excitation)
 
     def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> FrameDirections:
         """Find the directions of the frame's uncertainty that move its motion most, one standard deviation long.
@@ -315,7 +336,7 @@ class FrameMotion:
             return model_at(weights, size), model_at(weights, -size)
 
         def moved(model: DampedModel) -> Floats:
-            return self._motion(model, noise, excitation, y, start)
+            return self._motion(model, noise, excitation, y, start, [(slice(0, len(y)), run.channels)])
 
         centre = moved(fitted.model)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)

@@ -26,7 +26,7 @@ from cvxshear.response.dynamics import BLOCK, SHORT, Dynamics, Noise, Setting, d
 from cvxshear.response.smoother import Steady
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import NoModesError
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats
 
 FIRST_SENSOR = 0.02
 FIRST_FORCE = 0.02
@@ -39,6 +39,9 @@ for it, and the record for that of a linear frame."""
 
 FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
+
+FURTHEST_DASHPOT = 20.0
+"""Bound on a dashpot, in units of that which gives a mode its measured ratio: a story that it nearly locks."""
 
 FURTHEST_STDS = 20.0
 """Bound on masses and effects, in standard deviations that may be far too small where the model lacks something."""
@@ -73,7 +76,7 @@ for about as long."""
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """One run without gaps.
+    """A part of a run in which the same sensors recorded.
 
     Parameters
     ----------
@@ -81,6 +84,8 @@ class Stretch:
         As in `Dynamics`.
     y : ndarray, shape (samples, m)
         Accelerations, spikes and gaps filled in.
+    channels : ndarray of bool, shape (m,)
+        The sensors that recorded.
     start : ndarray, shape (n,)
         State at the beginning.
     spread : ndarray, shape (n, n), optional
@@ -89,8 +94,14 @@ class Stretch:
 
     excitation: Floats
     y: Floats
+    channels: Bools
     start: Floats
     spread: Floats | None = None
+
+    @property
+    def seen(self) -> Floats:
+        """Accelerations of the sensors that recorded, shape (samples, those)."""
+        return self.y[:, self.channels]
 
     def strongest(self, most: int) -> slice:
         """Find the part of at most so many samples that holds the most of the motion, every channel counting alike."""
@@ -165,6 +176,7 @@ class PredictionErrors:
         self.size = force + 2
         self.upper = np.full(self.size, FURTHEST_NOISE)
         self.upper[self.frame] = np.repeat([FURTHEST, FURTHEST, FURTHEST_STDS, FURTHEST_FORM], varied.sizes)
+        self.upper[varied.dashpots] = FURTHEST_DASHPOT
         heavier = FURTHEST_MASS * np.linalg.norm(varied.heavier_floors, axis=1)
         N, D, W, _ = varied.sizes
         masses = slice(N + D, N + D + W)
@@ -177,6 +189,7 @@ class PredictionErrors:
     def lower(self, form_std: float) -> Floats:
         """Return lower bounds of the unknowns of a model whose form is off by so much, shape (P,)."""
         least = -self.upper
+        least[self.varied.dashpots] = 0.0
         missed = min(max(LEAST_MISSED, MISSED_A_FORM * form_std), MISSED_BY_FORM)
         least[self._force] = np.log(missed / self.noise.force)
         return least
@@ -198,16 +211,16 @@ class PredictionErrors:
         free : bool, optional
             Whether the state at the beginning of a part is unknown; otherwise it is the filter's.
         """
-        filtered = Steady.of(self.dynamics(p))
         parts = []
-        for run in self.stretches:
-            part = run.strongest(most)
-            start, spread = run.start, run.spread
-            if part.start:
-                start = filtered.predicted(run.excitation, run.y, run.start)[0][part.start]
-                spread = self.spread(filtered.model, run.y[part])
-            spread = spread if free else None
-            parts.append(Stretch(run.excitation[part], run.y[part], start, spread))
+        for filtered, runs in self._filtered(p):
+            for run in runs:
+                part = run.strongest(most)
+                start, spread = run.start, run.spread
+                if part.start:
+                    start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
+                    spread = self.spread(filtered.model, run.seen[part])
+                spread = spread if free else None
+                parts.append(Stretch(run.excitation[part], run.y[part], run.channels, start, spread))
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
     def spread(self, model: Dynamics, y: Floats) -> Floats:
@@ -224,6 +237,14 @@ class PredictionErrors:
         values, vectors = np.linalg.eigh(model.P0 / np.outer(unit, unit))
         root: Floats = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         return root * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
+
+    def _filtered(self, p: Floats) -> list[tuple[Steady, list[Stretch]]]:
+        """Settle the filter of each set of sensors; return it with the stretches in which these recorded."""
+        model = self.dynamics(p)
+        sets: dict[bytes, list[Stretch]] = {}
+        for run in self.stretches:
+            sets.setdefault(run.channels.tobytes(), []).append(run)
+        return [(Steady.of(model.seen_by(runs[0].channels)), runs) for runs in sets.values()]
 
     def model(self, p: Floats) -> DampedModel:
         """Return the frame at a point."""
@@ -250,18 +271,18 @@ class PredictionErrors:
 
     def objective(self, p: Floats) -> float:
         """-2 log likelihood, without its constant."""
-        filtered = Steady.of(self.dynamics(p))
-        _, log_det = np.linalg.slogdet(filtered.S)
-        whitening = np.linalg.inv(np.linalg.cholesky(filtered.S))
-        total = self.samples * float(log_det)
-        for run in self.stretches:
-            _, e = filtered.predicted(run.excitation, run.y, run.start)
-            white = (e @ whitening.T).ravel()
-            total += float(white @ white)
-            if run.spread is not None:
-                free = _free(filtered, run, whitening)
-                pulled = free.T @ white
-                total -= float(pulled @ np.linalg.solve(np.eye(len(pulled)) + free.T @ free, pulled))
+        total = 0.0
+        for filtered, runs in self._filtered(p):
+            _, log_det = np.linalg.slogdet(filtered.S)
+            whitening = np.linalg.inv(np.linalg.cholesky(filtered.S))
+            for run in runs:
+                _, e = filtered.predicted(run.excitation, run.seen, run.start)
+                white = (e @ whitening.T).ravel()
+                total += len(e) * float(log_det) + float(white @ white)
+                if run.spread is not None:
+                    free = _free(filtered, run, whitening)
+                    pulled = free.T @ white
+                    total -= float(pulled @ np.linalg.solve(np.eye(len(pulled)) + free.T @ free, pulled))
         return total
 
     def informed(self, p: Floats, root: Floats, least: float) -> Directions:
@@ -278,7 +299,7 @@ class PredictionErrors:
         own = root[self.frame, self.frame]
         columns = np.eye(self.size)
         columns[self.frame, self.frame] = own
-        R, _ = self._rows(p, columns[:, self.frame])
+        R = np.concatenate([part.J for part in self._rows(p, columns[:, self.frame])])
         _, sizes, turns = np.linalg.svd(np.linalg.qr(R, mode="r"))
         turns = turns[sizes > least]
         noise = np.eye(self.size)[self.frame.stop :]
@@ -294,23 +315,34 @@ class PredictionErrors:
         p : ndarray, shape (P,)
         along : Directions
         """
-        R, r = self._rows(p, along.columns)
-        whole = np.asarray(np.linalg.qr(np.column_stack([R, r]), mode="r"), dtype=np.float64)
-        return Likelihood(whole[:-1, :-1] @ along.rows, whole[:-1, -1], self._inflation(R, r, along))
+        parts = self._rows(p, along.columns)
+        rows = np.concatenate([np.column_stack([part.J, part.r]) for part in parts])
+        whole = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+        frame = along.columns.shape[1] - (self.size - self.frame.stop)
+        return Likelihood(whole[:-1, :-1] @ along.rows, whole[:-1, -1], self._inflation(parts, frame))
 
-    def _rows(self, p: Floats, columns: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives of the residuals along some directions, shape (d, r), and the residuals, shape (d,)."""
-        here = Steady.of(self.dynamics(p))
+    def _rows(self, p: Floats, columns: Floats) -> list[_Rows]:
+        """Return the residuals and their derivatives along some directions."""
+        model = self.dynamics(p)
+        rates = [self._rates(model, p, column) for column in columns.T]
+        return [part for here, runs in self._filtered(p) for part in self._rows_of(here, runs, rates)]
+
+    def _rows_of(
+        self, here: Steady, runs: Sequence[Stretch], rates: Sequence[dict[str, Floats]]
+    ) -> list[_Rows]:
+        """Return the rows of the stretches in which the same sensors recorded.
+
+        One part a stretch, and one of log det S and the states at the beginnings.
+        """
         whitening = np.linalg.inv(np.linalg.cholesky(here.S))
-        slopes = self._slopes(here, p, columns, whitening)
+        slopes = self._slopes(here, rates, runs[0].channels, whitening)
         m, at_rest = len(whitening), np.zeros(len(here.P))
-        residuals: list[Floats] = []
-        derivatives: list[Floats] = []
+        parts: list[_Rows] = []
         begun: list[Floats] = []
-        mean = np.zeros((m, m))
-        for run in self.stretches:
-            x, e = here.predicted(run.excitation, run.y, run.start)
-            seen = run.y - here.model.shown(run.excitation)
+        mean, samples = np.zeros((m, m)), sum(len(run.y) for run in runs)
+        for run in runs:
+            x, e = here.predicted(run.excitation, run.seen, run.start)
+            seen = run.seen - here.model.shown(run.excitation)
             following = np.append(run.excitation[1:, 0], run.excitation[-1, 0])
             signals = np.column_stack([x, seen, run.excitation, following]).astype(SHORT)
             J = np.empty((e.size, len(slopes)), dtype=SHORT)
@@ -327,30 +359,25 @@ class PredictionErrors:
                 white -= (free @ moved).reshape(white.shape)
                 J -= (free @ turned).astype(SHORT)
                 begun.append(both)
-            residuals.append(white.ravel())
-            derivatives.append(J)
+            parts.append(_Rows(J, white.ravel(), m))
             mean += white.T @ white
-        root = np.sqrt(self.samples / 2)
+        root = np.sqrt(samples / 2)
         # J'r of these rows is half the gradient of T log det S + sum e' S^-1 e by S.
-        residuals.append(root * (np.eye(m) - mean / self.samples).ravel())
-        derivatives.append(np.array([slope.S.ravel() for slope in slopes]).T * root)
-        derivatives += [both[:, :-1] for both in begun]
-        residuals += [both[:, -1] for both in begun]
-        return np.concatenate(derivatives), np.concatenate(residuals)
+        r = [root * (np.eye(m) - mean / samples).ravel(), *(both[:, -1] for both in begun)]
+        R = [np.array([slope.S.ravel() for slope in slopes]).T * root, *(both[:, :-1] for both in begun)]
+        return [*parts, _Rows(np.concatenate(R), np.concatenate(r), 0)]
 
-    def _inflation(self, R: Floats, r: Floats, along: Directions) -> float:
-        """How much more the summed scores of the frame's directions scatter than of white innovations."""
-        m, rows = len(self.setting.floors), along.columns.shape[1] - (self.size - self.frame.stop)
-        length = m * max(1, round(SCORE_PERIODS * self.varied.period / self.setting.step))
-        spread, curvature, first = np.zeros((rows, rows)), np.zeros((rows, rows)), 0
-        for run in self.stretches:
-            blocks = len(run.y) * m // length
-            part = slice(first, first + blocks * length)
-            first += len(run.y) * m
+    def _inflation(self, parts: Sequence[_Rows], rows: int) -> float:
+        """How much more the summed scores of the first directions scatter than of white innovations."""
+        samples = max(1, round(SCORE_PERIODS * self.varied.period / self.setting.step))
+        spread, curvature = np.zeros((rows, rows)), np.zeros((rows, rows))
+        for part in parts:
+            length = part.sensors * samples
+            blocks = len(part.r) // length if length else 0
             if blocks < 2:
                 continue
-            flat = R[part, :rows]
-            summed = (flat * r[part, None]).reshape(blocks, length, rows).sum(axis=1)
+            flat = part.J[: blocks * length, :rows]
+            summed = (flat * part.r[: len(flat), None]).reshape(blocks, length, rows).sum(axis=1)
             # At the most probable frame the scores balance the prior and need not sum to zero.
             summed = summed - summed.mean(axis=0)
             spread += summed.T @ summed * (blocks / (blocks - 1))
@@ -359,13 +386,16 @@ class PredictionErrors:
             return 1.0
         return max(1.0, float(np.mean(np.diag(spread) / np.maximum(np.diag(curvature), 1e-300))))
 
-    def _slopes(self, here: Steady, p: Floats, columns: Floats, whitening: Floats) -> list[_Slope]:
+    def _slopes(
+        self, here: Steady, rates: Sequence[dict[str, Floats]], channels: Bools, whitening: Floats
+    ) -> list[_Slope]:
         """Differentiate the filter's matrices along each direction.
 
         That of the covariance P solves dP = F dP F' + G, in which the gain counts as constant, since it is optimal.
         """
         model, K, F, P = here.model, here.K, here.F, here.P
-        rates = [self._rates(model, p, column) for column in columns.T]
+        own = {"H", "R", "direct"}
+        rates = [{name: d[channels] if name in own else d for name, d in each.items()} for each in rates]
         turned = np.array([each["A"] - K @ each["H"] for each in rates]) @ P @ F.T
         G = turned + turned.swapaxes(1, 2)
         G += np.array([(K * each["R"]) @ K.T + each["Q"] for each in rates])
@@ -403,8 +433,24 @@ def _free(filtered: Steady, run: Stretch, whitening: Floats) -> Floats:
     for _ in range(0, len(run.y), BLOCK):
         parts.append(block @ root)
         root = leap @ root
-    result: Floats = np.concatenate(parts)[: run.y.size]
+    result: Floats = np.concatenate(parts)[: run.seen.size]
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Residuals, shape (d,), and their derivatives, shape (d, r).
+
+    Parameters
+    ----------
+    J, r : ndarray
+    sensors : int
+        Residuals a sample, of innovations; 0 of others.
+    """
+
+    J: Floats
+    r: Floats
+    sensors: int
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,29 +4,52 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cvxshear.response.damped import DampedModel, Response, driven_poles
-from cvxshear.util.results import InJson, as_json
+from cvxshear.util.results import InJson, as_json, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of a response.
+
+    Parameters
+    ----------
+    attribute : str
+        Of `Response`, that has it over time.
+    word, unit : str
+        The unit is empty where there is none.
+    single : bool, optional
+        Whether it is one number, not one a floor or story.
+    """
+
+    attribute: str
+    word: str
+    unit: str
+    single: bool = False
+
+
 RESPONSES = {
-    "floor_acceleration": "acceleration",
-    "floor_displacement": "displacement",
-    "story_drift": "drift",
-    "story_drift_ratio": "drift_ratio",
-    "story_shear": "story_shear",
-    "base_shear": "base_shear",
-    "overturning_moment": "overturning_moment",
+    "floor_acceleration": Quantity("acceleration", "acceleration", "m/s²"),
+    "floor_displacement": Quantity("displacement", "displacement", "m"),
+    "story_drift": Quantity("drift", "drift", "m"),
+    "story_drift_ratio": Quantity("drift_ratio", "drift ratio", ""),
+    "story_shear": Quantity("story_shear", "shear", "N"),
+    "base_shear": Quantity("base_shear", "base shear", "N", single=True),
+    "overturning_moment": Quantity("overturning_moment", "overturning moment", "N m", single=True),
 }
-"""Quantities of a response, each with the attribute of `Response` that has it over time; the last two are one number
-each, the others one a floor or story."""
+"""Quantities of a response."""
 
 
 def histories(response: Response) -> dict[str, Floats | None]:
     """Every quantity over time, shapes (samples, N) or (samples,); None where it does not apply."""
-    return {name: getattr(response, attribute) for name, attribute in RESPONSES.items()}
+    return {name: getattr(response, quantity.attribute) for name, quantity in RESPONSES.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +68,26 @@ class Peaks:
     def to_dict(self) -> Json:
         """Each quantity and its `_std`; null where it does not apply."""
         result: Json = {}
-        for name in RESPONSES:
-            single = name in ("base_shear", "overturning_moment")
+        for name, quantity in RESPONSES.items():
             for key, values in ((name, self.values.get(name)), (f"{name}_std", self.std.get(name))):
-                result[key] = as_json(values[0] if single and values is not None else values)
+                result[key] = as_json(values[0] if quantity.single and values is not None else values)
         return result
+
+    def to_dataframe(self, more: Mapping[str, Floats] | None = None) -> pd.DataFrame:
+        """Return a row a floor or story, each quantity beside its `_std`; what is one number is left out.
+
+        Parameters
+        ----------
+        more : dict of str to ndarray, shape (N,), optional
+            Columns that follow.
+        """
+        columns: dict[str, Sequence[object]] = {}
+        for name, values in self.values.items():
+            if not RESPONSES[name].single:
+                columns |= {name: values.tolist(), f"{name}_std": self.std[name].tolist()}
+        columns |= {name: values.tolist() for name, values in (more or {}).items()}
+        count = len(self.values["story_drift"])
+        return data_frame({"story": range(1, count + 1), **columns}).set_index("story")
 
 
 STRONG = 0.5

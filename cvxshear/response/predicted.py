@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,6 +35,9 @@ from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFram
 from cvxshear.util.quantities import listed, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
 """Quantities whose deviations are given over time: what is compared with a record, and what owners ask for."""
@@ -115,6 +119,21 @@ class RecordPrediction(Shown):
         # Nothing added is the same estimate, whose numbers a file keeps exactly.
         same = not before.effects and not after.effects and np.array_equal(before.theta, after.theta)
         return None if same else self.before
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a floor or story, indexed by `story`: the peaks, each beside its standard deviation.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns by the names of the JSON, in SI units; those that apply.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        return self.peaks.to_dataframe()
 
     @cached_property
     def spectra(self) -> FloorSpectra:

@@ -1,37 +1,29 @@
-"""Reconstruction: how every floor moved, from the floors that carry sensors.
-
-First the frame as it was in this record is found from the innovations of the filter (`frame_fit`), then its motion by
-the smoother (`smoother`), then how far both can be off (`frame_motion`). Each sensor is also predicted from all others,
-which is the one check of the bands that nothing assumes (`sensor_checks`).
-"""
+"""What a reconstruction found: how every floor moved, how far that can be believed, and what the reader has to know."""
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
 
-from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.fitted import Fitted
-from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
-from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
-from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
-from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
-from cvxshear.response.smoother import Smoothed
-from cvxshear.response.sources import DRIVING, ModelSource, line_remarks, models_of, state_of, state_remarks
-from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.quantities import listed, percent, ranged, significant
+from cvxshear.response.fitted_frame import FittedFrame
+from cvxshear.response.frame_fit import NONLINEAR
+from cvxshear.response.frame_motion import ReconstructedRun
+from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra
+from cvxshear.response.recording import Recording
+from cvxshear.response.sensor_checks import SensorCheck, Whiteness, widening
+from cvxshear.response.sources import DRIVING, line_remarks
+from cvxshear.util.quantities import listed, numbered, percent, ranged, significant
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 NAMED_CHANGE = 0.95
 """Probability from which on a story is named as changed: the loop's own level for what it adds."""
@@ -47,6 +39,10 @@ GAIN_OFF = 3.0, 0.005
 """Standard deviations, and relative size, from which on a sensor's gain is named: what a good calibration leaves is
 not."""
 
+MISSED_MOST = 1.5
+"""Missed force of the stories between two sensors, over the largest elsewhere, from which on they are named: where a
+story yielded it was 1.5 to 2.5 in simulated frames."""
+
 SOUND_SCORES = 2.0
 """Inflation of the scores up to which changed masses are named: records of sound linear frames have 1 to 2, and dampers
 that the model lacks pass for masses, with 3 and more."""
@@ -54,21 +50,18 @@ that the model lacks pass for masses, with 3 and more."""
 LARGEST_ODDS = 1000.0
 """Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
 
-UNSETTLED = "the fit of the frame did not settle, so no number is sure, and its deviations may be too small"
+UNSETTLED = "the fit of the frame did not settle, so no number is sure, and drifts are rough"
 """Warning that is the first of the findings."""
-
-COLOURED = 0.1
-"""Correlation of an innovation with an earlier one from which on it is said that the model misses something there."""
 
 QUIET_ENOUGH = 0.25
 """Least strength of a motion, relative to its rms over the record, up to which a line is known from where little moves:
 of simulated records that were cut off at both ends, at 0.3 and more, lines moved peaks by up to four deviations."""
 
 ROUGH_DRIFT = 0.1
-"""Standard deviation of drifts, relative to them, where the record is not that of a linear frame, or the tests do not
-determine the frame. A story a third of which yields comes out 3 to 17 % too low and those beside it up to 9 % too high
-(``tests.benchmarks.reconstruction``); of frames that sensors at a third of the floors did not determine, and of which a
-story changed, drifts were off by up to 16 %."""
+"""Standard deviation of drifts, relative to them, where the record is not that of a linear frame, the fit did not
+settle, or the tests do not determine the frame. A story a third of which yields comes out 3 to 17 % too low and those
+beside it up to 9 % too high (``tests.benchmarks.reconstruction``); of frames that sensors at a third of the floors did
+not determine, and of which a story changed, drifts were off by up to 16 %."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,13 +155,41 @@ class Reconstruction(Shown):
     @property
     def coloured(self) -> tuple[int, ...]:
         """Floors whose innovations are not white: the model misses a part of the motion there."""
-        return tuple(each.floor for each in self.whiteness if abs(each.correlation) > COLOURED)
+        return tuple(each.floor for each in self.whiteness if each.coloured)
+
+    @property
+    def sound(self) -> bool:
+        """Whether the model passes its checks: of a linear frame, left-out sensors met, and white innovations."""
+        return self.names_changes and not self.coloured
+
+    @property
+    def dampers(self) -> tuple[int, ...]:
+        """Stories (from 1) in which something damps by itself, with a probability of at least `NAMED_CHANGE`."""
+        if not self.names_changes:
+            return ()
+        return tuple(int(j) + 1 for j in np.flatnonzero(self.frame.dashpot_probability >= NAMED_CHANGE))
+
+    @property
+    def missed_most(self) -> tuple[int, ...]:
+        """Stories (from 1), between two floors with sensors, whose forces a frame that is not linear misses most.
+
+        Empty where the record is that of a linear frame, or no place stands out.
+        """
+        edges = np.concatenate([[0], self.recording.floors])
+        stories = np.split(np.arange(1, len(self.model.M) + 1), edges[1:])
+        if not self.nonlinear or not self.frame_fitted:
+            return ()
+        missed = np.max([run.missed for run in self.runs], axis=0)
+        between = [each for each in stories if each.size]
+        sizes = [float(np.max(missed[each - 1])) for each in between]
+        most = int(np.argmax(sizes))
+        others = max(np.delete(sizes, most), default=0.0)
+        return tuple(between[most].tolist()) if len(sizes) > 1 and sizes[most] > MISSED_MOST * others else ()
 
     @property
     def masses_changed(self) -> bool:
         """Whether it is named that floors do not weigh what they did in the tests."""
-        sound = self.names_changes and self.frame.inflation <= SOUND_SCORES and not self.coloured
-        return sound and self.frame.mass_probability >= NAMED_CHANGE
+        return self.sound and self.frame.inflation <= SOUND_SCORES and self.frame.mass_probability >= NAMED_CHANGE
 
     @property
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
@@ -211,6 +232,27 @@ class Reconstruction(Shown):
         relative: Floats = self.peaks.std["floor_acceleration"] / np.where(peak > 0, peak, 1.0)
         return self.spectra.acceleration * relative[:, None]
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a floor or story, indexed by `story`: the peaks, each beside its standard deviation, then the frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns by the names of the JSON, in SI units; those that apply.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        frame = self.frame
+        return self.peaks.to_dataframe(
+            {
+                "story_factor": frame.factors, "story_factor_std": frame.factors_std,
+                "change_probability": frame.story_probability, "dashpot_probability": frame.dashpot_probability,
+            }
+        )  # fmt: skip
+
     def to_dict(self) -> Json:
         """Return the documented JSON; null where it does not apply."""
         frame, none = self.frame, [None] * len(self.model.M)
@@ -236,6 +278,10 @@ class Reconstruction(Shown):
                     "story_factor_std": frame.factors_std,
                     "change_probability": none if self.change_probability is None else self.change_probability,
                     "changed": self.changed,
+                    "dashpot_probability": none if self.change_probability is None else frame.dashpot_probability,
+                    "dashpot": self._of_dampers(frame.dashpots[0]),
+                    "dashpot_std": self._of_dampers(frame.dashpots[1]),
+                    "missed_most": self.missed_most,
                     "mass_change_probability": None if self.change_probability is None else frame.mass_probability,
                     "mass_change": self.frame.mass_change[0] if self.masses_changed else none,
                     "mass_change_std": self.frame.mass_change[1] if self.masses_changed else none,
@@ -256,140 +302,23 @@ class Reconstruction(Shown):
         )
         return found
 
-
-def reconstruct(
-    source: ModelSource,
-    record: RecordingSource,
-    backend: str | Backend = "auto",
-    *,
-    damping: str | None = None,
-    configuration: str | None = None,
-    detrend: bool = True,
-    fit: bool = True,
-    leave_out: bool = True,
-    progress: Callable[[int, int], None] | None = None,
-) -> Reconstruction:
-    """Find how every floor moved, with deviations, from the floors that carry sensors.
-
-    Parameters
-    ----------
-    source : str, Path, Experiment, Closure, Estimate or Models
-        What the model is made of, as for `predict`.
-    record : str, Path, TimeRecord or Motion
-        Accelerations of some floors, with gaps (nan) where pieces are missing, and what drove the frame; with
-        input = "none" the base acceleration is estimated.
-    backend : str or Backend, optional
-        Solves the steps of the frame's fit.
-    damping : str, optional
-        "modal", "story" or "rayleigh"; what the experiment declares where not given.
-    configuration : str, optional
-        Which state the frame is in.
-    detrend : bool, optional
-        Whether the straight line through each acceleration is taken for its sensor's, and off.
-    fit : bool, optional
-        Whether the frame is fitted to the record; otherwise only the noise is, and the frame stays as identified.
-    leave_out : bool, optional
-        Whether each sensor is predicted from the others.
-    progress : callable, optional
-        Called with the number of parts done and to do.
-
-    Returns
-    -------
-    Reconstruction
-
-    Raises
-    ------
-    InputError
-        Where nothing tells the frame's damping, the record is of another frame, or no floor was measured.
-    NoSolutionError
-        Where the backend does not solve a program.
-    """
-    solver = backends.get(backend)
-    models = models_of(source, solver)
-    experiment = models.after.experiment
-    recording = recording_of(record, experiment.stories)
-    state = state_of(experiment, recording, configuration)
-    frame = UncertainFrame.of(models.after, state, damping, solver)
-    identified = frame.at(np.zeros(frame.size)).model
-    recording = recorded = as_predicted(identified, recording)
-    if detrend:
-        recording = recording.without_base_line()
-    readings = readings_of(identified, recording)
-    done, parts = itertools.count(1), 2 + len(readings) + (len(recording.floors) if leave_out else 0)
-
-    def advance() -> None:
-        if progress is not None:
-            progress(next(done), parts)
-
-    def fits() -> Iterator[_Fit]:
-        for each in readings:
-            reading = each
-            if detrend:
-                shown = shown_by(identified, predicted_responses(identified, reading), reading)
-                reading = reading.less(reading.lines(shown))
-            work, fitted, smoothed = FrameMotion.around(frame, reading, solver, free=fit).fitted(detrend=detrend)
-            # The states of a long record are large, and found once more with their deviations.
-            yield work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
-            advance()
-
-    (work, fitted, smoothed), evidences = _most_probable(fits())
-    predicted = predicted_responses(identified, work.recording)
-    advance()
-    checks = []
-    for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
-        checks.append(checked(work, fitted, smoothed, channel, predicted))
-        advance()
-    nonlinear = fitted.inflation > NONLINEAR
-    runs = work.runs(fitted, widening(checks), ROUGH_DRIFT if nonlinear or frame.fitted.undetermined else 0.0)
-    peaks = peaks_of((run.response, run.std) for run in runs)
-    passed = None
-    name = "story_drift_ratio"
-    if experiment.limits is not None and name in peaks.values:
-        ratio, std = peaks.values[name], np.maximum(peaks.std[name], 1e-300)
-        passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
-        if nonlinear:
-            # How far a story that yields went is not seen: that it stayed below a limit cannot be said, and that
-            # another passed one only where the frame as it was identified would have passed it, too.
-            alone = np.inf if predicted is None else peaks_of((each, {}) for each in predicted).values[name]
-            sure = (passed >= NAMED_CHANGE) & (alone > experiment.limits.story_drift[:, None])
-            passed = np.where(sure, passed, np.nan)
-    found = Reconstruction(
-        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs),
-        peaks,
-        None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
-        whiteness(work, smoothed), experiment.limits, passed, (),
-    )  # fmt: skip
-    advance()
-    said = state_remarks(experiment, recording, state, named=configuration is not None)
-    if len(evidences) > 1:
-        said.append(_said_of_readings(DRIVING[recording.input], *evidences))
-    return dataclasses.replace(found, remarks=(*said, *_remarks(found, recorded)))
+    def _of_dampers(self, values: Floats) -> list[float | None]:
+        """Return the values of the stories that damp by themselves; None elsewhere, or where masses have no scale."""
+        named = self.dampers if self.fitted.mass_known else ()
+        return [float(value) if story in named else None for story, value in enumerate(values, 1)]
 
 
-_Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]
-"""The motion as it was set up, the frame, and its motion without its states but the first."""
-
-
-def _most_probable(fits: Iterator[_Fit]) -> tuple[_Fit, list[float]]:
-    """Return the most probable fit, and the log evidence of each; long records fill the memory, so one is kept."""
-    best = next(fits)
-    evidences = [best[1].log_evidence]
-    for other in fits:
-        evidences.append(other[1].log_evidence)
-        if evidences[-1] > best[1].log_evidence:
-            best = other
-    return best, evidences
-
-
-def _said_of_readings(excitation: str, straight: float, band_limited: float) -> str:
-    """Say how the excitation was taken to go between its samples, and what speaks for that."""
+def reading_remark(excitation: str, straight: float, band_limited: float, *, told: bool) -> str:
+    """Say how the excitation was taken to go between its samples, and what speaks for that where the model is sound."""
     taken, other = "band-limited", "straight lines"
     if straight >= band_limited:
         taken, other = other, taken
     odds = abs(straight - band_limited)
     shown = f"above {LARGEST_ODDS:g}" if odds > np.log(LARGEST_ODDS) else f"{np.exp(odds):.0f} to 1"
     speaks = f"that makes what the floors did more probable than {other} would (odds {shown})"
-    if odds < np.log(10):
+    if not told:
+        speaks = f"so the model fits the floors better, but it fails a check, and {other} may be as right"
+    elif odds < np.log(10):
         speaks = f"the floors hardly tell that from {other}; a record at a higher rate would"
     return f"between its samples the {excitation} is taken as {taken}: {speaks}"
 
@@ -435,10 +364,15 @@ def _warnings(found: Reconstruction) -> list[str]:
             f"said, and {percent(ROUGH_DRIFT, 0)} of each drift is in its deviation, but one that yields as a "
             "whole drifted further: where a limit was not passed for sure, it is not said"
         )
+    if found.missed_most:
+        said.append(
+            f"what no linear frame explains is largest in {numbered('story', found.missed_most)}, between floors with "
+            "sensors: a story that yields is most likely there (provisional: one record, one model)"
+        )
     return said
 
 
-def _remarks(found: Reconstruction, recorded: Recording) -> list[str]:
+def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
     """Say what the reader has to know besides the numbers."""
     said = [
         "residual displacement is out of reach: accelerations do not show where a floor comes to rest, and the model "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from cvxshear.records.record import Channel, TimeRecord
 from cvxshear.response.sensor_faults import SensorRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 RecordingSource = str | Path | TimeRecord | Motion
 
@@ -28,6 +29,10 @@ ENVELOPE_PERIODS = 4.0
 
 QUIETEST = 1 / 16
 """Least envelope, relative to the record's rms: what a model misses does not vanish where little moves."""
+
+MOST_LEFT_GAPS = 8
+"""Gaps of a run, the longest, that are left out of the fit of the frame; others are filled in by what it makes of the
+rest. After each gap the state of the frame is unknown, which costs information."""
 
 AT_REST = 0.05
 """Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
@@ -72,6 +77,24 @@ class RecordedRun:
     def drive(self) -> Floats:
         """What acts between the samples and at them, as in `Dynamics`, shape (samples, 2)."""
         return np.column_stack([self.excitation if self.between is None else self.between, self.excitation])
+
+    def pieces(self, least: int) -> list[tuple[slice, Bools]]:
+        """Part the run where a sensor begins or ends to record; say which do in each part, shape (m,).
+
+        Parameters
+        ----------
+        least : int
+            Samples of the shortest gap that counts.
+        """
+        recorded, gaps = np.ones(self.measured.shape, dtype=bool), []
+        for column, there in enumerate(np.isfinite(self.measured).T):
+            ends = np.flatnonzero(np.diff(np.concatenate([[True], there, [True]]).astype(np.int8)))
+            gaps += [(last - first, first, column) for first, last in ends.reshape(-1, 2).tolist()]
+        for length, first, column in sorted(gaps, reverse=True)[:MOST_LEFT_GAPS]:
+            if length >= least:
+                recorded[first : first + length, column] = False
+        edges = [0, *(np.flatnonzero(np.any(np.diff(recorded, axis=0), axis=1)) + 1).tolist(), len(recorded)]
+        return [(slice(first, last), recorded[first]) for first, last in pairwise(edges)]
 
 
 @dataclass(frozen=True, eq=False)

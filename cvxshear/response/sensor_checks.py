@@ -12,7 +12,8 @@ from scipy import special
 from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
 from cvxshear.response.damped import DampedModel, Response
-from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
+from cvxshear.response.fitted_frame import FittedFrame
+from cvxshear.response.frame_fit import FITTED_SAMPLES, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Stretch
 from cvxshear.response.recording import Recording, rms
@@ -27,6 +28,11 @@ covariance."""
 
 CHECKED_DIRECTIONS = 4
 """Directions propagated to a floor whose sensor was left out."""
+
+COLOURED, BY_CHANCE = 0.1, 0.01
+"""Correlation of an innovation with an earlier one from which on the model misses something at its floor, where chance
+leaves as much in less than so many records. Of long records correlations of 0.02 are significant, and are nothing that
+moves a drift."""
 
 LAGS = 20
 """Lags of the test of whiteness (Ljung and Box 1978)."""
@@ -87,6 +93,11 @@ class Whiteness:
     p_value: float
     spikes: int
     missing: int
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the model misses a part of the motion at this floor."""
+        return abs(self.correlation) > COLOURED and self.p_value < BY_CHANCE
 
 
 def as_predicted(model: DampedModel, recording: Recording) -> Recording:
@@ -169,11 +180,16 @@ def checked(
     predicted : sequence of Response or None
         Motion without a look at the sensors.
     """
-    whole = [Stretch(run.drive, each.completed, each.states[0])
+    every = np.ones(len(work.recording.floors), dtype=bool)
+    whole = [Stretch(run.drive, each.completed, every, each.states[0])
              for run, each in zip(work.recording.runs, smoothed, strict=True)]  # fmt: skip
     parts = [each.strongest(FITTED_SAMPLES) for each in whole]
     other = work.without(channel, parts)
-    stretches = [dataclasses.replace(each, y=np.delete(each.y, channel, axis=1)) for each in fitted.errors.stretches]
+    others = np.arange(len(every)) != channel
+    stretches = [
+        dataclasses.replace(each, y=each.y[:, others], channels=each.channels[others])
+        for each in fitted.errors.stretches if each.channels[others].any()
+    ]  # fmt: skip
     errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
     at = fitted.errors.frame.stop + channel
     again = refitted(fitted, errors, at, work.backend, CHECK_STEPS if work.free else 0)
@@ -188,7 +204,7 @@ def checked(
     for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
         variance = each.output_std[:, 0] ** 2 + sigma**2
         for sides in directions.sides:
-            moved = other.moved_by(sides, noise, run.drive, each)[:, place]
+            moved = other.moved_by(sides, noise, run, each)[:, place]
             variance += directions.allowance[place] * (gain * moved) ** 2
         there = smoothed[number].weights[part, channel] == 1.0
         seen = work.recording.runs[number].measured[part, channel]

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -327,12 +327,40 @@ class Steady:
         x = recursion(self.F, inputs, start)
         return x, seen - x @ model.H.T.astype(kind)
 
-    def states(self, excitation: Floats, y: Floats, start: Floats) -> Floats:
-        """Smoothed states, shape (samples, n), in y's precision."""
-        kind = y.dtype
-        x, e = self.predicted(excitation, y, start)
-        pulled = e @ np.linalg.solve(self.S, self.model.H).astype(kind)
-        swept = recursion(self.F.T, pulled[::-1], np.zeros(len(self.P)))[::-1]
-        pulled += swept @ self.F.astype(kind)
-        x += pulled @ self.P.astype(kind)
-        return x
+
+Piece = tuple[slice, Bools]
+"""A part of a run, and which of the m sensors recorded in it, shape (m,)."""
+
+
+def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats, pieces: Sequence[Piece]) -> Floats:
+    """Smoothed states by filters that have settled from the beginning of each piece on, shape (samples, n).
+
+    Parameters
+    ----------
+    model : Dynamics
+    excitation : ndarray, shape (samples, 2)
+    y : ndarray, shape (samples, m)
+        Complete; its precision is that of the states.
+    start : ndarray, shape (n,)
+    pieces : sequence of Piece
+        That follow each other from the first sample to the last.
+    """
+    kind = y.dtype
+    filters = {channels.tobytes(): Steady.of(model.seen_by(channels)) for _, channels in pieces}
+    x = np.empty((len(y), len(model.A)), dtype=kind)
+    left = []
+    for part, channels in pieces:
+        # The first sample of the next piece is predicted with this one.
+        reached = slice(part.start, part.stop + 1)
+        states, e = filters[channels.tobytes()].predicted(excitation[reached], y[reached][:, channels], start)
+        length = part.stop - part.start
+        x[part], start = states[:length], states[-1]
+        left.append(e[:length])
+    r = np.zeros(len(model.A))
+    for (part, channels), e in zip(reversed(pieces), reversed(left), strict=True):
+        own = filters[channels.tobytes()]
+        pulled = e @ np.linalg.solve(own.S, own.model.H).astype(kind)
+        pulled += recursion(own.F.T, pulled[::-1], r)[::-1] @ own.F.astype(kind)
+        x[part] += pulled @ own.P.astype(kind)
+        r = pulled[0].astype(np.float64)
+    return x

@@ -10,10 +10,9 @@ for a change that can be made at K places in a share q of all files, and that es
 to within sigma (Occam's factor of the Laplace approximation).
 """
 
-import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -24,7 +23,7 @@ from cvxshear.priors import Nominal
 from cvxshear.screening import shear_fit
 from cvxshear.screening.compared_tests import by_state
 from cvxshear.screening.doubts import right_in_kg
-from cvxshear.screening.finding import Finding, doubt
+from cvxshear.screening.finding import Finding, doubt, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, REFITTED, RIVAL_COST, SUSPICIOUS, UNEXPLAINED, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.quantities import quantity
@@ -47,8 +46,10 @@ class Declared:
         Logarithms of masses and stiffnesses and their standard deviations.
     added : tuple of ndarray, shape (N,)
         Added mass of each configuration, kg.
-    name, found, change : str
-        Of the mistake, which is mended here, and what to change: parts of sentences; empty for what was declared.
+    key : str
+        Of the words for the mistake, which is mended here; empty for what was declared.
+    gaps : dict
+        What the words leave open.
     choices : int
         Among how many of its kind it is one.
     estimated : int, optional
@@ -58,9 +59,8 @@ class Declared:
     expected: Floats
     width: Floats
     added: tuple[Floats, ...]
-    name: str = ""
-    found: str = ""
-    change: str = ""
+    key: str = ""
+    gaps: Mapping[str, object] = field(default_factory=dict)
     choices: int = 0
     estimated: int | None = None
 
@@ -102,7 +102,7 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
     if best.frame.cost > UNEXPLAINED * given.cost or left > 2 * np.log(LEFT_TO_GIVEN):
         return
     named = [item for item in fitted if item.cost - best.cost < RIVAL_COST]
-    changes = [(item.declared.name, item.declared.found, item.declared.change) for item in named]
+    changes = [in_words(item.declared.key, **item.declared.gaps) for item in named]
     evidence = (
         f"with the masses as declared the nearest frame is {np.sqrt(given.frame.cost):.0f} standard deviations from "
         f"the modes, with the change {np.sqrt(best.frame.cost):.0f}"
@@ -151,37 +151,26 @@ def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: D
             turned = declared.expected.copy(), declared.width.copy()
             for old, new in zip((declared.expected, declared.width), turned, strict=True):
                 new[part] = old[part][::-1]
-            yield dataclasses.replace(
-                declared, expected=turned[0], width=turned[1], name="masses_from_top",
-                found=f"the {key} are listed from the top", change=f"list them from the lowest {place} up", choices=1,
-            )  # fmt: skip
+            gaps: dict[str, object] = {"values": key, "place": place}
+            yield replace(declared, expected=turned[0], width=turned[1], key="masses_from_top", gaps=gaps, choices=1)
     for floor in range(N if experiment.frame.floor_masses is not None else 0):
-        width = np.where(np.arange(2 * N) == floor, SLIP, declared.width)
-        yield dataclasses.replace(
-            declared, width=width, name="floor_mass", estimated=floor, choices=N,
-            found=f"floor {floor + 1} weighs {{0}} (give or take {{1:.0f}} %) where {{2}} are declared",
-            change=f"check entry {floor + 1} of floor_masses",
-        )  # fmt: skip
+        width, gaps = np.where(np.arange(2 * N) == floor, SLIP, declared.width), {"floor": floor + 1}
+        yield replace(declared, width=width, key="floor_mass", gaps=gaps, estimated=floor, choices=N)
     if len(tests) < 2 or all(np.array_equal(each, declared.added[0]) for each in declared.added):
         return
     from_top = tuple(each[::-1] for each in declared.added)
     if any(not np.array_equal(*pair) for pair in zip(from_top, declared.added, strict=True)):
-        yield dataclasses.replace(
-            declared, added=from_top, name="added_mass", choices=1,
-            found="the added masses are listed from the top", change="list added_mass from the lowest floor up",
-        )  # fmt: skip
+        yield replace(declared, added=from_top, key="added_mass/from_top", choices=1)
     loads = _loads(declared.added)
     for (test, floor), other in itertools.product(loads, range(N)):
         mass = declared.added[test].copy()
         if mass[other]:
             continue
         mass[other], mass[floor] = mass[floor], 0.0
-        name = tests[test].name
-        yield dataclasses.replace(
-            declared, added=(*declared.added[:test], mass, *declared.added[test + 1 :]), name="added_mass",
-            found=f'the {quantity(mass[other], "kg", 3)} of "{name}" lay on floor {other + 1} and not on {floor + 1}',
-            change=f'check the floors and sizes in added_mass of "{name}"', choices=len(loads) * (N - 1),
-        )  # fmt: skip
+        load = quantity(mass[other], "kg", 3)
+        gaps = {"load": load, "test": tests[test].name, "there": other + 1, "floor": floor + 1}
+        added = (*declared.added[:test], mass, *declared.added[test + 1 :])
+        yield replace(declared, added=added, key="added_mass/floor", gaps=gaps, choices=len(loads) * (N - 1))
 
 
 def _nearest(
@@ -198,19 +187,19 @@ def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence
     """Fit with each tolerance and take the best by the likelihood, as `shear_fit.distance` does for one reading."""
     fits = []
     for part in (1.0, CLOSER, FARTHER):
-        each = [dataclasses.replace(reading, part=part) for reading in readings]
+        each = [replace(reading, part=part) for reading in readings]
         near = _nearest(each, declared, stiffness, shear_fit.MOST_NEAREST_STEPS)
         fits.append((near.cost + sum(reading.certainty_lost() for reading in each), near))
         stiffness = [near.theta[len(declared.expected) // 2 :]]
     cost, near = min(fits, key=lambda item: item[0])
-    found = MassFit(declared, dataclasses.replace(near, cost=cost), cost + declared.prior_cost)
+    found = MassFit(declared, replace(near, cost=cost), cost + declared.prior_cost)
     floor = declared.estimated
     if floor is None or near.at is None:
         return found
     std = float(np.sqrt(np.linalg.pinv(near.at.J.T @ near.at.J)[floor, floor]))
     value, said = (quantity(float(np.exp(each[floor])), "kg", 3) for each in (near.theta, declared.expected))
-    named = dataclasses.replace(declared, found=declared.found.format(value, 100 * std, said))
-    return dataclasses.replace(found, declared=named, cost=found.cost + 2 * np.log(declared.width[floor] / std))
+    named = replace(declared, gaps={**declared.gaps, "value": value, "percent": 100 * std, "said": said})
+    return replace(found, declared=named, cost=found.cost + 2 * np.log(declared.width[floor] / std))
 
 
 CONTRADICTION = 4.0
@@ -273,7 +262,7 @@ def total_mass(experiment: Experiment) -> Iterator[Finding]:
         alone = load is None or min(cost for cost, _ in loads) < frame.cost - RIVAL_COST
         unit_too = "" if alone else f", or with all of them in {load}"
         found = doubt("added_mass/size", **sizes, loads=" or ".join(said for _, said in loads), either=unit_too)
-        yield dataclasses.replace(found, rivals=("total_mass",))
+        yield replace(found, rivals=("total_mass",))
     elif load is not None and (heavy or unit is None):
         weight = "floors of that weight suit the story heights, so " if heavy else ""
         yield doubt("added_mass", **sizes, weight=weight, load=load)

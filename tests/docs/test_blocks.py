@@ -59,17 +59,33 @@ def script_calls(page: Path) -> dict[str, str]:
     return found
 
 
+def measured(page: Path) -> bool:
+    """Whether a page tells of measured frames: these take as long as all others, and are run by a process of their own.
+
+    Which tests are of them shows in their names, see `tests/conftest.py`.
+    """
+    return page.parent.name == "measured"
+
+
+def place_of(name: str) -> str:
+    """Name a script by the first page that runs it."""
+    return " ".join([*[name_of(page) for page in RUN if name in script_calls(page)][:1], name])
+
+
 @functools.cache
-def results():
-    """What each page printed, and what each script printed, all run by one process."""
-    (Path(os.environ[runner.KEPT_IN]) / f"pages run by {os.getpid()}").touch()
+def results(of_measured: bool):
+    """What each of these pages printed, and what each script printed, all run by one process."""
+    (Path(os.environ[runner.KEPT_IN]) / f"pages {of_measured} run by {os.getpid()}").touch()
     with tempfile.TemporaryDirectory() as folder:
-        # Scripts that no page runs stand on a page of their own.
-        rest = Path(folder) / "rest.md"
-        left = sorted(set(SHOWN).difference(*map(script_calls, RUN)))
-        rest.write_text("\n".join(f"```console\n$ python examples/{name}.py\n```" for name in left))
+        pages = [page for page in RUN if measured(page) == of_measured]
+        if not of_measured:
+            # Scripts that no page runs stand on a page of their own.
+            rest = Path(folder) / "rest.md"
+            left = sorted(set(SHOWN).difference(*map(script_calls, RUN)))
+            rest.write_text("\n".join(f"```console\n$ python examples/{name}.py\n```" for name in left))
+            pages.append(rest)
         # Pages that register a part of their own come last: it takes part in every loop after it.
-        pages = sorted([*RUN, rest], key=lambda page: "register(" in page.read_text())
+        pages.sort(key=lambda page: "register(" in page.read_text())
         found = subprocess.run(
             [sys.executable, "-W", "error", runner.__file__, str(EXAMPLES), *map(str, pages)],
             capture_output=True,
@@ -86,6 +102,11 @@ def results():
             for name, key in script_calls(page).items()
         }
     return printed, scripts
+
+
+def said_by(name: str) -> str:
+    """What a script printed."""
+    return results("docs/measured/" in place_of(name))[1][name]
 
 
 def name_of(page: Path) -> str:
@@ -132,7 +153,7 @@ def shown_outputs(page: Path) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("page", RUN, ids=name_of)
 def test_every_block_of_the_page_runs(page):
-    printed = results()[0][str(page)]
+    printed = results(measured(page))[0][str(page)]
     assert "error" not in printed, printed["error"]
     if any(block.lacks_data for block in blocks(page.read_text())):
         pytest.skip(f"measured data beside the project (CVXSHEAR_SHARED): the blocks of {name_of(page)} read them")
@@ -140,32 +161,33 @@ def test_every_block_of_the_page_runs(page):
 
 @pytest.mark.parametrize("page", [page for page in RUN if shown_outputs(page)], ids=name_of)
 def test_the_page_shows_what_is_printed(page):
-    printed = results()[0][str(page)]
+    printed = results(measured(page))[0][str(page)]
     for key, shown in shown_outputs(page):
         assert key in printed, f"{name_of(page)}: the block at line {key} was not run"
         assert not missing(shown, printed[key]), f"line {key} prints\n{printed[key]}"
 
 
-def test_the_pages_are_run_once():
+@pytest.mark.parametrize("of_measured", [False, True], ids=["the others", "docs/measured/"])
+def test_the_pages_are_run_once(of_measured):
     """Over several processes tests that share something must stay in one of them, see `tests/conftest.py`."""
-    results()
-    names = [path.name for path in Path(os.environ[runner.KEPT_IN]).glob("pages run by *")]
-    assert names == [f"pages run by {os.getpid()}"]
+    results(of_measured)
+    names = [path.name for path in Path(os.environ[runner.KEPT_IN]).glob(f"pages {of_measured} run by *")]
+    assert names == [f"pages {of_measured} run by {os.getpid()}"]
 
 
 def test_every_script_has_its_expectation():
     assert {path.stem for path in EXAMPLES.glob("*.py")} == set(SHOWN)
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", SHOWN, ids=place_of)
 def test_a_script_shows_what_it_says(name):
-    said = results()[1][name]
+    said = said_by(name)
     assert re.search(SHOWN[name], said), said
 
 
 def test_the_hammer_finds_the_frame_within_what_it_states():
     """Every mass and stiffness within two standard deviations of the frame that was hit, and those below 1 %."""
-    found = re.findall(r"(\S+) ± (\S+) (?:kg|N/m)", results()[1]["modes_from_hammer"])
+    found = re.findall(r"(\S+) ± (\S+) (?:kg|N/m)", said_by("modes_from_hammer"))
     values, stds = np.array(found, dtype=float).T
     truth = np.concatenate([PAPER_FRAME.masses, PAPER_FRAME.stiffnesses])
     assert np.all(np.abs(values - truth) < 2 * stds)

@@ -298,7 +298,7 @@ def test_a_device_is_written_to_whatever_it_is_called(folder, capsys, place):
 
 def test_reconstruct_writes_all_it_is_asked_for(folder, capsys):
     """Floors 1 and 3 carry sensors, one of them with a gap."""
-    text = (folder / "shaken.csv").read_text().splitlines()
+    text = (folder / "shaken.csv").read_text().splitlines()[:1001]
     cells = text[700].split(",")
     text[700] = ",".join([*cells[:2], "nan", *cells[3:]])
     (folder / "shaken.csv").write_text("\n".join(text) + "\n")

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cvxshear.response.frame_fit import LEAST_WEIGHT, _Linear, possible_answers
+from cvxshear.response.frame_answers import LEAST_WEIGHT, Linear, possible_answers
+from cvxshear.response.frame_prior import FORM_STDS, GAIN_STDS, MASS_STDS, SCATTER_STDS, Gaussian
 from cvxshear.response.innovations import Likelihood
-from cvxshear.response.varied_frame import FORM_STDS, GAIN_STDS, MASS_STDS, SCATTER_STDS, Gaussian
 
 STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07
 SINGLE, OFF, PROBABILITY_OFF = np.array([0, 1, 2, 4]), 0.8, 0.04
 """Three stories and one gain, the last of five unknowns."""
+EITHER = np.zeros(3, dtype=bool)
+"""Unknowns that may have either sign."""
 
 
 def drawn(seed, inflation=1.7):
@@ -41,17 +43,27 @@ def log_density(at, p, prior):
 @pytest.mark.parametrize("seed", range(3))
 def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
     (at, p), prior = drawn(seed), gaussian((), 0.03)
-    linear, freed = _Linear(at, p, prior), gaussian((0, 2), 0.03)
-    alone, both = linear.evidence(CHANGE * np.eye(5, 3)).of([(), (0, 2)])
+    linear, freed = Linear(at, p, prior), gaussian((0, 2), 0.03)
+    alone, both = linear.evidence(CHANGE * np.eye(5, 3)).of([(), (0, 2)], EITHER)
     assert both - alone == pytest.approx(log_density(at, p, freed) - log_density(at, p, prior))
     other = gaussian((), 0.1)
-    (found,) = _Linear(at, p, other).evidence(CHANGE * np.eye(5, 3)).of([()])
+    (found,) = Linear(at, p, other).evidence(CHANGE * np.eye(5, 3)).of([()], EITHER)
     assert found - alone == pytest.approx(log_density(at, p, other) - log_density(at, p, prior) - 30.0 * (0.1 - 0.03))
     mean, covariance = linear.posterior()
     expected = np.linalg.inv(np.linalg.inv(prior.covariance) + at.U.T @ at.U / at.inflation)
     np.testing.assert_allclose(covariance, expected, atol=1e-10)
     seen = at.U @ (p - prior.mean) - at.c
     np.testing.assert_allclose(mean, prior.mean + expected @ at.U.T @ seen / at.inflation, atol=1e-9)
+
+
+def test_what_is_positive_has_no_evidence_where_it_would_be_negative():
+    """One unknown of each sign, seen directly: along a column that must be positive the negative one is left out."""
+    at = Likelihood(np.eye(2), np.array([-2.0, 2.0]), 1.0)
+    linear = Linear(at, np.zeros(2), Gaussian(np.zeros(2), 0.01 * np.eye(2), 0.0))
+    sets = [(), (0,), (1,), (0, 1)]
+    either, positive = (linear.evidence(np.eye(2)).of(sets, np.array([side, side])) for side in (False, True))
+    assert np.isfinite(positive).tolist() == [True, True, False, False]
+    np.testing.assert_array_equal(positive[:2], either[:2])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -62,7 +74,7 @@ def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths
     log_odds = np.log(chance / (1 - chance))
     prior = SimpleNamespace(
         single=SINGLE, single_std=np.array([CHANGE] * STORIES + [OFF]), log_odds=log_odds, gaussian=gaussian,
-        mass_stds=MASS_STDS, gain_stds=GAIN_STDS,
+        mass_stds=MASS_STDS, gain_stds=GAIN_STDS, one_sided=np.zeros(len(SINGLE), dtype=bool),
     )  # fmt: skip
     found = possible_answers(at, prior, p)
     logs = {

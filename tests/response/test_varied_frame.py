@@ -12,20 +12,21 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import ExpectedEffect
-from cvxshear.response import DampedModel, Fitted
-from cvxshear.response import varied_frame as module
+from cvxshear.response import DampedModel, Fitted, varied_frame
+from cvxshear.response import frame_prior as module
 from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion
+from cvxshear.response.frame_prior import FramePrior, ModalRows
 from cvxshear.response.smoother import Steady
 from cvxshear.response.uncertain import Damped, UncertainFrame
-from cvxshear.response.varied_frame import FramePrior, ModalRows, VariedFrame
+from cvxshear.response.varied_frame import VariedFrame
 from tests.frames import chain
 from tests.response.common import damped_frame, declared, matrices, pole_ratios
 
-SIZES = (3, 2, 3, 4)
-"""Stories, damping factors, directions of masses and effects with a gain as the last, errors of the form."""
+SIZES = (3, 3, 3, 4)
+"""Stories, damping factors with a dashpot as the last, directions of masses and effects with a gain, errors of form."""
 
 
-@pytest.mark.parametrize("changed", [(), (1,), (0, 2), (1, 3)])
+@pytest.mark.parametrize("changed", [(), (1,), (0, 2), (1, 3), (1, 4)])
 @pytest.mark.parametrize("same", [False, True])
 @pytest.mark.parametrize("mass_std", [0.0, 0.05])
 def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, same, mass_std):
@@ -35,24 +36,26 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
     own, share = np.array([0.3, 0.2]), np.array([0.02, 0.05, np.inf])
     measured = ModalRows(20.0 * rng.standard_normal((7, 10)), rng.standard_normal(7))
     measured.J[:, 5] = 0.0
-    heavier = rng.standard_normal((12, 3))
+    heavier = rng.standard_normal((13, 3))
     prior = FramePrior(
-        root @ root.T, 0.4, 0.05, 0.1, 0.02, own, SIZES, share, heavier, slice(7, 8), 2, measured
+        root @ root.T, 0.4, 0.05, 0.1, 0.02, own, SIZES, share, heavier, slice(8, 9), slice(5, 6), 2, measured
     )  # fmt: skip
     form_std, scatter = 0.03, 0.003
     found = prior.gaussian(changed, form_std, scatter, mass_std, 0.01, same=same)
 
     # Gains count in percent: 1 % of each, and 5 % besides of one that is off.
-    off = 5.0 if 3 in changed and not same else 0.0
+    off = 5.0 if 4 in changed and not same else 0.0
     nuisances = np.array([*np.sqrt(1.0 + form_std**2 / share[:2] ** 2 / 2), np.hypot(1.0, off)])
     shift = 0.0 if same else 1.0
     story = [
         root, shift * 0.15 * np.ones((3, 1)), shift * scatter * np.eye(3),
         shift * 0.4 * np.eye(3)[:, [story for story in changed if story < 3]],
     ]  # fmt: skip
-    damping = [np.diag(own), shift * 0.5 * np.ones((2, 1))]
+    # Each ratio by itself, all together, and a dashpot that is there or not.
+    damping = [np.diag(np.hypot(own, shift * 0.3)), shift * 0.5 * np.ones((2, 1))]
+    dashpot = np.array([[np.hypot(1e-3, shift * (1.0 if 3 in changed else 0.0))]])
     rest = np.diag([*nuisances, *np.full(4, form_std)])
-    unknowns = linalg.block_diag(np.hstack(story), np.hstack(damping), rest, np.eye(2))
+    unknowns = linalg.block_diag(np.hstack(story), np.hstack(damping), dashpot, rest, np.eye(2))
     tested = linalg.block_diag(root, rest)
     width = unknowns.shape[1] - 3 - 7 - 2
     numbers = np.hstack([tested[:, :3], np.zeros((10, width)), tested[:, 3:], np.zeros((10, 2))])
@@ -60,7 +63,7 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
     posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
     np.testing.assert_allclose(found.mean, unknowns @ posterior @ seen.T @ measured.data, atol=1e-12)
     covariance = unknowns @ posterior @ unknowns.T
-    covariance[:12, :12] += (0.0 if same else mass_std**2) * heavier @ heavier.T
+    covariance[:13, :13] += (0.0 if same else mass_std**2) * heavier @ heavier.T
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-12)
     density = stats.multivariate_normal.logpdf(measured.data, np.zeros(7), np.eye(7) + seen @ seen.T)
     assert found.evidence == pytest.approx(density + 3.5 * np.log(2 * np.pi), rel=1e-9)
@@ -91,7 +94,8 @@ def varied(kind, **more):
     none = {name: np.zeros((directions, 3, 3)[: 3 if name != "dgain" else 2]) for name in ("dM", "dK", "dgain")}
     frame = VariedFrame(
         damped, stiffness, ratios, np.ones(2 if kind == "rayleigh" else 3), form=np.zeros((0, 3, 3)),
-        log_gain=np.zeros((directions, 4)), dbracket=np.zeros((directions, 3)), gains=0, **none,
+        log_gain=np.zeros((directions, 4)), dbracket=np.zeros((directions, 3)), gains=0,
+        measured=np.array([True, True, False]), dashpot=np.zeros(0), **none,
     )  # fmt: skip
     return replace(frame, **more)
 
@@ -119,6 +123,32 @@ def test_factors_and_directions_change_what_they_say(kind):
         expected = found.C
         np.testing.assert_allclose(pole_ratios(found.M, found.C, found.K), ratios * np.exp(damping))
     np.testing.assert_allclose(found.C, expected)
+
+
+@pytest.mark.parametrize("kind", ["story", "rayleigh", "modal"])
+def test_a_dashpot_of_one_story_couples_the_modes(kind):
+    """Its matrix is added; modal damping gives up what the measured ratios have of it, but never all."""
+    damped, _, ratios = centre(kind)
+    M, K = damped.model.M, damped.model.K
+    frame = varied(kind, dashpot=np.array([20.0, 30.0, 40.0]))
+    assert frame.dashpots == slice(3 + len(frame.own_std), 3 + frame.sizes[1])
+    unknowns = np.zeros(sum(frame.sizes))
+    without = frame.model(unknowns).C
+    unknowns[frame.dashpots] = [0.0, 0.5, 0.0]
+    own = chain(np.ones(3), np.array([0.0, 15.0, 0.0]))[1]
+    left = frame.model(unknowns).C - own
+    if kind != "modal":
+        np.testing.assert_allclose(left, without)
+        return
+    squares, shapes = linalg.eigh(K, M)
+    given = np.diag(shapes.T @ own @ shapes) / (2 * np.sqrt(squares) * ratios)
+    beside = shapes.T @ left @ shapes
+    np.testing.assert_allclose(beside, np.diag(np.diag(beside)), atol=1e-12)
+    part = np.diag(beside) / (2 * np.sqrt(squares) * ratios)
+    # Of f^2 = (1 - s) f + s / 100, which is 1 without a dashpot; the third ratio was not measured.
+    given[2] = 0.0
+    np.testing.assert_allclose(part**2, (1 - given) * part + 0.01 * given)
+    assert np.all((part[:2] > 0) & (part[:2] < 1))
 
 
 @pytest.mark.parametrize("kind", ["story", "modal"])
@@ -164,7 +194,7 @@ def test_errors_of_the_form_couple_the_modes_they_name():
     """Between mass-normalized modes e_ij omega_i omega_j, and of a mode beyond the measured ones more."""
     mass, stiffness, dashpots = damped_frame(8)
     M, C, K = matrices(mass, stiffness, dashpots)
-    form = module._form(DampedModel(M, C, K, np.ones(8)), 6)
+    form = varied_frame._form(DampedModel(M, C, K, np.ones(8)), 6)
     squares, shapes = linalg.eigh(K, M)
     between = shapes.T @ form @ shapes / np.sqrt(np.outer(squares, squares))
     expected = []

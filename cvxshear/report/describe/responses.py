@@ -9,6 +9,7 @@ from cvxshear.report.describe.consequences import MODELS
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows, table
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
+from cvxshear.response.peaks import RESPONSES
 from cvxshear.response.reconstruction import SIGN_KNOWN, UNSETTLED
 from cvxshear.util.quantities import (
     AUTOMATIC,
@@ -31,14 +32,6 @@ LEAST_MISSED = 0.0005
 
 CERTAINLY_PASSED = 0.95
 """Probability from which on a limit counts as passed, and below whose complement as not."""
-
-PEAKS = (
-    ("floor_acceleration", "acceleration", "m/s²"),
-    ("floor_displacement", "displacement", "m"),
-    ("story_drift", "drift", "m"),
-    ("story_shear", "shear", "N"),
-)
-"""Quantities with a value a floor or story, their words and units."""
 
 
 @describe.register
@@ -115,10 +108,11 @@ def peaks(found: Peaks) -> Iterator[Sentence | Table]:
     """Largest values at every floor and story, the top first, and the moment; drift ratios stand in another table."""
     values, std = found.values, found.std
     columns = {"floor / story": [str(floor) for floor in range(1, len(values["story_drift"]) + 1)]}
-    for name, word, unit in PEAKS:
-        if name in values:
-            factor, prefixed = (1e-3, "mm") if unit == "m" else scaled(values[name].tolist(), unit)
-            columns[f"{word}, {prefixed}"] = _each_with_std(found, name, factor)
+    for name, quantity in RESPONSES.items():
+        if name in values and quantity.unit and not quantity.single:
+            lengths = quantity.unit == "m"
+            factor, prefixed = (1e-3, "mm") if lengths else scaled(values[name].tolist(), quantity.unit)
+            columns[f"{quantity.word}, {prefixed}"] = _each_with_std(found, name, factor)
     yield table("prediction-peaks", "peaks ± standard deviation", columns, top_first=True)
     if "overturning_moment" in values:
         moment = with_std(float(values["overturning_moment"][0]), float(std["overturning_moment"][0]), "N m")
@@ -227,6 +221,11 @@ def _findings(result: Reconstruction) -> Iterator[str]:
         yield f"no single story changed{average}"
     elif result.frame_fitted and not result.undetermined:
         yield "what changed since the tests cannot be told"
+    for story in result.dampers:
+        damper, deviation = (float(each[story - 1]) for each in result.frame.dashpots)
+        how_large = f" of {with_std(damper, deviation, 'N s/m')}" if result.fitted.mass_known else ""
+        probable = chance(float(result.frame.dashpot_probability[story - 1]))
+        yield f"story {story} damps by itself, as a damper{how_large} would ({probable} probable)"
     if result.masses_changed:
         sizes = [
             f"floor {floor} by {100 * change:+.0f} ± {100 * std:.0f} %"
@@ -301,7 +300,7 @@ def whiteness(result: Reconstruction) -> Table:
         "innovations / stated": [f"{each.size:.2f}" for each in result.whiteness],
         "largest correlation": [f"{each.correlation:+.2f}" for each in result.whiteness],
         "at lag, s": [significant(each.lag, 3) for each in result.whiteness],
-        "p (white)": [probability(each.p_value) for each in result.whiteness],
+        "white": [f"no, p {probability(each.p_value)}" if each.coloured else "yes" for each in result.whiteness],
         "spikes": [str(each.spikes) for each in result.whiteness],
         "missing": [str(each.missing) for each in result.whiteness],
     }, top_first=True)  # fmt: skip

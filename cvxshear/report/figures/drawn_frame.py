@@ -111,10 +111,12 @@ def _findings_caption(result: Closure) -> str:
     more = f" Of {tested} states {shown} are drawn, those of which most is sure." if 1 < shown < tested else ""
     marks = "Orange: what was found, with its size and probability; dashed: what may be there in its place."
     numbers = "Floor masses without added mass and story stiffnesses are averages over all sets of effects."
+    measured = any(len(each.measured_floors) for each in result.experiment.configurations)
+    sensors = " Triangles: floors with a sensor." if measured else ""
     heights = "equal stories, as no heights are declared" if result.experiment.frame.elevations is None else "to scale"
     return (
         f"The frame, {heights}; a slab is the thicker the heavier its floor, a column the wider the stiffer its "
-        f"story. {marks if result.effects else numbers} Triangles: floors with a sensor.{more}"
+        f"story. {marks if result.effects else numbers}{sensors}{more}"
     )
 
 

@@ -15,6 +15,7 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, new_figure, page_width, panels
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
+from cvxshear.response.peaks import RESPONSES
 from cvxshear.util.quantities import listed, scaled, with_std
 from cvxshear.util.typing import Floats, Ints
 
@@ -24,11 +25,8 @@ MOST_FLOORS = 4
 PERIODS = 16
 """Periods of the first mode that a time history shows; more would be a smear."""
 
-PROFILES = (
-    ("floor_acceleration", "acceleration", "m/s²"), ("story_drift", "story drift", "mm"),
-    ("story_shear", "story shear", "N"),
-)  # fmt: skip
-"""Peaks that are drawn over the height, with their words and units."""
+PROFILES = ("floor_acceleration", "story_drift", "story_shear")
+"""Peaks that are drawn over the height."""
 
 SIDES = 1.96
 """Standard deviations of a 95 % band."""
@@ -141,18 +139,18 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
 )
 def response_peaks(result: RecordPrediction) -> Figure:
     """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars."""
-    shown = [each for each in PROFILES if each[0] in result.peaks.values]
+    shown = [each for each in PROFILES if each in result.peaks.values]
     n = len(result.after.damped.model.M)
     columns = 1 if style.narrow_page() else len(shown)
     figure = new_figure(page_width(), min(1.6 + 0.32 * n, 6.0) * len(shown) / columns)
     every = panels(figure, len(shown), columns, sharey=True)
-    for axes, (name, word, unit) in zip(every, shown, strict=True):
-        values, std = result.peaks.values[name], result.peaks.std[name]
-        factor, label = (1e-3, unit) if unit == "mm" else scaled(values.tolist(), unit)
+    for axes, name in zip(every, shown, strict=True):
+        values, std, unit = result.peaks.values[name], result.peaks.std[name], RESPONSES[name].unit
+        factor, label = (1e-3, "mm") if unit == "m" else scaled(values.tolist(), unit)
         _profile(axes, values / factor, std / factor)
         if name == "floor_acceleration":
             _measured_peaks(axes, result)
-        axes.set_xlabel(f"{word}, {label}")
+        axes.set_xlabel(f"{RESPONSES[name].word}, {label}")
         axes.set_xlim(left=0)
         axes.grid(visible=True, axis="x")
     for axes in every[::columns]:
