@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, linalg
 
 from cvxshear.response.damped import poles
-from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion, settled_covariance
+from cvxshear.response.dynamics import Noise, Setting, _van_loan, dynamics, recursion, settled_covariance
 from tests.frames import chain
 from tests.response.common import straight
 
@@ -137,3 +137,14 @@ def test_the_poles_add_up_to_the_flexibility(slower):
     each = found.shapes[:, None, :] * found.shapes[None, :, :] / (-found.scales * found.values)
     flexibility = np.sum(found.weights * each.real, axis=2)
     np.testing.assert_allclose(flexibility, slower**2 * np.linalg.inv(of.K), rtol=1e-8)
+
+
+@pytest.mark.parametrize("fastest", [30.0, 3000.0, 3e5])
+def test_the_noise_of_a_step_in_which_a_mode_dies_away_is_what_is_missing_to_its_stationary_covariance(fastest):
+    """Q = P - A P A' of the stationary P, from scipy's Lyapunov equation: decays of up to 3,000 over a step."""
+    rates = np.array([[0.0, 1.0, 0.0], [-400.0, -fastest, 50.0], [0.0, 0.0, -8.0]])
+    A, Q = _van_loan(rates, np.array([0.0, 0.0, 3.0]), 0.01)
+    np.testing.assert_allclose(A, linalg.expm(0.01 * rates), rtol=1e-9, atol=1e-14)
+    P = linalg.solve_continuous_lyapunov(rates, -np.diag([0.0, 0.0, 3.0]))
+    np.testing.assert_allclose(Q, P - A @ P @ A.T, rtol=1e-6, atol=1e-12 * np.max(P))
+    assert np.min(linalg.eigvalsh(Q)) > -1e-15 * np.max(Q)

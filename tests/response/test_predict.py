@@ -127,9 +127,10 @@ def test_a_changed_frame_is_told(frame):
     softer = DampedModel(truth.M, truth.C, 0.9 * truth.K, truth.gain)
     found = predict(estimate, recorded(softer, samples=20_000))
     shifts = found.after.comparison.shifts
-    assert 1 in [shift.mode for shift in shifts]
-    first = shifts[0]
-    assert first.measured / first.modelled == pytest.approx(np.sqrt(0.9), abs=0.01)
+    # The second moved as much as the first, and is named beside it.
+    assert {1, 2} <= {shift.mode for shift in shifts}
+    for shift in shifts:
+        assert shift.measured / shift.modelled == pytest.approx(np.sqrt(0.9), abs=0.01)
     (said,) = [remark for remark in found.remarks if "depend on the amplitude, or the frame has changed" in remark]
     # Of the first mode, in percent: sqrt(0.9) - 1.
     assert float(said.partition("Hz (")[2].partition(" %")[0]) == pytest.approx(-5.1, abs=1.0)
