@@ -1,9 +1,11 @@
 """Causes that no effect of the catalogue is, what no datum tells, priors that are wrong, residuals nothing explains."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import tomli_w
 from scipy import integrate, stats
 
 from cvxshear import Experiment, InputError, backends, close_loop
@@ -612,6 +614,18 @@ def test_a_pile_of_causes_is_less_probable_than_one_that_nobody_thought_of(tank_
     assert all(item.probability < 0.05 for item in piled)
     assert found.verdict == "ambiguous"
     assert "less probable than one that nobody thought of" in " ".join(str(found).split())
+
+
+def test_a_tank_whose_damping_nobody_measured_leaves_the_verdict_standing(tank_after, run, tmp_path):
+    """The tests declare damping ratios; a frame with a tank has one damping that none of them is."""
+    mass, _, tables = tank_after
+    after = tables[1] | {"damping_ratios": [0.01] * N}
+    path, out = tmp_path / "tank.toml", tmp_path / "out.json"
+    path.write_text(tomli_w.dumps({"frame": {"total_mass": float(mass.sum())}, "configuration": [after]}))
+    status, _, _ = run("loop", path, "--effects", "attached_mass", "--json", out)
+    found = json.loads(out.read_text())
+    assert (status, [item["name"] for item in found["effects"]], found["damping"]) == (0, ["attached_mass"], None)
+    assert any("nothing measured the damping of a mass that is attached" in said for said in found["information"])
 
 
 @pytest.mark.parametrize("frequency", [25.0, 40.0])

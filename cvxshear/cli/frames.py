@@ -170,10 +170,16 @@ def loop(
         doubts = refuse_mistakes(experiment, weighed)
         result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
         models = models_of_loop(result)
-        damping = damping_of(experiment, models.after, backend)
-        tried = None if validate is None else predict(models, validate, backend)
+        damping, tried, without = None, None, ""
+        try:
+            damping = damping_of(experiment, models.after, backend)
+            tried = None if validate is None else predict(models, validate, backend)
+        except UnsuitableError as error:
+            # The verdict stands without what the frame would do.
+            without = f"without its damping and response: {error}"
     said = {
         **result.to_dict(),
+        "information": [*result.information, *filter(None, [without])],
         "warnings": as_json(doubts),
         **records_in_json(found),
         "damping": as_json(damping),
@@ -186,6 +192,7 @@ def loop(
         page = partial(render, result, as_typed(), units=display, prediction=tried, heading=heading)
         files.append(lambda: write_file(report, page()))
     beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
+    beside = [*beside, *filter(None, [without])]
     deliver(
         said,
         out,

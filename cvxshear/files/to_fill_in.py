@@ -20,7 +20,7 @@ from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns, read_modes_of
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
-from cvxshear.records.stamps import TIME_UNITS, sampling_rate_of
+from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
@@ -145,9 +145,6 @@ NUMBER = re.compile(r"\d+")
 ASCENDING = 0.99
 """Share of the steps of a column of time that are not negative; a handful may be torn."""
 
-EVEN = 0.01
-"""Share of the usual step by which steps of a column of time without a name may differ."""
-
 
 @dataclass(frozen=True)
 class Guess:
@@ -269,7 +266,8 @@ def _time_column(columns: Columns) -> str | None:
             continue
         usual = np.median(steps)
         # Steps of 1 count the samples.
-        if name in called or (usual > 0 and usual != 1.0 and np.mean(np.abs(steps - usual) < EVEN * usual) > ASCENDING):
+        even = np.mean(np.abs(steps - usual) < UNEVEN_STEP * usual) > ASCENDING
+        if name in called or (usual > 0 and usual != 1.0 and even):
             return name
     return None
 
@@ -300,7 +298,7 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
     except InputError:
         steps = np.diff(values[np.isfinite(values)])
         usual = np.median(steps)
-        others = counted(int(np.count_nonzero(np.abs(steps - usual) > EVEN * usual)), "other step")
+        others = counted(int(np.count_nonzero(np.abs(steps - usual) > UNEVEN_STEP * usual)), "other step")
         return f"{line}  # GUESSED: mostly steps of {usual:.4g} s, and {others}; gaps part a record into runs{more}"
 
 

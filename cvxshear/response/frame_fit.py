@@ -23,7 +23,7 @@ from cvxshear.response.fitted_frame import FittedFrame
 from cvxshear.response.frame_answers import Answer, Linear, possible_answers
 from cvxshear.response.frame_prior import FORM_STDS, GAIN_STDS, MASS_STDS, NOISE_STD, SCATTER_STDS, FramePrior, Gaussian
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
 """Samples of each run, the strongest stretch of that length, that the frame is fitted to first and at last. More would
@@ -99,17 +99,30 @@ class _Posterior:
         return _Point(self, theta)
 
     def maximum(
-        self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED
+        self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED, still: Ints | None = None
     ) -> tuple[_Point, bool]:
-        """Find the most probable point from p on, and whether it was reached within so many steps."""
-        bounds = Constraints(lower=self.errors.lower(form_std), upper=self.errors.upper)
+        """Find the most probable point from p on, and whether it was reached within so many steps.
+
+        Unknowns that are still stay at their lower bounds.
+        """
+        lower, upper = self.errors.lower(form_std), self.errors.upper.copy()
+        if still is not None:
+            upper[still] = lower[still]
+            p = np.minimum(p, upper)
+        bounds = Constraints(lower=lower, upper=upper)
         domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
         found = gauss_newton(self, p, domain, backend, Accuracy(near, steps))
         return found.at, found.converged
 
 
 def fit_frame(
-    errors: PredictionErrors, prior: FramePrior, backend: Backend, start: Floats | None = None, *, free: bool = True
+    errors: PredictionErrors,
+    prior: FramePrior,
+    backend: Backend,
+    start: Floats | None = None,
+    *,
+    free: bool = True,
+    dashpots: bool = True,
 ) -> FittedFrame:
     """Fit the frame to the innovations.
 
@@ -123,6 +136,8 @@ def fit_frame(
         Where an earlier fit ended; without it a rough fit to a short part goes before.
     free : bool, optional
         Whether the frame is fitted; otherwise only the noise is.
+    dashpots : bool, optional
+        Whether the rough fit has a dashpot in every story.
     """
     p = np.zeros(errors.size) if start is None else start
     answer = Answer((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], GAIN_STDS[0], 1.0)
@@ -142,7 +157,8 @@ def fit_frame(
             informative(errors, prior, p, FIRST_INFORMATION),
             prior.widest,
         )
-        p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED)[0].p
+        idle = prior.idle_dashpots(range(len(prior.single)) if dashpots else ())
+        p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED, idle)[0].p
     along, inflation = informative(errors, prior, p), 1.0
     # From the prior of another answer, or far from that of the right one, the fit would move masses or their scale in
     # place of a changed story, and hardly find back: base motion does not tell that scale.
@@ -153,7 +169,8 @@ def fit_frame(
     p = nearer if errors.stable(nearer) else p
     for _ in range(MOST_DECISIONS):
         posterior = _Posterior(errors, along, prior.gaussian(*answer.prior), inflation)
-        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std)
+        idle = prior.idle_dashpots(answer.changed)
+        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std, still=idle)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
         if answer.prior == before.prior and at.likelihood.inflation <= GROWN_INFLATION * inflation:
@@ -165,11 +182,16 @@ def fit_frame(
         # Masses and gains that leave the record as unlike a linear frame's as this take up what is none of theirs.
         return fit_frame(errors, prior.linear_alone, backend, start)
     found = _mixed(errors, prior, at, answers, converged)
-    if converged or start is not None:
+    if converged or start is not None or not dashpots:
         return found
-    # From the frame as it was identified the way may be another.
-    again = fit_frame(errors, prior, backend, np.zeros(errors.size))
-    return again if again.converged or again.log_evidence > found.log_evidence else found
+    # From the frame as it was identified the way may be another, and without dashpots that all begin at once.
+    for begin, with_dashpots in ((np.zeros(errors.size), True), (None, False)):
+        other = fit_frame(errors, prior, backend, begin, dashpots=with_dashpots)
+        if other.converged or other.log_evidence > found.log_evidence:
+            found = other
+        if found.converged:
+            break
+    return found
 
 
 def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
@@ -209,7 +231,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
     along = frame.along.without(gone)
     best = frame.answers[0]
     posterior = _Posterior(errors, along, prior.gaussian(*best.prior), frame.inflation)
-    at, converged = posterior.maximum(start, backend, steps, best.form_std)
+    at, converged = posterior.maximum(start, backend, steps, best.form_std, still=prior.idle_dashpots(best.changed))
     return _mixed(errors, prior, at, frame.answers, converged)
 
 

@@ -211,6 +211,11 @@ class FramePrior:
         """Which of them are positive: dashpots, shape (N + S + G,)."""
         return self._of_single(0.0, 1.0, 0.0) > 0
 
+    def idle_dashpots(self, changed: Sequence[int]) -> Ints:
+        """Which unknowns are dashpots that are not there where these singles, and no others, changed."""
+        every = np.arange(self.dashpots.start, self.dashpots.stop)
+        return np.setdiff1d(every, self.single[list(changed)])
+
     @property
     def mass_stds(self) -> tuple[float, ...]:
         """What floor masses may have changed by since the tests."""

@@ -164,10 +164,15 @@ class Reconstruction(Shown):
 
     @property
     def dampers(self) -> tuple[int, ...]:
-        """Stories (from 1) in which something damps by itself, with a probability of at least `NAMED_CHANGE`."""
+        """Stories (from 1) in which something damps by itself, with a probability of at least `NAMED_CHANGE`.
+
+        Only those whose damper is more than its deviations.
+        """
         if not self.names_changes:
             return ()
-        return tuple(int(j) + 1 for j in np.flatnonzero(self.frame.dashpot_probability >= NAMED_CHANGE))
+        damper, std = self.frame.dashpots
+        there = (self.frame.dashpot_probability >= NAMED_CHANGE) & (damper > SIGN_KNOWN * std)
+        return tuple(int(j) + 1 for j in np.flatnonzero(there))
 
     @property
     def missed_most(self) -> tuple[int, ...]:

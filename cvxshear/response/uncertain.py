@@ -162,8 +162,8 @@ class UncertainFrame:
         M, K = state.system.M, state.system.K
         if len(M) > experiment.stories:
             raise UnsuitableError(
-                "nothing measured the damping of a mass that is attached to a floor: the response of a frame with one "
-                "is not computed; leave that effect out"
+                "nothing measured the damping of a mass that is attached to a floor, so that the response of a frame "
+                "with one is not known"
             )
         dashpots, factors = None, None
         if self.kind == "modal":

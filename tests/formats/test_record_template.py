@@ -158,6 +158,22 @@ def test_a_date_and_a_time_in_a_workbook(values, run, tmp_path):
     check(begun(run, tmp_path, "a.xlsx")[1], values)
 
 
+@pytest.mark.parametrize(("header", "form"), [("time_s", "{:.4g}"), ("T_ms", "{:.4g}"), ("stamp no", "{:.4g}")])
+def test_a_column_of_time_with_few_digits(header, form, values, run, tmp_path):
+    """Stamps with four significant digits, as a logger's printf leaves them."""
+    factor = 1e3 if header == "T_ms" else 1.0
+    stamps = [form.format(factor * 0.05 * place) for place in range(len(values))]
+    body = "\n".join(
+        ",".join([stamp, *(f"{value:.9g}" for value in row[1:])]) for stamp, row in zip(stamps, values, strict=True)
+    )
+    (tmp_path / "a.csv").write_text(f"{header},ground,a1,a2,a3\n{body}\n")
+    status, out, _ = run("new", "--record", tmp_path / "a.csv")
+    assert status == 0
+    assert f'time = "{header}"' in out
+    assert "floor = 3" in out
+    assert "floor = 4" not in out.replace("# stories = 4", "")
+
+
 @pytest.mark.parametrize("stamp", ["2024-02-31 10:00:00", "25:00:00", "10:61:00"])
 def test_a_stamp_that_is_none(stamp, values, run, tmp_path):
     (tmp_path / "a.csv").write_text(text(f"t,ground,a1,a2,a3\n{stamp},0,0,0,0\n", values))
