@@ -619,9 +619,9 @@ def test_a_pile_of_causes_is_less_probable_than_one_that_nobody_thought_of(tank_
 def test_a_tank_whose_damping_nobody_measured_leaves_the_verdict_standing(tank_after, run, tmp_path):
     """The tests declare damping ratios; a frame with a tank has one damping that none of them is."""
     mass, _, tables = tank_after
-    after = tables[1] | {"damping_ratios": [0.01] * N}
+    damped = [table | {"damping_ratios": [0.01] * N} for table in (tables[1], tables[0])]
     path, out = tmp_path / "tank.toml", tmp_path / "out.json"
-    path.write_text(tomli_w.dumps({"frame": {"total_mass": float(mass.sum())}, "configuration": [after]}))
+    path.write_text(tomli_w.dumps({"frame": {"total_mass": float(mass.sum())}, "configuration": damped}))
     status, _, _ = run("loop", path, "--effects", "attached_mass", "--json", out)
     found = json.loads(out.read_text())
     assert (status, [item["name"] for item in found["effects"]], found["damping"]) == (0, ["attached_mass"], None)

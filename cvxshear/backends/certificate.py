@@ -219,6 +219,8 @@ def certify(program: Assembled, point: Point) -> Certificate:
     equality, slack = program.A @ x - program.b, program.h - program.G @ x
     gradient = program.R.T @ (program.R @ x - program.s) + program.A.T @ y + program.G.T @ w
     terms = program.absolute_rows @ np.abs(program.lengths * x) + np.abs(program.s)
+    # An unknown that nothing pulls at comes out as the rounding of what pulls at the others.
+    terms = terms + np.finfo(float).eps * np.max(terms, initial=0.0)
     gradient_size = program.lengths * (program.absolute_rows.T @ terms)
     gradient_size += absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
     wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)

@@ -192,8 +192,8 @@ class Search:
                 self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], frozenset([placed]))
 
     def _add_motions(self) -> bool:
-        """Visit sets with an effect that brings a motion of its own, where the shear model does not win."""
-        if self.moved or self.best is self.base:
+        """Visit sets with an effect that brings a motion of its own, unless the shear model wins as it should."""
+        if self.moved or (self.best is self.base and not self.base.improbable):
             return False
         self.moved = True
         base = self.base.estimate

@@ -21,7 +21,16 @@ from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from cvxshear.response.fitted_frame import FittedFrame
 from cvxshear.response.frame_answers import Answer, Linear, possible_answers
-from cvxshear.response.frame_prior import FORM_STDS, GAIN_STDS, MASS_STDS, NOISE_STD, SCATTER_STDS, FramePrior, Gaussian
+from cvxshear.response.frame_prior import (
+    FORM_STDS,
+    GAIN_STDS,
+    MASS_STDS,
+    NO_DASHPOT_STD,
+    NOISE_STD,
+    SCATTER_STDS,
+    FramePrior,
+    Gaussian,
+)
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
 from cvxshear.util.typing import Floats, Ints
 
@@ -39,6 +48,9 @@ MOST_FIT_STEPS = 12
 FITTED, FIRST_FITTED = 0.1, 1.0
 """Largest change of a combined residual that ends the fit and the first one: that many standard deviations of one
 parameter."""
+
+IDLE = 10.0 * NO_DASHPOT_STD
+"""Largest size of a dashpot that is none, in the units of its prior: ten of its standard deviations."""
 
 MOST_DECISIONS = 3
 """Times that the stories left free are decided anew; the second decision mostly is the first."""
@@ -99,16 +111,16 @@ class _Posterior:
         return _Point(self, theta)
 
     def maximum(
-        self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED, still: Ints | None = None
+        self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED, idle: Ints | None = None
     ) -> tuple[_Point, bool]:
         """Find the most probable point from p on, and whether it was reached within so many steps.
 
-        Unknowns that are still stay at their lower bounds.
+        Dashpots that are idle stay about zero, as their prior has them.
         """
         lower, upper = self.errors.lower(form_std), self.errors.upper.copy()
-        if still is not None:
-            upper[still] = lower[still]
-            p = np.minimum(p, upper)
+        if idle is not None:
+            lower[idle], upper[idle] = -IDLE, IDLE
+            p = np.clip(p, lower, upper)
         bounds = Constraints(lower=lower, upper=upper)
         domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
         found = gauss_newton(self, p, domain, backend, Accuracy(near, steps))
@@ -146,7 +158,7 @@ def fit_frame(
         # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(
-            p, backend, MOST_FIT_STEPS, FORM_STDS[-1]
+            p, backend, MOST_FIT_STEPS, FORM_STDS[-1], idle=prior.idle_dashpots(())
         )
         covariance = prior.gaussian(*answer.prior, same=errors.setting.base_measured).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
@@ -170,7 +182,7 @@ def fit_frame(
     for _ in range(MOST_DECISIONS):
         posterior = _Posterior(errors, along, prior.gaussian(*answer.prior), inflation)
         idle = prior.idle_dashpots(answer.changed)
-        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std, still=idle)
+        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std, idle=idle)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
         if answer.prior == before.prior and at.likelihood.inflation <= GROWN_INFLATION * inflation:
@@ -231,7 +243,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
     along = frame.along.without(gone)
     best = frame.answers[0]
     posterior = _Posterior(errors, along, prior.gaussian(*best.prior), frame.inflation)
-    at, converged = posterior.maximum(start, backend, steps, best.form_std, still=prior.idle_dashpots(best.changed))
+    at, converged = posterior.maximum(start, backend, steps, best.form_std, idle=prior.idle_dashpots(best.changed))
     return _mixed(errors, prior, at, frame.answers, converged)
 
 
