@@ -25,7 +25,7 @@ from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentificati
 from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.errors import CvxshearError, NoSolutionError, UnsuitableError
+from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MEMORY = 1e9
@@ -336,6 +336,8 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     ------
     InfeasibleError
         Where declared masses and exact priors contradict each other.
+    NoModesError
+        Where the frame has no modes at any starting point.
     NoSolutionError
         Where no starting point leads to a fit.
     UnsuitableError
@@ -355,6 +357,10 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
             found = fitted(misfit, theta, backend, FULL if best is None else ROUGH)
             if best is not None and found.chi2 < best.chi2:
                 found = fitted(found.misfit, found.theta, backend)
+        except NoModesError as error:
+            # Beside a frequency of 1e12 times the others rounding leaves the lowest mode no positive eigenvalue.
+            failure = failure or error
+            continue
         except NoSolutionError as error:
             failure = failure or error
             missed = min(missed, misfit.evaluate(theta, derivatives=False).chi2)
