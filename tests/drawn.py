@@ -137,8 +137,10 @@ def _drawn_once(kind, rng):
     causes = [effect for effect in catalogue() if effect.name not in LEFT_OUT]
     if kind == "prior":
         chosen = [effect for effect in causes if rng.random() < effect.probability]
+        names = {"", *(effect.name for effect in chosen)}
+        chosen = [effect for effect in chosen if effect.beside in names]
     else:
-        others = [effect for effect in causes if effect.name != "gravity"]
+        others = [effect for effect in causes if effect.name != "gravity" and not effect.beside]
         chosen = [effect for effect in causes if effect.name == "gravity"] + [others[int(rng.integers(len(others)))]]
     there = []
     for effect in chosen:

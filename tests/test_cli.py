@@ -85,8 +85,8 @@ def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(run, tmp_path
     assert json.loads(result.read_text())["verdict"] == "explained"
     for said in (
         "EXPLAINED",
-        "the weight above takes 1.200 ± 0.073 times P/h from every story's stiffness",
-        "99.8 % probable",
+        "the weight above takes 1.200 ± 0.074 times P/h from every story's stiffness",
+        "99.9 % probable",
         "1.83 %        0.34 %",
         "shear model  with effects",
         "predicted from",

@@ -21,10 +21,10 @@ STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])
 ADDED = (None, [2e3, 6e3, 4e3, 7e3, 3e3], [7e3, 0, 9.8e3, 5e3, 0])
 ELSEWHERE = {
     "total_mass", "floor_mass", "wrong_prior", "wrong_exact_prior", "bracing", "attached_mass", "load_mounting",
-    "shape_scale", "force_scale",
+    "shape_scale", "force_scale", "soft_feet",
 }  # fmt: skip
-"""Declarations and forces that are off, braces, which show beside turning joints alone, and what has two parameters:
-tested by themselves."""
+"""Declarations and forces that are off, braces and feet, which show beside turning joints alone, and what has two
+parameters: tested by themselves."""
 EFFECTS = [effect.name for effect in catalogue() if effect.name not in ELSEWHERE]
 OF_STATES = {"joint_release", "state_stiffness", "state_mass", "load_scale"}
 """What is looked for where states, or the masses added to them, differ."""

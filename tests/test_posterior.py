@@ -7,8 +7,8 @@ import pytest
 
 from cvxshear.effects import Place, Placed, named
 from cvxshear.fit.results import IdentifiedFrame
+from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
-from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.posterior import Posterior
 from cvxshear.util.errors import NoSolutionError
 

@@ -48,12 +48,13 @@ def new(
     Parameters
     ----------
     more
-        More files of the record that --record begins: hits, say.
+        More files of the record that --record begins, or patterns such as 'hit*.csv'.
     output
         Write it here; printed where not given.
     stories
         How many stories the frame has; 3 where not given.
     """
+    from cvxshear.files.modes import called
     from cvxshear.files.to_fill_in import record_template, template, template_from
 
     given = [
@@ -67,7 +68,10 @@ def new(
         raise InputError(f"{output} is there already; name a new file, or delete the old one first")
     folder = Path(output).parent if output is not None else Path()
     if record is not None:
-        text = record_template([record, *(more or ())], folder)
+        files = [file for name in (record, *(more or ())) for file in called(name)]
+        if not files:
+            raise InputError(f"{record}: no file is called so")
+        text = record_template(files, folder)
     else:
         text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
     if output is None:

@@ -6,8 +6,6 @@
 from cvxshear.effects.attached_mass import AttachedMass
 from cvxshear.effects.base import Effect, Parameter, Place, Placed
 from cvxshear.effects.composition import compose
-from cvxshear.effects.flexibility import AxialColumns, BaseRocking
-from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.guests import refuse_faulty, refuse_repeated
 from cvxshear.effects.joints import JointRelease, JointRotation
 from cvxshear.effects.masses import AddedMass, LoadScale, MassCoupling, StateMass, TotalMass
@@ -16,6 +14,7 @@ from cvxshear.effects.registry import catalogue, named, open_classes, register
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
+from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity
 
 __all__ = [
     "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",

@@ -63,6 +63,8 @@ class Place(InJson):
     prior : str or None
         The declared statement that the effect is about, in words (`Experiment.soft_statements`). Its parameters are
         then what each residual of that statement is off by, in standard deviations.
+    test : str or None
+        Configuration of the state, where the effect is in no other one of it.
     """
 
     floor: int | None = None
@@ -70,8 +72,9 @@ class Place(InJson):
     state: str | None = None
     to: int | None = None
     prior: str | None = None
+    test: str | None = None
 
-    json_keys = "floor to story configuration=state prior"
+    json_keys = "floor to story configuration prior"
 
     def describe(self) -> str:
         """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
@@ -82,8 +85,8 @@ class Place(InJson):
             parts.append(f"floor {self.floor}" if self.floor else "the base")
         if self.story is not None:
             parts.append(f"story {self.story}")
-        if self.state is not None:
-            parts.append(f'"{self.state}"')
+        if self.configuration is not None:
+            parts.append(f'"{self.configuration}"')
         if self.prior is not None:
             parts.append(f'the statement "{self.prior}"')
         return " of ".join(parts)
@@ -95,9 +98,14 @@ class Place(InJson):
         return self.floor - 1
 
     @property
+    def configuration(self) -> str | None:
+        """Name of the state, or of the one test of it."""
+        return self.state if self.test is None else self.test
+
+    @property
     def in_state(self) -> str:
         """Such as ' in "after"'; empty where it sits in every state."""
-        return "" if self.state is None else f' in "{self.state}"'
+        return "" if self.configuration is None else f' in "{self.configuration}"'
 
     def label(self, subject: str) -> str:
         """Name what sits here and its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
@@ -153,8 +161,8 @@ class Effect(ABC):
         Whether it leaves open how accurate some data are (`rescaled`); such an effect has no parameters of its
         own, and the factor on their standard deviations is its common size.
     granted : str
-        What a verdict takes for granted as long as this effect is not in it, where no datum tells: a clause such as
-        "that the floors of {state} weigh what they did", or one with {prior}. Empty where there is nothing to say.
+        What a verdict takes for granted as long as this effect is not in it, where the data hardly tell: a clause such
+        as "that the floors of {state} weigh what they did", or one with {prior}. Empty where there is nothing to say.
     releases : tuple of str
         Of "total_mass", "prior" (the one at its place): declarations that do not hold as they stand where it is in the
         model.
@@ -395,7 +403,7 @@ class Placed(InJson):
 
     def acts_on(self, tested: Tested) -> bool:
         """Whether this state of the frame has the effect in it."""
-        return self.place.state in (None, tested.state)
+        return self.place.state in (None, tested.state) and self.place.test in (None, tested.name)
 
     def units(self, experiment: Experiment) -> tuple[str, ...]:
         """Of its parameters; lengths count in stories where heights are not declared."""

@@ -52,6 +52,39 @@ class JointRotation(Effect):
         return state.with_softer_joints(slice(1, None), values[0], own.start)
 
 
+class SoftFeet(Effect):
+    """Feet of columns that turn, beside joints that turn.
+
+    The base has a rotational flexibility rho / mean(k h^2) where the shear model clamps the columns. Between floors
+    whose joints do not turn it makes story 1 softer and nothing else, which nothing tells from a softer story.
+
+    Expected size 0.5: Eurocode 3 (EN 1993-1-8, 5.2.2.5) calls the feet of sway frames rigid from 30 E I / h on, where
+    rho is 0.4. One frame in three whose beams bend enough to be seen.
+    """
+
+    name = "soft_feet"
+    summary = "The feet of the columns turn, where the shear model clamps them."
+    formula = "flexibility of the joints at the base + rho / mean(k h^2), rotations condensed, beside joint_rotation"
+    source = "rotational spring under a Bernoulli beam element, static condensation"
+    stage = "joint"
+    parameters = (Parameter("rho", "", lower=0.0, upper=100.0, null=0.0, start=0.05),)
+    uses_heights = True
+    usual = 0.5
+    probability = 0.3
+    beside = "joint_rotation"
+    granted = "that the feet of the columns are clamped"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return state.with_softer_joints(slice(0, 1), values[0], own.start)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        lost, error = _lost_by_turning(values[0], std[0], columns=1)
+        return (
+            f"the feet of the columns turn, which takes {in_percent(lost, error)} of the stiffness that story 1 has "
+            f"between rigid beams (rho = {values[0]:.2g})"
+        )
+
+
 class JointRelease(Effect):
     """The joints of one floor, or the feet, lost their grip on the columns in one state.
 
@@ -110,16 +143,12 @@ class JointRelease(Effect):
         return np.array([0.5, 0.05]) if len(self.parameters) == 2 else np.array([0.12])
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        # One floor's joints in a frame of equal stories: a story loses rho/4 / (1 + c rho), c = 1/3 a column.
         top = len(scale.heights)
-        columns = len(_adjoining(place, top))
         (rho, loss), (rho_std, loss_std) = (each if len(each) == 2 else (0.0, each[0]) for each in (values, std))
         kept = 1.0 - loss
-        denominator = 1.0 + columns * rho * kept / 3.0
-        by_turning = rho * kept / 4.0 / denominator
+        by_turning, error = _lost_by_turning(rho * kept, rho_std * kept, len(_adjoining(place, top)))
         lost = 1.0 - (1.0 - by_turning) * kept
-        error = np.hypot(kept**2 * rho_std / 4.0 / denominator**2, (1.0 - by_turning) * loss_std)
-        size = in_percent(lost, float(error))
+        size = in_percent(lost, float(np.hypot(kept * error, (1.0 - by_turning) * loss_std)))
         where = f'in "{place.state}"'
         if place.floor == 0:
             return f"the feet of the columns are loose {where}, which costs story 1 {size} of its stiffness"
@@ -129,6 +158,15 @@ class JointRelease(Effect):
             f"the joints of floor {place.floor} are loose {where}, which costs stories {place.floor} and "
             f"{place.floor_index + 2} about {size} of their stiffness"
         )
+
+
+def _lost_by_turning(rho: float, std: float, columns: int) -> tuple[float, float]:
+    """Return what joints of one floor that turn take of a story's stiffness, and its standard deviation.
+
+    In a frame of equal stories a story loses rho / 4 / (1 + c rho), c = 1/3 a column that ends there.
+    """
+    denominator = 1.0 + columns * rho / 3.0
+    return rho / 4.0 / denominator, std / 4.0 / denominator**2
 
 
 def _adjoining(place: Place, stories: int) -> range:

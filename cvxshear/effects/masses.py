@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, off_by
+from cvxshear.effects.base import Effect, Parameter, Place, Placed, off_by
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
@@ -17,31 +18,48 @@ from cvxshear.util.typing import Floats
 
 
 class AddedMass(Effect):
-    """M + mass e e' at one floor in one state; negative where more was declared than was there.
+    """M + mass e e' at one floor in one state, or in one test of a state that was tested with loads.
 
     No floor can lose more than it holds. Expected size: 15 % of the mean floor mass, a weight that somebody carried
-    up or took away.
+    up or took away; negative where more was declared. In one test it is an entry of `added_mass` that is wrong, a load
+    on another floor, or forgotten, a third as probable at each place.
     """
 
     name = "added_mass"
-    summary = "In one state a floor carries more or less mass than was declared."
-    formula = "M + mass e_j e_j' in one state"
+    summary = "In one state, or one test of it, a floor carries more or less mass than was declared."
+    formula = "M + mass e_j e_j' in one state, or one test of it"
     source = "rigid mass at floor j"
     stage = "mass"
     parameters = (Parameter("mass", "kg"),)
     usual, usual_in = 0.15, "floor_mass"
     sits_at = ("floor", "state")
-    needs = ("several states",)
+
+    def lacks(self, experiment: Experiment) -> str:
+        return "" if self.places(experiment) else "several states"
+
+    def places(self, experiment: Experiment) -> list[Place]:
+        """Each floor in each state that may have changed, and in each test of several in a state with loads."""
+        of_states = super().places(experiment) if len(experiment.states) > 1 else []
+        states = Counter(each.state for each in experiment.configurations)
+        loaded = {each.state for each in experiment.configurations if states[each.state] > 1 and each.added_mass.any()}
+        tests = [each for each in experiment.configurations if each.state in loaded]
+        floors = range(1, experiment.stories + 1)
+        return of_states + [Place(floor, state=each.state, test=each.name) for floor in floors for each in tests]
+
+    def weight(self, place: Place, experiment: Experiment) -> float:
+        return 1.0 if place.test is None else 1.0 / 3.0
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return state.plus_mass(values, on_floors([place.floor_index], len(state.floor_mass)), own)
 
-    def dual(self, place: Place, stories: int) -> tuple[str, Place]:
+    def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
+        if place.test is not None:
+            return None
         return "story_change", Place(story=stories - place.floor_index, state=place.state)
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         at = place.floor_index
-        declared = [each.added_mass[at] for each in experiment.tested if each.state == place.state]
+        declared = [each.added_mass[at] for each in experiment.tested if Placed(self, place).acts_on(each)]
         row = np.zeros(2 * experiment.stories + 1)
         row[at] = row[-1] = -1.0
         return Constraints(G=row[None], h=np.array([min(declared, default=0.0)]))

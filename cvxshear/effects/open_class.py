@@ -14,7 +14,7 @@ from cvxshear.effects.masses import on_floors
 from cvxshear.effects.springs import unit_springs
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.stories import with_changed_story
-from cvxshear.measurement.configuration import Configuration
+from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, Configuration
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
 from cvxshear.util.quantities import with_std
@@ -355,18 +355,13 @@ class OtherShapes(OpenClass):
         return f"{where} are less accurate than their standard deviation says, in no way that the catalogue holds"
 
 
-FINEST_FREQUENCY = 3e-4
-"""Relative standard deviation of frequencies below which two tests of a frame that nobody touched hardly agree: one
-kelvin moves those of a steel frame by some 0.02 %."""
-
-
 class OtherFrequencies(OpenClass):
     """Every frequency has an error beyond its standard deviation.
 
     As `OtherShapes`; log s is normal about 0 with a standard deviation of 2, since the formal deviations of a curve fit
     or of one record know nothing of what differs from test to test: they may be ten to a hundred times too small.
-    Looked for where deviations below `FINEST_FREQUENCY` are stated, and shapes were measured, too: of frequencies alone
-    whatever happened between tests would pass for their scatter.
+    Looked for where deviations below the default, `DEFAULT_FREQUENCY_STD`, are stated, and shapes were measured, too:
+    of frequencies alone whatever happened between tests would pass for their scatter.
     """
 
     name = "other_frequencies"
@@ -386,8 +381,8 @@ class OtherFrequencies(OpenClass):
     def lacks(self, experiment: Experiment) -> str:
         tests = experiment.configurations
         stated = [float(np.min(each.frequency_std)) for each in tests if each.frequency_std is not None]
-        if min(stated, default=np.inf) >= FINEST_FREQUENCY:
-            return f"frequencies that are said to be better than {100 * FINEST_FREQUENCY:g} %"
+        if min(stated, default=np.inf) >= DEFAULT_FREQUENCY_STD:
+            return f"frequencies that are said to be better than {100 * DEFAULT_FREQUENCY_STD:g} %"
         return "" if any(each.measured.any() for each in tests) else "shapes"
 
     def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 
 from cvxshear.effects.attached_mass import AttachedMass, LoadMounting
 from cvxshear.effects.base import Effect
-from cvxshear.effects.flexibility import AxialColumns, BaseRocking
-from cvxshear.effects.gravity import Gravity
 from cvxshear.effects.guests import refuse_faulty
-from cvxshear.effects.joints import JointRelease, JointRotation
+from cvxshear.effects.joints import JointRelease, JointRotation, SoftFeet
 from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCoupling, StateMass, TotalMass
 from cvxshear.effects.open_class import (
     OtherBeams,
@@ -24,6 +22,7 @@ from cvxshear.effects.open_class import (
 from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
+from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity
 from cvxshear.util import checks
 
 _catalogue: dict[str, Effect] = {
@@ -45,6 +44,7 @@ _catalogue: dict[str, Effect] = {
         LoadScale(),
         FloorMass(),
         JointRelease(),
+        SoftFeet(),
         Bracing(),
         AttachedMass(),
         LoadMounting(),

@@ -147,8 +147,14 @@ def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
     return found.name, found.read_modes(path)
 
 
-def refuse_data(path: Path) -> None:
+def refuse_data(path: Path, *, toml: bool = True) -> None:
     """Refuse a file of samples in place of the record file that says what they are of.
+
+    Parameters
+    ----------
+    path : Path
+    toml : bool, optional
+        Whether it may be TOML yet, which stands in any .txt as well.
 
     Raises
     ------
@@ -156,8 +162,7 @@ def refuse_data(path: Path) -> None:
         Saying how to begin a record file.
     """
     found = format_of(path)
-    # TOML may stand in any .txt, and is found there.
-    if found is not None and found.columns is not None and path.suffix.lower() not in ANY_TEXT:
+    if found is not None and found.columns is not None and not (toml and path.suffix.lower() in ANY_TEXT):
         raise InputError(
             f"{path} is {found.words}, which does not say which column is which floor: 'cvxshear new --record {path} "
             f"-o {path.name.split('.')[0]}.toml' writes a record file with the columns that it finds, to fill in, and "

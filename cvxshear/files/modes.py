@@ -27,6 +27,14 @@ UNKNOWN_SCALE = (
 )
 
 
+def called(name: str | Path) -> list[Path]:
+    """List the files that a pattern matches, in the order of the numbers in their names; else the one of that name."""
+    if Path(name).exists() or not glob.has_magic(str(name)):
+        return [Path(name)]
+    matched = sorted(glob.glob(str(name), recursive=True), key=_by_number)
+    return [Path(path) for path in matched if Path(path).is_file()]
+
+
 def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
     """Find the record files that names and patterns stand for.
 
@@ -50,12 +58,10 @@ def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
     files: list[Path] = []
     left_out: list[Path] = []
     for name in names:
-        if Path(name).exists() or not glob.has_magic(str(name)):
-            found = [Path(name)]
-        else:
-            matched = [Path(path) for path in sorted(glob.glob(str(name), recursive=True), key=_by_number)]
-            found = [path for path in matched if path.is_file() and is_record_file(path)]
-            left_out += [path for path in matched if path not in found]
+        found = called(name)
+        if found != [Path(name)]:
+            left_out += [path for path in found if not is_record_file(path)]
+            found = [path for path in found if path not in left_out]
             if not found:
                 raise InputError(f"{name}: no record file is called so; a record file is TOML with a table [record]")
         files += [path for path in found if path not in files]

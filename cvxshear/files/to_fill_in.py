@@ -6,10 +6,8 @@ Their texts stand in the folder `blank`; a record file marks what follows from t
 import dataclasses
 import os
 import re
-import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib import resources
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +16,19 @@ import tomli_w
 from cvxshear.files.columns import LIMIT, Columns
 from cvxshear.files.csv import preamble_of
 from cvxshear.files.formats import format_of, read_columns, read_modes_of
+from cvxshear.files.guesses import (
+    FORCE,
+    HIT_FLOOR,
+    NO_MOTION,
+    RATE,
+    RELEASE,
+    ROOF,
+    Guess,
+    blank_text,
+    guesses_of,
+    said_unit,
+    time_column,
+)
 from cvxshear.files.inputs import named_after
 from cvxshear.files.record_file import FREQUENCY_NAMES
 from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
@@ -41,10 +52,6 @@ total_mass = 1.0  # kg, all floors without added mass: FILL IN, or give two conf
 CARRIED = "# total_mass is not needed: the shapes carry the scale, 1/sqrt(kg)"
 
 
-def _blank(name: str) -> str:
-    return resources.files("cvxshear.files").joinpath("blank", name).read_text(encoding="utf-8")
-
-
 def template(stories: int = 3) -> str:
     """Write a measurement file of a frame of equal stories, with every key explained.
 
@@ -64,7 +71,7 @@ def template(stories: int = 3) -> str:
     angle = (2 * np.arange(1, stories + 1) - 1) * np.pi / (2 * stories + 1)
     shapes = np.sin(np.outer(angle, np.arange(1, stories + 1)))
     frequencies = np.sqrt(STIFFNESS / MASS) * 2 * np.sin(angle / 2) / (2 * np.pi)
-    lists = _blank("modes.toml").format(
+    lists = blank_text("modes.toml").format(
         floors=_listed(np.arange(1, stories + 1), "d"),
         frequencies=_listed(frequencies, ".4f"),
         rows="\n".join(f"    {_listed(shape, '.4f')}," for shape in shapes / abs(shapes).max(axis=1, keepdims=True)),
@@ -118,7 +125,7 @@ def toml_line(key: str, name: str) -> str:
 
 
 def _filled(modes: str, stories: int, total: str) -> str:
-    return _blank("measurement.toml").format(
+    return blank_text("measurement.toml").format(
         stories=stories,
         total=total.replace("{total}", f"{MASS * stories:.1f}"),
         heights=_listed(np.full(stories, 3.0), ".1f"),
@@ -132,49 +139,6 @@ def _filled(modes: str, stories: int, total: str) -> str:
 
 def _listed(values: Floats | np.ndarray, shown: str) -> str:
     return "[" + ", ".join(format(value, shown) for value in values) + "]"
-
-
-_WORDS = tomllib.loads(_blank("words.toml"))
-TIME, GROUND, FORCE, ROOF, NO_MOTION, BASEMENT, NTH_FLOOR, AXIS, BRACKETED, ENDING, RATE = (
-    re.compile(pattern, re.IGNORECASE) for pattern in _WORDS["name"].values()
-)
-"""What columns, their units and the sampling rate in a preamble look like; the file explains each, in this order."""
-
-NUMBER = re.compile(r"\d+")
-
-ASCENDING = 0.99
-"""Share of the steps of a column of time that are not negative; a handful may be torn."""
-
-
-@dataclass(frozen=True)
-class Guess:
-    """What the name and the numbers of a column suggest.
-
-    Parameters
-    ----------
-    column : str
-    unit : str or None
-        Of `CHANNEL_UNITS`, None where the file says none.
-    role : str
-        "ground", "force" or "floor".
-    floor : int
-    sure : bool
-        Whether a number in the name says the floor, and not the order of the columns.
-    axis : str
-    said : str
-        The unit as the file spells it, where it is not one of `CHANNEL_UNITS`.
-    why : str
-        What else the floor follows from, and what it would be otherwise.
-    """
-
-    column: str
-    unit: str | None
-    role: str
-    floor: int
-    sure: bool
-    axis: str
-    said: str = ""
-    why: str = ""
 
 
 def record_template(data: str | Path | Sequence[str | Path], folder: str | Path = ".") -> str:
@@ -206,21 +170,22 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
                 f'{other} has no column "{missing[0]}", which {path} has; it has {", ".join(names[:12])}. The files of '
                 "one record have the same columns; begin a record file for each where they are records of their own"
             )
-    if any(name in columns.names for name in FREQUENCY_NAMES):
-        raise InputError(
-            f"{path} has a column of frequencies, so it holds frequency response functions; docs/modal.md has a record "
-            'file for them (kind = "frf")'
-        )
-    texts = preamble_of(path, LIMIT) if (found := format_of(path)) is None or found.name in ("csv", "gz") else ""
-    time = _time_column(columns)
-    rate = _rate(columns, time, texts)
-    guesses = _guesses(columns, [name for name in columns.names if name != time])
+    frequency = next((name for name in FREQUENCY_NAMES if name in columns.names), None)
+    if frequency is not None:
+        columns, time = _functions(columns, path), None
+        rate = f"{toml_line('frequency', frequency)}  # GUESSED from the name"
+    else:
+        time = time_column(columns)
+        rate = _rate(columns, time, _preamble(path))
+    guesses = guesses_of(columns, [name for name in columns.names if name != time])
     if not guesses:
         raise InputError(f"{path} has no column of numbers besides the time; is it a record?")
     roles = {each.role for each in guesses}
     kind, why = (
-        ("force", "a column that looks like a force") if "force" in roles
+        ("frf", "the column of frequencies") if frequency is not None
+        else ("force", "a column that looks like a force") if "force" in roles
         else ("base", "a column that looks like the ground") if "ground" in roles
+        else ("free_decay", "the name of the file") if RELEASE.search(path.stem)
         else ("none", "no column looking like the ground or a force")
     )  # fmt: skip
     axes = sorted({each.axis for each in guesses if each.role != "force"})
@@ -234,47 +199,69 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         for each in columns.names
         if NO_MOTION.search(each) and each != time
     ]
-    return _blank("record.toml").format(
+    given = (
+        f'kind = "frf"  # GUESSED from {why}' if kind == "frf"
+        else f'input = "{kind}"  # GUESSED from {why}: "base", "force", "free_decay", or "none" for ambient vibration'
+    )  # fmt: skip
+    files = [path, *others] if others or kind == "frf" else []
+    return blank_text("record.toml").format(
         masses=", ".join(["0.0"] * top), stories=top + 1,
         file=printable(path.name) + (f" and {len(others)} more" if others else ""),
-        name=toml_line("x", named_after(path))[4:], kind=kind, why=why, rate=rate,
-        source="" if others else toml_line("file", os.path.relpath(path, folder)) + "\n",
+        name=toml_line("x", _common_name([path, *others]))[4:], kind=given, rate=rate,
+        source="" if files else toml_line("file", os.path.relpath(path, folder)) + "\n",
         channels="".join((*(_channel(each, hit, several=several) for each in guesses), *left)),
-        runs=_runs([path, *others], folder, kind, hit) if others else "",
+        runs=_runs(files, folder, kind, hit, top) if files else "",
     )  # fmt: skip
 
 
-def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int) -> str:
+def _functions(columns: Columns, path: Path) -> Columns:
+    """Keep of a file of functions one column for each pair of real and imaginary parts, called as a channel is."""
+    kept = [i for i, name in enumerate(columns.names) if name.endswith("_re") and f"{name[:-3]}_im" in columns.names]
+    if not kept:
+        raise InputError(f"{path} has a column of frequencies, and no pair of columns such as floor1_re and floor1_im")
+    names = tuple(columns.names[i].removesuffix("_re") for i in kept)
+    units = tuple(columns.units[i] for i in kept) if columns.units else columns.units
+    return dataclasses.replace(columns, names=names, values=columns.values[:, kept], units=units)
+
+
+def _preamble(path: Path) -> str:
+    return preamble_of(path, LIMIT) if (found := format_of(path)) is None or found.name in ("csv", "gz") else ""
+
+
+def _common_name(files: Sequence[Path]) -> str:
+    """Name a record after what the names of its files have in common, without a part of a word or a number."""
+    names = [named_after(each) for each in files]
+    common = "".join(letters[0] for letters in takewhile(lambda each: len(set(each)) == 1, zip(*names, strict=False)))
+    if len(files) > 1:
+        common = re.sub(r"[\W_]+$", "", re.sub(r"(?<=[\W_])[^\W_]*$", "", common).rstrip("0123456789"))
+    return common or names[0]
+
+
+def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int, top: int) -> str:
     """Write a table for each file of a record."""
-    where = (
-        f"\ninput_floor = {hit}  # GUESSED, no file says it: the floor that was hit in this file: CHECK"
-        if kind == "force"
-        else ""
-    )
-    return "".join(f"\n[[run]]\n{toml_line('file', os.path.relpath(each, folder))}{where}\n" for each in files)
+    written = []
+    for place, each in enumerate(files, 1):
+        written += ["", "[[run]]", toml_line("file", os.path.relpath(each, folder))]
+        if kind in ("force", "frf"):
+            # Hits are repeated at a floor; functions of as many files as floors are those of a force at each.
+            unsaid = (
+                (place, "from the order of the files")
+                if (kind, len(files)) == ("frf", top)
+                else (hit, "no file says it")
+            )
+            floor, why = _hit_floor(each, top) or unsaid
+            written.append(f"input_floor = {floor}  # GUESSED, {why}: the floor that was hit in this file: CHECK")
+    return "\n".join(written) + "\n"
 
 
-def _time_column(columns: Columns) -> str | None:
-    """Find the column that is called so and ascends; where none is called so, the first if it ascends in even steps."""
-    called = [name for name in columns.names if TIME.match(name.strip())]
-    # Of a date and a time of the day the one that changes from sample to sample.
-    steps_of = {name: _steps(columns, name) for name in (*called, *columns.names[:1])}
-    for name, steps in sorted(
-        steps_of.items(), key=lambda each: (each[0] not in called, -np.count_nonzero(each[1] > 0))
-    ):
-        if steps.size == 0 or np.mean(steps >= 0) < ASCENDING:
-            continue
-        usual = np.median(steps)
-        # Steps of 1 count the samples.
-        even = np.mean(np.abs(steps - usual) < UNEVEN_STEP * usual) > ASCENDING
-        if name in called or (usual > 0 and usual != 1.0 and even):
-            return name
+def _hit_floor(path: Path, top: int) -> tuple[int, str] | None:
+    """Find the floor that was hit in the name of a file, or in a line of its preamble that speaks of a force."""
+    told = [line for line in _preamble(path).splitlines() if FORCE.search(line)]
+    for text, why in ((path.stem, "from its name"), *((line, "from its preamble") for line in told)):
+        found = HIT_FLOOR.search(text)
+        if found is not None and 0 < int(found[1] or found[2]) <= top:
+            return int(found[1] or found[2]), why
     return None
-
-
-def _steps(columns: Columns, name: str) -> Floats:
-    values = columns.values[:, columns.names.index(name)]
-    return np.asarray(np.diff(values[np.isfinite(values)]))
 
 
 def _rate(columns: Columns, time: str | None, preamble: str) -> str:
@@ -287,7 +274,7 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
         if found is None:
             return "# sampling_rate = 100.0  # Hz: FILL IN, the file has no column of time"
         return f"sampling_rate = {float(found[1].replace(',', '.'))}  # Hz, GUESSED from {toml_line('x', found[0])[4:]}"
-    unit = _unit(columns, time)[0]
+    unit = said_unit(columns, time)[0]
     unit = unit if unit in TIME_UNITS else "s"
     values = TIME_UNITS[unit] * columns.values[:, columns.names.index(time)]
     line = toml_line("time", time)
@@ -300,81 +287,6 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
         usual = np.median(steps)
         others = counted(int(np.count_nonzero(np.abs(steps - usual) > UNEVEN_STEP * usual)), "other step")
         return f"{line}  # GUESSED: mostly steps of {usual:.4g} s, and {others}; gaps part a record into runs{more}"
-
-
-def _unit(columns: Columns, name: str) -> tuple[str, str]:
-    """Find the unit that a line of units or the header says, as it is called here and as it is spelled there."""
-    said = columns.units[columns.names.index(name)] if columns.units else ""
-    candidates = [said] if said else [found[1] or found[2] or "" for found in BRACKETED.finditer(name)]
-    if not said and (found := ENDING.search(name)):
-        candidates.append(re.sub(r"_?p?s2", "/s2", found[1]))
-    known = [(unit, each) for each in candidates if (unit := _known_unit(each))]
-    # "Level 3 N" is to the north: of a last word only a unit of acceleration is taken for one.
-    last = name.rsplit(maxsplit=1)[-1] if " " in name.strip() else ""
-    if not said and CHANNEL_UNITS.get(_known_unit(last), ("",))[0] == "acceleration":
-        known.append((_known_unit(last), last))
-    return known[-1] if known else ("", candidates[0] if candidates else "")
-
-
-def _known_unit(said: str) -> str:
-    """Name a unit as it is called here; empty where none is known by that name."""
-    plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
-    known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
-    lower = plain.lower()
-    return str(_WORDS["unit"].get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, "")))
-
-
-def _guesses(columns: Columns, names: Sequence[str]) -> list[Guess]:
-    """Tell what each column is, those that hold no number left out."""
-    found: list[Guess] = []
-    for name in names:
-        if NO_MOTION.search(name) or not np.isfinite(columns.values[:, columns.names.index(name)]).any():
-            continue
-        unit, said = _unit(columns, name)
-        bare = ENDING.sub("", BRACKETED.sub("", name))
-        force = bool(FORCE.search(bare)) or (unit in CHANNEL_UNITS and CHANNEL_UNITS[unit][0] == "force")
-        ground = not force and bool(GROUND.search(bare.replace("_", " ")) or BASEMENT.search(bare))
-        number = NUMBER.findall(bare)
-        axis = AXIS.search(bare)
-        floor = 0 if ground else int(number[-1]) if number and 0 < int(number[-1]) < 200 else -1
-        role = "force" if force else "ground" if ground else "floor"
-        found.append(
-            Guess(name, unit if unit in CHANNEL_UNITS else None, role, floor, floor >= 0,
-                  (axis[1] or axis[2]).lower() if axis else "x", "" if unit in CHANNEL_UNITS else said)
-        )  # fmt: skip
-    found = _as_in_japan(found)
-    # Columns without a number stand in order on the floors that no number says; a roof above all others.
-    named = {each.floor for each in found if each.role == "floor"}
-    free = iter(sorted(set(range(1, len(found) + max({0, *named}) + 1)) - named))
-    result = []
-    for each in sorted(found, key=lambda each: bool(each.floor < 0 and ROOF.search(each.column))):
-        floor = each.floor
-        if each.role == "floor" and floor < 0:
-            floor = next(free) if not ROOF.search(each.column) else max({0, *named}) + 1
-            named.add(floor)
-        result.append(dataclasses.replace(each, floor=floor))
-    return sorted(result, key=lambda each: names.index(each.column))
-
-
-def _as_in_japan(found: Sequence[Guess]) -> list[Guess]:
-    """Count 2F as the first floor above ground where 1F or a basement stands for the ground, and no other column."""
-    called = [NTH_FLOOR.search(BRACKETED.sub("", each.column)) if each.role == "floor" else None for each in found]
-    numbers = [int(each[1] or each[2]) if each else 0 for each in called]
-    basement = [bool(each.role == "ground" and BASEMENT.search(each.column)) for each in found]
-    grounds = [each for each in found if each.role == "ground"]
-    roof = any(ROOF.search(each.column) for each in found)
-    at_ground = numbers.count(1) == 1 and roof and not grounds
-    if not any(numbers) or not (at_ground or (len(grounds) == 1 and any(basement) and 1 not in numbers)):
-        why = "; {} where 1F is at the ground, as in Japan"
-        pairs = zip(found, numbers, strict=True)
-        return [dataclasses.replace(each, why=why.format(n - 1)) if n > 1 else each for each, n in pairs]
-    return [
-        each if not number
-        else dataclasses.replace(each, role="ground", floor=0, why=" (1F, as in Japan; 1 where it is above ground)")
-        if number == 1
-        else dataclasses.replace(each, floor=number - 1, why=f", counted as in Japan; {number} if 1F is above ground")
-        for each, number in zip(found, numbers, strict=True)
-    ]  # fmt: skip
 
 
 def _channel(guess: Guess, hit: int, *, several: bool) -> str:

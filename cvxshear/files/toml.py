@@ -39,6 +39,9 @@ BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml
 LONGEST_KEY = 16
 """Parts, with dots between; the time that reading a key takes grows with their square."""
 
+_HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
+"""A line that begins a table, which no line of samples does."""
+
 _LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
 
 
@@ -109,6 +112,7 @@ def read_text(path: Path) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        refuse_data(path, toml=False)
         raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
 
 
@@ -134,6 +138,8 @@ def parse(text: str, path: Path) -> dict[str, object]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if not _HEADING.search(text):
+            refuse_data(Path(path), toml=False)
         raise InputError(f"{where} is not valid TOML: {error}") from None
     except ValueError:
         # The one that tomllib passes on: Python refuses whole numbers of more than a few thousand digits.

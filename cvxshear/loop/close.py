@@ -20,14 +20,13 @@ from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.conclusion import conclude
-from cvxshear.loop.duals import dual_fits_as_well, dual_frame, dual_set, few_floors_seen
-from cvxshear.loop.fitter import Fitter
+from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, assumed, chosen, hypotheses
-from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Numbering
 from cvxshear.loop.otherwise import searches
 from cvxshear.loop.results import Closure
 from cvxshear.loop.search import REACH, Search
+from cvxshear.loop.twins import dual_fits_as_well, dual_frame, dual_set, few_floors_seen
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import repeated_configurations

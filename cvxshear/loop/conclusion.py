@@ -16,17 +16,16 @@ from cvxshear.effects import Effect, Placed
 from cvxshear.effects.masses import LoadScale
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.fit.gauss_newton import ROUGH
-from cvxshear.loop.duals import dual_fits_as_well, dual_set
-from cvxshear.loop.fitter import Fitter, with_stand_in
+from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
-from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
 from cvxshear.loop.search import Search, fits_alike
+from cvxshear.loop.twins import dual_fits_as_well, dual_set
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.quantities import listed, significant
@@ -346,14 +345,9 @@ def _rests_on(final: Estimate) -> Iterator[str]:
 
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
-    """Say what the verdict takes for granted because no datum tells: sentences of effects that are not in it."""
-    candidates = [
-        item.placed
-        for item in search.fitter.hypotheses
-        if item.placed not in found.effects and not item.placed.effect.adds_motion
-    ]
+    """Say what the verdict takes for granted because the data hardly tell: sentences of effects that are not in it."""
     states = {placed.place.state for placed in found.effects} | {None}
-    said = [each for each in candidates if each.effect.granted and each.place.state in states]
+    said = [each for each in search.lacking(found) if each.effect.granted and each.place.state in states]
     if not said:
         return
     invariances = search.invariances(found)

@@ -22,8 +22,9 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_interval
 from cvxshear.util.typing import Floats
 
-MOST_TAKEN = 40
-"""Effects that are taken in one go at most."""
+MOST_TAKEN = 12
+"""Effects that are taken in one go at most: nobody would believe more, and fits of sets of twenty or more run into
+their limit of steps without an end in sight."""
 
 NORMAL = ((1.0, 1.0),)
 STUDENT = ((0.8, 0.6), (1.6, 0.33), (4.0, 0.065), (12.0, 0.005))

@@ -17,10 +17,9 @@ from cvxshear.effects import Placed
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import HOPELESS
-from cvxshear.loop.fitter import FitProposal, Fitter
+from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.model_class import ModelClass
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 

@@ -12,8 +12,8 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import IdentifiedFrame
+from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, log_odds
-from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.numbering import Changes, NumberingProbability
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats

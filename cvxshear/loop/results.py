@@ -153,8 +153,8 @@ class Closure(Shown):
     verdict : str
         Of `cvxshear.loop.verdicts.VERDICTS`.
     rests_on : tuple of str
-        What the verdict rests on: the declared noise or an estimate of it, and what it takes for granted because no
-        datum tells.
+        What the verdict rests on: the declared noise or an estimate of it, and what it takes for granted because the
+        data hardly tell.
     steps : tuple of Step
         The first is the shear model, the last the final one.
     judged : Estimate

@@ -20,10 +20,9 @@ import numpy as np
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
-from cvxshear.loop.fitter import Fitter
+from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.model_class import ModelClass
 from cvxshear.loop.neighbors import (
     WITHIN,
     Set,
@@ -189,7 +188,7 @@ class Search:
             for placed in best.effects:
                 rest = best.effects - {placed}
                 self._fit_without(best, [rest])
-                self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], frozenset([placed]))
+                self._with_one_of(self.lacking(self.visited[rest]), self.visited[rest], frozenset([placed]))
 
     def _add_motions(self) -> bool:
         """Visit sets with an effect that brings a motion of its own, unless the shear model wins as it should."""
@@ -258,7 +257,7 @@ class Search:
         sets = [
             (best.effects - {placed}) | {other}
             for placed in best.effects
-            for other in self._lacking(best)
+            for other in self.lacking(best)
             if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
         ]
         order = [item.placed for item in self.fitter.hypotheses]
@@ -294,7 +293,7 @@ class Search:
         """Linearise the model at the fit of a set, by all that it lacks; that of the last set asked for is kept."""
         assert model.estimate is not None, "only sets with a fit are linearised"
         if self._last is None or self._last.base is not model.estimate:
-            self._last = Linearised(model.estimate, self._lacking(model), self.fitter.expectation)
+            self._last = Linearised(model.estimate, self.lacking(model), self.fitter.expectation)
         return self._last
 
     def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
@@ -347,7 +346,7 @@ class Search:
             better.effects < model.effects and better.score > model.score + TIE for better in self.beam
         )
 
-    def _lacking(self, model: ModelClass) -> list[Placed]:
+    def lacking(self, model: ModelClass) -> list[Placed]:
         """List the effects that a set lacks and the linearised model at its fit can judge."""
         there = {"", *(placed.effect.name for placed in (*model.effects, *self.fitter.assumed))}
         return [
@@ -361,7 +360,7 @@ class Search:
     def _expand(self, model: ModelClass) -> None:
         """Visit the most promising sets with one more effect, or two."""
         self.expanded.add(model.effects)
-        if not self._lacking(model) or model.estimate is None:
+        if not self.lacking(model) or model.estimate is None:
             return
         linear = self.linearised(model)
         further = promising(model, linear, self.fitter, self.best.score - model.score)
@@ -421,7 +420,7 @@ class Search:
             # From the shear model on, each fitted in turn, any may come: the first guess took all of them at once.
             barred = group if rest else frozenset()
             self._fit_without(model, [rest])
-            firsts = self._with_one_of(self._lacking(self.visited[rest]), self.visited[rest], barred)
+            firsts = self._with_one_of(self.lacking(self.visited[rest]), self.visited[rest], barred)
             if len(group) > 1:
                 causes = [each for each in firsts if not holds_open(each.effects - rest)]
                 firsts = sorted(causes, key=lambda each: -each.score)[:1]
@@ -429,7 +428,7 @@ class Search:
                 at, best = None, first
                 while best is not at and len(best.effects - rest) < MOST_CAUSES:
                     at = best
-                    others = [each for each in self._lacking(at) if len(group) > 1 or each.effect.kind != OPEN]
+                    others = [each for each in self.lacking(at) if len(group) > 1 or each.effect.kind != OPEN]
                     best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
     def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:

@@ -4,6 +4,11 @@ Two effects are twins where the derivatives of the data by the one lie in the sp
 other, to rounding: a direction in which nothing that was measured changes. Where all floor masses of a state grow by
 a factor, for one, every frequency falls as if all its stories were softer. That is a property of the model and of what
 was measured, not of the sets that a search happened to visit.
+
+Frequencies alone have another frame, too. A chain of N stories k_i and floors m_i has the eigenvalues of the chain with
+stories 1 / m_(N+1-i) and floors 1 / k_(N+1-i), up to scale: every set of effects has a dual that fits as well, in which
+a loss in story j is a mass on floor N+1-j (`Effect.dual`). With added mass in some tests the dual fits worse, or
+better, and is near a minimum of its own, to which no fit from the other frame leads.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.evidence import free_basis
 from cvxshear.loop.linear import Linearised
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.typing import Floats
 
 EXACT = 1e-5
@@ -64,12 +70,16 @@ class Invariances:
         ]
 
     def untold(self, placed: Placed, others: Sequence[Placed]) -> bool:
-        """Whether what an effect does could be done by the frame, the effects there are, and those others."""
-        columns = self.lacking[placed]
+        """Whether what an effect of its expected size does is less than a standard deviation of all data together.
+
+        What the frame, the effects there are, and those others can do in its place does not count.
+        """
+        columns = self.lacking[placed] * placed.effect.expected_sizes(self.estimate.scale)
         if not columns.shape[1]:
             return False
         more = [self.lacking[other] for other in others if other is not placed]
-        return _beyond(np.hstack([self.free, *more]), columns) < EXACT
+        left = _without(_basis(np.hstack([self.free, *more])), columns)
+        return bool(np.all(np.linalg.norm(left, axis=0) < 1.0))
 
 
 def invariances(linear: Linearised) -> Invariances:
@@ -114,3 +124,45 @@ def _beyond(columns: Floats, wanted: Floats) -> float:
     else:
         left = _without(_basis(columns), wanted)
     return float(np.max(np.linalg.norm(left, axis=0) / np.where(size > 0, size, 1.0), initial=0.0))
+
+
+def few_floors_seen(experiment: Experiment) -> bool:
+    """Whether no test shows more than half of the floors: frames far from each other may fit such data as well."""
+    return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
+
+
+def dual_fits_as_well(experiment: Experiment) -> bool:
+    """Whether nothing but frequencies was measured, and no mass added: data that do not tell a frame from its dual."""
+    return not experiment.static and not any(
+        each.measured.any() or np.any(each.added_mass) for each in experiment.configurations
+    )
+
+
+def dual_frame(frame: Floats) -> Floats:
+    """Masses and stiffnesses of the dual frame of the same total mass, shape (2N,).
+
+    Parameters
+    ----------
+    frame : ndarray, shape (2N,)
+        Floor masses and story stiffnesses, kg and N/m.
+    """
+    floor_mass, story_stiffness = np.split(frame, 2)
+    scale = floor_mass.sum() / np.sum(1.0 / story_stiffness)
+    dual: Floats = scale * np.concatenate([1.0 / story_stiffness[::-1], 1.0 / floor_mass[::-1]])
+    return dual
+
+
+def dual_set(effects: frozenset[Placed], known: Sequence[Placed], stories: int) -> frozenset[Placed] | None:
+    """Find the effects of the dual frame that have the same frequencies; None where one of them has no dual.
+
+    Parameters
+    ----------
+    effects : frozenset of Placed
+    known : sequence of Placed
+        All that are looked for.
+    stories : int
+    """
+    by_place = {(placed.effect.name, placed.place): placed for placed in known}
+    found = [placed.effect.dual(placed.place, stories) for placed in effects]
+    duals = [by_place.get(each) if each is not None else None for each in found]
+    return frozenset(each for each in duals if each is not None) if None not in duals else None

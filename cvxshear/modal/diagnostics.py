@@ -7,6 +7,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from cvxshear.modal.amplitude import amplitude_findings
+from cvxshear.modal.deviations import SENSOR_STD
 from cvxshear.modal.estimate import Details, Replication
 from cvxshear.modal.frf import FrfSource
 from cvxshear.modal.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
@@ -16,7 +17,7 @@ from cvxshear.records.findings import finding
 from cvxshear.records.floors import ROTATES
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.segments import Segments
-from cvxshear.util.quantities import listed, numbered, significant
+from cvxshear.util.quantities import counted, listed, numbered, significant
 from cvxshear.util.typing import Floats, Ints
 
 A_MODE = 0.3
@@ -79,7 +80,10 @@ COMPLEX = 5.0
 """Degrees of phase lost in a real normal mode that are said: the real mode then lacks 0.4 % of the complex one."""
 UNRECIPROCAL = 0.02
 """Relative difference of a transfer with its direction that is said: of two sensors and a hammer good to 1 %."""
-OTHER = "not a sway mode that the frame still lacks: torsion, another axis, a local or split mode"
+OTHER = (
+    "{}: torsion, another axis, a local mode, a load that moves on its mounting, a split mode, a multiple of a louder "
+    "frequency, or {}"
+)
 ALIKE = 0.8
 """Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
 its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories."""
@@ -182,8 +186,12 @@ def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Findin
         down = full.products[:, places[low], driven[high]]
         ratio = float(np.linalg.norm(up - down) / (0.5 * (np.linalg.norm(up) + np.linalg.norm(down))))
         each = np.abs(np.abs(up) - np.abs(down)) / (0.5 * (np.abs(up) + np.abs(down)))
-        if each.max() > UNRECIPROCAL:
-            largest, worst = float(each.max()), int(np.argmax(each)) + 1
+        # Near a node of the mode a transfer is too small to say anything of calibrations.
+        pair = full.real[:, [places[low], places[high]]]
+        unsure = SENSOR_STD * np.linalg.norm(pair, axis=1)
+        told = np.where(each * np.abs(pair.prod(axis=1)) > unsure, each, 0.0)
+        if told.max() > UNRECIPROCAL:
+            largest, worst = float(told.max()), int(np.argmax(told)) + 1
             numbers = {"floors": [low, high], "largest": largest, "over_all": ratio, "by_mode": each.tolist()}
             yield finding("reciprocity", numbers, low=low, high=high, worst=worst)
 
@@ -248,7 +256,12 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
         yield finding("missing mode/few sensors", sizes, count=len(sweep.chosen), were=were, numbers=numbers)
     for item in sweep.candidates:
         if item.physical and not any(item is other for other in sweep.chosen):
-            what = "not among the modes asked for" if asked else OTHER
+            what = (
+                "not among the modes asked for" if asked
+                else OTHER.format("not a sway mode that the frame still lacks", "a floor or a sign is not as declared")
+                if len(sweep.chosen) < record.stories
+                else OTHER.format(f"one more than {counted(record.stories, 'story')} can have", "the frame has more")
+            )  # fmt: skip
             yield finding("other mode", {"frequency": item.frequency, "energy": item.energy}, what=what)
     # A model of noise has poles of rotation as well.
     faint = FAINT * max(item.energy for item in sweep.candidates)

@@ -246,7 +246,9 @@ def _repaired(
         return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
     if findings and findings[0].numbers["corrected"]:
         factor = -1.0 if best.kind == "sign" else best.factor
-        record = scaled(record, {record.channels[place].name: factor for place in best.places})
+        factors = dict.fromkeys(best.places, factor)
+        factors |= {place: -factors.get(place, 1.0) for place in best.turned}
+        record = scaled(record, {record.channels[place].name: value for place, value in factors.items()})
         found = settled(record, wanted, attempt, highest=highest)
     return record, found, findings
 

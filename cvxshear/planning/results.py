@@ -1,7 +1,11 @@
 """What planning returns: the choice and what it promises, and the planned tests as a file to fill in."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +17,11 @@ from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import MeasuredFrequency
 from cvxshear.planning.tested_model import AveragedModel, Expected, TestModel
 from cvxshear.util.quantities import listed
-from cvxshear.util.results import InJson, Shown
+from cvxshear.util.results import InJson, Shown, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ARBITRARY = 0.01
 """Relative difference of best and worst choice up to which it does not matter: noise is not known to a hundredth."""
@@ -218,6 +225,29 @@ class Plan(Shown):
     def frame(self) -> dict[str, object]:
         """The frame that the plan is for."""
         return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness", "effects", "state")}
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the tests and what they will determine as a table of pandas.
+
+        Returns
+        -------
+        DataFrame
+            One row a floor: floor, sensor (whether it carries one), floor_mass (kg) and story_stiffness (N/m, of the
+            story below that floor) of the design, their expected deviations floor_mass_std and story_stiffness_std,
+            and `added_mass: NAME` (kg) for each test.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        design = self.model.design
+        floors = range(1, design.stories + 1)
+        columns: dict[str, Sequence[object]] = {"floor": floors, "sensor": [floor in self.sensors for floor in floors]}
+        for name, std in self.chosen.std.items():
+            columns |= {name: getattr(design, name).tolist(), f"{name}_std": std.tolist()}
+        masses = zip(self.names, self.tests, strict=True)
+        return data_frame(columns | {f"added_mass: {name}": mass.tolist() for name, mass in masses})
 
 
 def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:

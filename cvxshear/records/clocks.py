@@ -25,6 +25,8 @@ NO_PHASE = 3.0
 """Degrees; a phase of a band that a delay leaves and that noise may have made; twice that in a part of a record."""
 WELL_TURNED = 30.0
 """Degrees; a third of what chance leaves at most in a band that a long delay turns several times."""
+NEARLY_TURNED = 0.75
+"""Of a right angle; the phases of bands that a delay turns by more are not compared with those without it."""
 HEARD = 0.25
 """Of the largest agreement of lines in a band; a band with less has little of what both channels show."""
 MOST_BANDS = 0.75
@@ -149,9 +151,10 @@ def straight(
     parts = squares if slope else squares.sum(axis=0)[None]
     before, _ = _phases(parts, np.full(len(times), steady), edges, segments.omega)
     after, agreed = _phases(parts, seconds + slope * (times - time), edges, segments.omega)
-    # Turned by more than a right angle, what a band shows without the delay is anything.
+    # Turned by a right angle and more, as some lines of a band are whose middle is near it, what it shows without the
+    # delay is anything.
     middles = segments.omega[(edges + np.append(edges[1:], squares.shape[1])) // 2]
-    turned = middles * np.abs(seconds - steady) > np.pi / 2
+    turned = middles * np.abs(seconds - steady) > NEARLY_TURNED * np.pi / 2
     noise = 2 * NO_PHASE if slope else NO_PHASE
     allowed = np.maximum(before, np.radians(np.where(turned, WELL_TURNED, noise)))
     low = slice(None, len(edges) // 4 + 1)

@@ -24,6 +24,8 @@ FEWEST_LINES_BELOW = 3
 """Lines below the first resonance that the signs of a record with base motion are told by."""
 COHERENT_LINE = 0.8
 """Coherence with the base of lines that count."""
+FALLING = 0.9
+"""Of the motion over the base's in the lower half of such lines, below which that in the upper half falls."""
 SAME_RATIO = 0.2
 """Relative; how near a ratio of levels must come to that of two units."""
 
@@ -165,16 +167,22 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
         _, own = scipy.signal.welch(both, rate, nperseg=length, axis=0)
         cross, power, base = cross + weight * each[:, 1:], power + weight * own[:, 1:], base + weight * own[:, [0]]
     transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
-    usual = np.median(np.abs(transfer[2:]), axis=0)
-    relative = np.abs(transfer) / np.maximum(np.abs(transfer[2:4]).mean(axis=0), 0.05 * usual)
-    amplified = np.flatnonzero((relative > 2.0).any(axis=1) & (frequencies > 2 * frequencies[1]))
-    if not amplified.size:
+    # A table hardly moves below some frequency: what is not coherent there shows no transmissibility.
+    heard = np.flatnonzero((coherence > COHERENT_LINE).mean(axis=1) > 0.5)
+    heard = heard[heard > 1]
+    size = np.abs(transfer)
+    if not heard.size:
         return None
-    lines = np.flatnonzero((frequencies < QUIET * frequencies[amplified[0]]) & (np.arange(len(frequencies)) > 1))
-    lines = lines[(coherence[lines] > COHERENT_LINE).mean(axis=1) > 0.5]
+    relative = size[heard[0] :] / np.maximum(size[heard[:2]].mean(axis=0), 0.05 * np.median(size[2:], axis=0))
+    amplified = frequencies[heard[0] + np.flatnonzero((relative > 2.0).any(axis=1))[:1]]
+    lines = heard[frequencies[heard] < QUIET * amplified.sum()]
+    half = len(lines) // 2
     if len(lines) < FEWEST_LINES_BELOW:
         return None
-    rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / frequencies[amplified[0]]) ** 2])
+    # Above a resonance that the table leaves out motions fall as frequency rises, and have another sign.
+    if np.median(size[lines[-half:]].sum(axis=0) / size[lines[:half]].sum(axis=0)) < FALLING:
+        return None
+    rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / amplified) ** 2])
     fit, left, *_ = np.linalg.lstsq(rows, transfer[lines].real, rcond=None)
     scatter = left / (len(lines) - 2) if left.size else np.var(transfer[lines].real, axis=0)
     return fit[0], np.sqrt(scatter * np.linalg.inv(rows.T @ rows)[0, 0])

@@ -36,6 +36,9 @@ CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
 DELAYS_AGREE = 0.05
 """Of a delay: as near half of the other clocks must come to it. Dampers part them by a fraction of a sample."""
+NEARLY_AS_GOOD = 0.8
+"""Of the largest agreement of two clocks: a delay that reaches it is not contradicted by them. Dampers turn the few
+modes of a decay, and a sidelobe of theirs may then be higher than the delay."""
 SLOPES_AGREE = 0.6
 """Of a drift: as near the drifts against every other clock must come to it. Those that dampers feign differ by more."""
 BEYOND_OTHERS = 4.0
@@ -126,8 +129,12 @@ def _std_of_delay(compare: Compare, segments: Segments, late: int, right: int, s
     limit = LATE / segments.rate
     if abs(seconds) < max(limit, CERTAIN_DELAY * std):
         return np.inf
-    others = [k for k in range(segments.spectra.shape[2]) if k not in (late, right)]
-    off = [abs(compare(late, k).middle - compare(right, k).middle - seconds) for k in others]
+    off = []
+    for k in range(segments.spectra.shape[2]):
+        if k not in (late, right):
+            own, expected = compare(late, k).middle, compare(right, k).middle + seconds
+            turned = segments.agreed(late, k, expected) >= NEARLY_AS_GOOD * segments.agreed(late, k, own)
+            off.append(0.0 if turned else abs(own - expected))
     if sum(each < max(2 * limit, DELAYS_AGREE * abs(seconds)) for each in off) < len(off) / 2:
         return np.inf
     if segments.agreed(late, right, 0.0) > IN_STEP * segments.agreed(late, right, seconds):

@@ -66,7 +66,7 @@ class Hypothesis:
     missed : float
         Probability of a missed mode, given the hypothesis.
     turned : tuple of int
-        Channels that are reversed beside two that are exchanged.
+        Channels that are reversed beside two that are exchanged, or one in another unit.
     """
 
     kind: str
@@ -116,9 +116,10 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
             for i in range(count)
         ]
     prior += [
-        (Hypothesis("unit", (i,), factor), OTHER_UNIT)
+        (Hypothesis("unit", (i,), factor, turned=turned), OTHER_UNIT * REVERSED ** len(turned))
         for i in range(count)
         for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
+        for turned in ((), *((j,) for j in range(count if count > 2 else 0)))
     ]
     of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
     scores = np.log([[before] for _, before in prior]) + of_numbers
@@ -213,7 +214,10 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     best = hypotheses[0]
     sound = next(item.probability for item in hypotheses if item.kind == "sound")
     if best.kind != "sound" and best.probability >= SURE:
-        return [_said(best, channels, first, sound)]
+        each = [best]
+        if best.kind == "unit" and best.turned:
+            each.append(dataclasses.replace(best, kind="sign", places=best.turned, turned=()))
+        return [_said(item, channels, first, sound) for item in each]
     rivals = [item for item in hypotheses if item.kind != "sound" and item.probability > best.probability / 3]
     if not rivals or rivals[0].probability < DOUBTFUL:
         return []
@@ -245,6 +249,7 @@ def _named(item: Hypothesis, channels: Sequence[Channel]) -> list[str]:
 
 def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
     named = listed([str(channels[place]) for place in item.places])
+    reversed_ = "".join(f" and {channels[place]} is reversed" for place in item.turned)
     if item.kind == "sign" and len(channels) == 2:
         return f"{listed(list(map(str, channels)), 'or')} is reversed"
     if item.kind == "sign":
@@ -253,9 +258,8 @@ def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
         channel = channels[item.places[0]]
         unit = unit_in_truth(channel, item.factor)
         if channel.unit is not None:
-            return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared"
-        return f"{named} is in {unit}" if unit is not None else f"{named} is in m/s2 and the others in g"
-    reversed_ = "".join(f" and {channels[place]} is reversed" for place in item.turned)
+            return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared{reversed_}"
+        return f"{named} is in {unit if unit is not None else 'm/s2 and the others in g'}{reversed_}"
     return f"{named} are in each other's place{reversed_}"
 
 

@@ -19,9 +19,11 @@ from cvxshear.util.typing import Bools, Floats
 DEAD = 1e-4
 """Share of the median channel's standard deviation; a channel below it measures nothing."""
 CLIPPED_RUN = 3
-"""Consecutive samples at the extreme value that make a clip, not a peak."""
+"""Consecutive samples at the extreme value, at least, that make a clip, not a peak."""
+CHANCE_OF_CLIP = 1e-5
+"""That as many repeat each other where others as large do; a converter of few bits repeats itself at any level."""
 CLIPPED_COUNT = 5
-"""Samples at the extreme value, and times as many as at the next, that make a clip where no three follow each other."""
+"""Times as many samples at the extreme value as at the next, and one more, that make a clip where none repeats."""
 DRIFTED = 0.2
 """Change of the mean along the record, in standard deviations of the channel."""
 NEAR_NYQUIST = 0.05
@@ -252,19 +254,34 @@ def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> Ite
 
 
 def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
+    levels, times = np.unique(values, return_counts=True)
     for extreme in (values.max(), values.min()):
         flat = values == extreme
-        lengths = np.diff(stretches(flat), axis=1)
-        count = int(lengths[lengths >= CLIPPED_RUN].sum())
-        levels, times = np.unique(values, return_counts=True)
+        count = _cut_off(values, extreme, levels)
         edge = times[[-1, -2]] if extreme == levels[-1] and len(times) > 1 else times[:2]
-        if len(edge) > 1 and edge[0] >= CLIPPED_COUNT * max(1, edge[1]):
+        if len(edge) > 1 and edge[0] >= CLIPPED_COUNT * (1 + edge[1]):
             count = max(count, int(edge[0]))
         if count and values.std() > 0 and count < 0.5 * len(values) and abs(extreme - np.median(values)) > values.std():
             numbers = {"channel": name, "level": float(extreme), "samples": count, "share": count / len(values)}
             first = int(np.argmax(flat)) + 1
             yield finding("clipped channel", numbers, where=where, length=len(values), first=first)
             return
+
+
+def _cut_off(values: Floats, extreme: float, levels: Floats) -> int:
+    """Count the samples of a series that stand at its extreme value for longer than its converter makes of a peak."""
+    flat, middle = values == extreme, np.median(values)
+    loud = (np.abs(values - middle) > 0.5 * abs(extreme - middle)) & ~flat
+    steps = np.diff(values)[loud[1:] & loud[:-1]]
+    share = np.mean(steps == 0) if steps.size else 0.0
+    least = CLIPPED_RUN if share in (0.0, 1.0) else max(CLIPPED_RUN, 1 + np.log(CHANCE_OF_CLIP) / np.log(share))
+    runs = stretches(flat)
+    runs = runs[np.diff(runs, axis=1)[:, 0] >= least]
+    # Of a slow motion's peak that is rounded the samples before and after are one step lower.
+    beside = np.abs(values[np.clip(runs - [1, 0], 0, len(values) - 1)] - extreme).max(axis=1, initial=0.0)
+    ends = (runs[:, 0] == 0) | (runs[:, 1] == len(values))
+    fine = np.diff(levels).min(initial=np.inf)
+    return int(np.diff(runs, axis=1)[(beside > 2.5 * fine) | ends].sum())
 
 
 def _held(values: Floats, where: str, name: str) -> Iterator[Finding]:

@@ -3,12 +3,10 @@
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.response.compare import RecordComparison
 from cvxshear.response.damped import DampedModel, Response, response
-from cvxshear.response.fitted import Fitted, Models
-from cvxshear.response.from_sensors import reconstruct
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra
 from cvxshear.response.predicted import RecordPrediction, Side, predict
-from cvxshear.response.reconstruction import Reconstruction
-from cvxshear.response.sources import models_of_loop
+from cvxshear.response.reconstruction import Reconstruction, reconstruct
+from cvxshear.response.sources import Fitted, Models, models_of_loop
 from cvxshear.response.uncertain import IdentifiedDamping, damping_of
 
 __all__ = [

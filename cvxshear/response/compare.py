@@ -58,33 +58,13 @@ class Transfer:
 
 
 def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
-    """Length of the pieces, samples: long enough for a mode's resonance, short enough for several.
-
-    Parameters
-    ----------
-    samples : int
-        Of the shortest run.
-    rate : float
-        Hz.
-    frequency, ratio : float
-        Hz and fraction of critical, of the mode with the narrowest resonance.
-    """
+    """Length of the pieces, samples: long enough for a mode of this frequency (Hz) and ratio, short for several."""
     wanted = BANDWIDTH_LINES * rate / max(2 * ratio * frequency, 1e-12)
     return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
 
 
 def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> Transfer:
-    """Estimate the transfer functions over all runs together.
-
-    Parameters
-    ----------
-    excitations : sequence of ndarray, shape (samples,)
-    responses : sequence of ndarray, shape (samples, n)
-    rate : float
-        Hz.
-    length : int
-        Samples of each piece.
-    """
+    """Estimate the transfer functions over all runs together, by pieces of so many samples."""
     cross: Complexes | float = 0.0
     force: Floats | float = 0.0
     power: Floats | float = 0.0
@@ -113,19 +93,9 @@ def around(frequencies: Floats, natural: Floats, mode: int, half: float = AROUND
 
 
 def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
-    """Error of the predicted size around each mode, root mean square over that of the measured one.
+    """Error of the predicted size around each mode, rms over that of the measured one, shape (n, N).
 
-    Parameters
-    ----------
-    measured, predicted : Transfer
-        On the same lines.
-    natural : ndarray, shape (N,)
-        Hz.
-
-    Returns
-    -------
-    ndarray, shape (n, N)
-        A row a floor; nan around modes that the excitation does not reach.
+    A row a floor; nan around modes that the excitation does not reach. Both are on the same lines.
     """
     result = np.full((measured.functions.shape[1], len(natural)), np.nan)
     for mode in range(len(natural)):
@@ -175,7 +145,6 @@ class Shift:
 
     Parameters
     ----------
-    mode : int
     measured, modelled : float
         Where the transfer functions peak, Hz.
     """
@@ -242,7 +211,6 @@ def compared(
 
     Parameters
     ----------
-    model : DampedModel
     responses : sequence of Response
         One a run of the record.
     motion : Motion
@@ -343,12 +311,7 @@ def moved_alike(measured: Floats, predicted: Floats) -> Floats:
 
 
 def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bools:
-    """Whether each channel moved against its prediction where all others moved with theirs, shape (n,).
-
-    Parameters
-    ----------
-    measured, predicted : sequence of ndarray, shape (samples, n)
-    """
+    """Whether each channel moved against its prediction where all others moved with theirs, shape (n,)."""
     y, p = np.concatenate(measured), np.concatenate(predicted)
     alike = moved_alike(y, p)
     against = alike < -LIKE
@@ -357,13 +320,7 @@ def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bo
 
 
 def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
-    """Say what one factor, a sign or an exchange of two channels would explain; empty where none does.
-
-    Parameters
-    ----------
-    measured, predicted : sequence of ndarray, shape (samples, n)
-    floors : ndarray of int, shape (n,)
-    """
+    """Say what one factor, a sign or an exchange of two channels would explain; empty where none does."""
     y, p = np.concatenate(measured), np.concatenate(predicted)
     size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
     if not np.all(size_y > 0) or not np.all(size_p > 0):

@@ -64,12 +64,7 @@ def modal_damping(real: Modes, C: Floats) -> Floats:
 
 
 def poles(M: Floats, C: Floats, K: Floats) -> Poles:
-    """Compute the complex modes of a damped frame.
-
-    Parameters
-    ----------
-    M, C, K : ndarray, shape (N, N)
-        Symmetric; kg, N s/m, N/m.
+    """Compute the complex modes of a damped frame, of symmetric matrices.
 
     Raises
     ------
@@ -86,14 +81,7 @@ def poles(M: Floats, C: Floats, K: Floats) -> Poles:
 
 
 def classical(real: Modes, own: Floats) -> Poles:
-    """Poles of modes that damping does not couple.
-
-    Parameters
-    ----------
-    real : Modes
-    own : ndarray, shape (N,)
-        2 zeta omega of each mode, rad/s.
-    """
+    """Poles of modes that damping does not couple; own is 2 zeta omega of each, rad/s."""
     omega = np.sqrt(real.eigenvalues)
     half = 0.5 * own
     root = np.sqrt((half**2 - omega**2).astype(np.complex128))
@@ -134,15 +122,7 @@ TERMS = 12
 
 
 def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
-    """e^(s h), and the weights of the sample now and of the one before.
-
-    Parameters
-    ----------
-    s : ndarray of complex, any shape
-        rad/s.
-    step : float
-        h, s.
-    """
+    """e^(s h), and the weights of the sample now and of the one before, of the shape of s."""
     x: Complexes = np.asarray(s * step, dtype=np.complex128)
     E: Complexes = np.exp(x)
     small = np.abs(x) < SMALL
@@ -165,20 +145,9 @@ def _series(x: Complexes, order: int) -> Complexes:
 
 
 def driven_poles(s: Complexes, p: Floats, step: float) -> Complexes:
-    """Solve z' = s z + p for every pole from rest, by the first-order hold.
+    """Solve z' = s z + p for every pole from rest, by the first-order hold: shape (p, samples).
 
-    Parameters
-    ----------
-    s : ndarray of complex, shape (p,)
-    p : ndarray, shape (samples,)
-        A straight line between samples.
-    step : float
-        s.
-
-    Returns
-    -------
-    ndarray of complex, shape (p, samples)
-        Zero at the first sample.
+    Zero at the first sample; p is a straight line between samples.
     """
     E, now, before = hold(np.asarray(s), step)
     z = np.empty((len(E), len(p)), dtype=np.complex128)

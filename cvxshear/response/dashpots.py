@@ -82,12 +82,6 @@ class Ratios:
 def damping_ratios(experiment: Experiment, configuration: Configuration) -> Ratios:
     """Return the ratios of a configuration, or of the first that has some where it has none.
 
-    Parameters
-    ----------
-    experiment : Experiment
-    configuration : Configuration
-        By whose name its own ratios are found.
-
     Raises
     ------
     InputError
@@ -185,8 +179,6 @@ def story_dashpots(
         Undamped, all N of them.
     stiffness : ndarray, shape (N,)
         N/m; the dashpots are in proportion to it where nothing else tells.
-    ratios : Ratios
-    backend : Backend
     priors : sequence of Prior, optional
         Of the quantity "story_damping".
     start : ndarray, shape (N,), optional
@@ -324,17 +316,6 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
 
 def rayleigh(real: Modes, ratios: Ratios, backend: Backend) -> Floats:
     """Find a and b of C = a M + b K, both at least zero, by zeta_i = a / (2 omega_i) + b omega_i / 2, weighted.
-
-    Parameters
-    ----------
-    real : Modes
-    ratios : Ratios
-    backend : Backend
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        a in 1/s, b in s.
 
     Raises
     ------

@@ -82,7 +82,6 @@ class Dynamics:
     direct : ndarray, shape (m,)
     R : ndarray, shape (m,)
         Variances of e.
-    outputs : Outputs
     """
 
     A: Floats
@@ -106,15 +105,13 @@ class Dynamics:
 
     def driven(self, excitation: Floats) -> Floats:
         """Return what the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
-        lines, kind = excitation[:, 0], excitation.dtype
-        following = np.append(lines[1:], lines[-1])
-        driven: Floats = np.outer(lines, self.before.astype(kind))
-        driven += np.outer(following, self.after.astype(kind))
+        lines = excitation[:, 0]
+        driven: Floats = np.column_stack([lines, np.append(lines[1:], lines[-1])]) @ [self.before, self.after]
         return driven
 
     def shown(self, excitation: Floats) -> Floats:
         """Return what the sensors show of the excitation besides the state, shape (samples, m)."""
-        return np.outer(excitation[:, 1], self.direct.astype(excitation.dtype))
+        return np.outer(excitation[:, 1], self.direct)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +132,10 @@ class Outputs:
     direct: Floats
 
     def of(self, states: Floats, excitation: Floats) -> Floats:
-        """Return the outputs over time, shape (samples, outputs), in the precision of the states."""
-        result: Floats = states @ self.rows.T.astype(states.dtype)
-        result += np.outer(excitation[:, 1], self.direct.astype(states.dtype))
+        """Return the outputs over time, shape (samples, outputs)."""
+        result: Floats = states @ self.rows.T
+        if np.any(self.direct):
+            result += np.outer(excitation[:, 1], self.direct)
         return result
 
 
@@ -153,7 +151,6 @@ class Setting:
         s.
     force_floor : int
         Where a measured force acts; 0 for base motion.
-    base_measured : bool
     corner : float
         alpha, rad/s.
     ground_corner : float
@@ -184,14 +181,7 @@ class Setting:
 
 
 def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
-    """Build the discrete state-space model of a frame.
-
-    Parameters
-    ----------
-    model : DampedModel
-    noise : Noise
-    setting : Setting
-    """
+    """Build the discrete state-space model of a frame."""
     N = len(model.M)
     estimated, n = not setting.base_measured, setting.states
     T = transformation(N)
@@ -219,8 +209,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     density[2 * N : 3 * N] = 2 * setting.corner * noise.force**2
     if estimated:
         density[3 * N] = 2 * setting.ground_corner * noise.ground**2
-    A, Q = _van_loan(rates, density, setting.step)
-    before, after = _first_order_hold(rates, load, setting.step)
+    A, before, after, Q = _over_a_step(rates, load, density, setting.step)
     at = setting.floors - 1
     seen, direct = total, through
     if model.bracket is not None:
@@ -257,40 +246,29 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
     return Outputs(np.concatenate(rows), np.concatenate(weights))
 
 
-def _van_loan(rates: Floats, density: Floats, step: float) -> tuple[Floats, Floats]:
-    """Transition over a step, and the covariance that white noise of this density leaves in it."""
+def _over_a_step(rates: Floats, load: Floats, density: Floats, step: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Transition, what the excitation at either end of the step adds, and the covariance that white noise leaves.
+
+    The excitation is a straight line in between; the noise is of this density.
+    """
     n = len(rates)
+    wide = np.zeros((n + 2, n + 2))
+    wide[:n, :n], wide[:n, n], wide[n, n + 1] = rates, load, 1.0 / step
     # A mode that dies away within a step grows backward in time, and would swamp the rest. None does so faster than all
     # together, by the trace.
     halvings = max(0, int(np.ceil(np.log2(-float(np.trace(rates)) * step / MOST_GROWTH))))
-    both = np.block([[-rates, np.diag(density)], [np.zeros((n, n)), rates.T]])
+    both = np.block([[-wide, np.diag(np.append(density, [0.0, 0.0]))], [np.zeros_like(wide), wide.T]])
     whole = linalg.expm(both * (step / 2**halvings))
-    A = whole[n:, n:].T
-    Q = A @ whole[:n, n:]
+    A = whole[n + 2 :, n + 2 :].T
+    Q = A @ whole[: n + 2, n + 2 :]
     for _ in range(halvings):
         Q, A = Q + A @ Q @ A.T, A @ A
-    return A, 0.5 * (Q + Q.T)
-
-
-def _first_order_hold(rates: Floats, load: Floats, step: float) -> tuple[Floats, Floats]:
-    """Weights of the excitation at both ends of a step between which it is a straight line."""
-    n = len(rates)
-    wide = np.zeros((n + 2, n + 2))
-    wide[:n, :n], wide[:n, n], wide[n, n + 1] = rates * step, load * step, 1.0
-    whole = linalg.expm(wide)
-    after = whole[:n, n + 1]
-    return whole[:n, n] - after, after
+    after = A[:n, n + 1]
+    return A[:n, :n], A[:n, n] - after, after, 0.5 * (Q + Q.T)[:n, :n]
 
 
 def doubled(A: Floats, Q: Floats) -> Floats:
-    """P = A P A' + Q of a stable A, by doubling the number of steps.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    Q : ndarray, shape (..., n, n)
-        Symmetric.
-    """
+    """P = A P A' + Q of a stable A and one or several symmetric Q, by doubling the number of steps."""
     P, power = Q, A
     for _ in range(MOST_DOUBLINGS):
         more = power @ P @ power.T
@@ -322,10 +300,8 @@ def settled_covariance(model: Dynamics) -> Floats:
 
 
 SHORT: np.dtype[Any] = np.dtype(np.float32)
-"""Precision of derivatives and deviations, which need no more digits: half the time and memory."""
-
-MOST_BLOCKS = 128
-"""Blocks that are gone through at once: what they need besides the result stays within a few megabytes."""
+"""Precision of the derivatives of innovations: half the time and memory. Differences of two motions need more digits:
+at 200 Hz rounding would be as large as what a standard deviation of the frame moves."""
 
 LONG = 256
 """Samples, four blocks, from which on products of large matrices are faster than a loop over the samples."""
@@ -343,57 +319,37 @@ def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = No
     Parameters
     ----------
     F : ndarray, shape (n, n)
-    inputs : ndarray, shape (samples, n)
-        The last row is not used.
+    inputs : ndarray, shape (samples, ..., n)
+        The last row is not used. Dimensions between are those of recursions side by side.
     start : ndarray, shape (n,)
     rows : ndarray, shape (k, n), optional
         Combinations of the state that are returned in its place.
 
     Returns
     -------
-    ndarray, shape (samples, n) or (samples, k)
+    ndarray, shape (samples, ..., n) or (samples, ..., k)
     """
-    kind = inputs.dtype
-    if len(inputs) < LONG:
-        states = np.empty((len(inputs), len(F)), dtype=kind)
-        state = start
-        for t, more in enumerate(inputs):
-            states[t] = state
-            state = F @ state + more
-        return states if rows is None else np.asarray(states @ rows.T.astype(kind))
-    turned = F.T.astype(kind)
-    seen = np.eye(len(F), dtype=kind) if rows is None else rows.T.astype(kind)
-    # F'^j seen for all j, then over a whole block.
-    carried = [seen]
-    for _ in range(BLOCK - 1):
-        carried.append(turned @ carried[-1])
-    leap = np.linalg.matrix_power(F.T, BLOCK)
-    result = np.empty((len(inputs), seen.shape[1]), dtype=kind)
-    state = start
-    for first in range(0, len(inputs), BLOCK * MOST_BLOCKS):
-        part = inputs[first : first + BLOCK * MOST_BLOCKS]
-        result[first : first + len(part)], state = _blocks(turned, part, state, carried, leap, rows is None)
-    return result
-
-
-def _blocks(
-    turned: Floats, inputs: Floats, state: Floats, carried: list[Floats], leap: Floats, plain: bool
-) -> tuple[Floats, Floats]:
-    """Run the recursion over some blocks; return its states and the one after the last."""
-    samples, n = inputs.shape
-    blocks = -(-samples // BLOCK)
-    padded = np.zeros((blocks * BLOCK, n), dtype=inputs.dtype)
-    padded[:samples] = inputs
-    cut = np.ascontiguousarray(padded.reshape(blocks, BLOCK, n).transpose(1, 0, 2))
-    local = np.zeros((BLOCK, blocks, n), dtype=inputs.dtype)
-    for j in range(1, BLOCK):
-        local[j] = local[j - 1] @ turned + cut[j - 1]
-    ends = local[-1] @ turned + cut[-1]
-    starts = np.empty((blocks, n), dtype=inputs.dtype)
-    for k in range(blocks):
-        starts[k] = state
-        state = state @ leap + ends[k]
-    result = local if plain else local @ carried[0]
-    for j in range(BLOCK):
-        result[j] += starts @ carried[j]
-    return result.transpose(1, 0, 2).reshape(blocks * BLOCK, -1)[:samples], state
+    samples, *beside, n = inputs.shape
+    turned = F.T.astype(inputs.dtype)
+    seen = np.eye(n, dtype=inputs.dtype) if rows is None else rows.T.astype(inputs.dtype)
+    block = BLOCK if samples >= LONG else 1
+    blocks = -(-samples // block)
+    if blocks * block > samples:
+        inputs = np.concatenate([inputs, np.zeros((blocks * block - samples, *beside, n), dtype=inputs.dtype)])
+    cut = inputs.reshape(blocks, block, -1, n)
+    result = np.empty((*cut.shape[:3], seen.shape[1]), dtype=inputs.dtype)
+    local = np.zeros_like(cut[:, 0])
+    for j in range(block):
+        flat = local.reshape(-1, n)
+        result[:, j] = (flat if rows is None else flat @ seen).reshape(result[:, j].shape)
+        local = (flat @ turned).reshape(local.shape)
+        local += cut[:, j]
+    leap, state = np.linalg.matrix_power(F.T, block), np.broadcast_to(start, cut.shape[2:])
+    starts = np.empty_like(local)
+    for begun, end in zip(starts, local, strict=True):
+        begun[...] = state
+        state = state @ leap + end
+    for j in range(block):
+        result[:, j] += starts @ seen
+        seen = turned @ seen
+    return result.reshape(blocks * block, *beside, -1)[:samples]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,8 +20,7 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
-from cvxshear.response.fitted_frame import FittedFrame
-from cvxshear.response.frame_answers import Answer, Linear, possible_answers
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.frame_prior import (
     FORM_STDS,
     GAIN_STDS,
@@ -28,10 +28,14 @@ from cvxshear.response.frame_prior import (
     NO_DASHPOT_STD,
     NOISE_STD,
     SCATTER_STDS,
+    Answer,
     FramePrior,
     Gaussian,
+    Linear,
+    possible_answers,
 )
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
+from cvxshear.response.varied_frame import GAIN_UNIT
 from cvxshear.util.typing import Floats, Ints
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
@@ -62,6 +66,164 @@ effects must not give way to the innovations of a model that is wrong."""
 NONLINEAR = 4.0
 """Inflation of the scores from which on a record is said not to be that of a linear frame with sound sensors: those
 have 1 to 2, with bending beams too, a clock 5 ms late makes it 5 and a story that yields 4 to 50."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedFrame:
+    """The frame as it was in the record.
+
+    Parameters
+    ----------
+    p : ndarray, shape (P,)
+        Unknowns of `PredictionErrors`.
+    covariance : ndarray, shape (P, P)
+        Averaged over the answers.
+    answers : tuple of Answer
+        Most probable first.
+    inflation : float
+        Of the covariance, for innovations that are not white.
+    along : Directions
+        Along which it was fitted.
+    log_evidence : float
+        Log of the probability of the record, averaged over the answers; that of the fit where the frame stays.
+    """
+
+    errors: PredictionErrors
+    prior: FramePrior
+    p: Floats
+    covariance: Floats
+    answers: tuple[Answer, ...]
+    inflation: float
+    converged: bool
+    along: Directions
+    log_evidence: float
+
+    @cached_property
+    def story_probability(self) -> Floats:
+        """Probability that each story changed by itself, shape (N,)."""
+        return self._changed[: self.errors.stories]
+
+    @cached_property
+    def dashpot_probability(self) -> Floats:
+        """Probability that each story has a dashpot of its own, shape (N,)."""
+        return self._changed[self.errors.stories : self._first_gain]
+
+    @property
+    def dashpots(self) -> tuple[Floats, Floats]:
+        """Dashpot of each story, and its standard deviation, shapes (N,), N s/m."""
+        return self._unknown(self.errors.varied.dashpots, self.errors.varied.dashpot)
+
+    def _unknown(self, at: slice, unit: Floats) -> tuple[Floats, Floats]:
+        """Return some unknowns and their standard deviations, in units."""
+        return unit * self.p[at], np.abs(unit) * np.sqrt(np.diag(self.covariance)[at])
+
+    @cached_property
+    def gain_probability(self) -> Floats:
+        """Probability that each sensor's gain is off by itself, shape (m,) with the excitation's last."""
+        return self._changed[self._first_gain :]
+
+    @property
+    def _first_gain(self) -> int:
+        return self.errors.stories + len(self.errors.varied.dashpot)
+
+    @cached_property
+    def _changed(self) -> Floats:
+        result = np.zeros(self._first_gain + self.errors.varied.gains)
+        for each in self.answers:
+            result[list(each.changed)] += each.probability
+        return result
+
+    @property
+    def mass_probability(self) -> float:
+        """Probability that floor masses changed."""
+        return sum(each.probability for each in self.answers if each.mass_std > 0)
+
+    @property
+    def gains(self) -> tuple[Floats, Floats]:
+        """Relative error of each sensor, the excitation's last, and its standard deviation, shapes (m,)."""
+        at, m = self.errors.varied.sensor_gains, len(self.errors.setting.floors)
+        # An excitation that was larger than its sensor shows: that one reads too little.
+        signs = np.where(np.arange(at.stop - at.start - m) < m, 1.0, -1.0)
+        logarithms, std = self._unknown(slice(at.start + m, at.stop), GAIN_UNIT * signs)
+        return np.expm1(logarithms), np.exp(logarithms) * std
+
+    @property
+    def brackets(self) -> tuple[Floats, Floats]:
+        """What each sensor stands on (`DampedModel.bracket`), and its standard deviation, shapes (m,), s2."""
+        varied, m = self.errors.varied, len(self.errors.setting.floors)
+        first, units = varied.sensor_gains.start, varied.dbracket.sum(axis=1)
+        return self._unknown(slice(first, first + m), units[len(units) - varied.gains :][:m])
+
+    @property
+    def factors(self) -> Floats:
+        """Story stiffnesses in this record over the identified ones, shape (N,)."""
+        return self.errors.varied.story_factors(self.p[self.errors.frame])[0]
+
+    @property
+    def factors_std(self) -> Floats:
+        """Standard deviations of the factors, shape (N,): both stiffnesses are uncertain."""
+        return np.asarray(np.sqrt(np.diag(self._factors_covariance) + self.scale_std**2))
+
+    @property
+    def scale_std(self) -> float:
+        """Relative standard deviation of the total mass, and so of all stiffnesses, since floors may have changed.
+
+        Base motion tells how each floor changed against the others, not all together.
+        """
+        if not self.errors.setting.base_measured or self.errors.setting.force_floor:
+            return 0.0
+        return MASS_STDS[-1] * float(np.sqrt(self.mass_probability / self.errors.stories))
+
+    @property
+    def mean_factor(self) -> tuple[float, float]:
+        """Mean of the factors, and its standard deviation."""
+        return float(np.mean(self.factors)), float(np.sqrt(np.mean(self._factors_covariance) + self.scale_std**2))
+
+    @property
+    def against_others(self) -> tuple[Floats, Floats]:
+        """Each story's factor over that of the stories that hardly changed, less one, and its deviation, shapes (N,).
+
+        What all stories share, such as the scale of the masses, is in neither.
+        """
+        N, f = len(self.factors), self.factors
+        weights = np.maximum(1.0 - self.story_probability, 1e-6) * (1.0 - np.eye(N)) + 1e-12
+        weights /= weights.sum(axis=1, keepdims=True)
+        others = weights @ f if N > 1 else np.ones(1)
+        J = np.diag(1.0 / others) - (f / others**2)[:, None] * (weights if N > 1 else 0.0)
+        std = np.sqrt(np.maximum(np.sum((J @ self._factors_covariance) * J, axis=1), 0.0))
+        return f / others - 1.0, std
+
+    @cached_property
+    def mass_change(self) -> tuple[Floats, Floats]:
+        """Relative change of each floor's mass since the tests, and its standard deviation, shapes (N,).
+
+        Under the most probable answer in which they changed; zeros where there is none. The difference from the
+        identified masses is partly the error of these.
+        """
+        N = self.errors.stories
+        answer = next((each for each in self.answers if each.mass_std > 0), None)
+        if answer is None:
+            return np.zeros(N), np.zeros(N)
+        prior, variance = self.prior.gaussian(*answer.prior), answer.mass_std**2
+        heavier = np.zeros((len(self.p), self.prior.varied.heavier_floors.shape[1]))
+        heavier[self.errors.frame] = self.prior.varied.heavier_floors
+        G = variance * np.linalg.solve(prior.covariance, heavier).T
+        covariance = variance * (np.eye(N) - G @ heavier) + G @ self.covariance @ G.T
+        return G @ (self.p - prior.mean), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+    @cached_property
+    def _factors_covariance(self) -> Floats:
+        varied, frame = self.errors.varied, self.errors.frame
+        _, J = varied.story_factors(self.p[frame])
+        N, D, W, _ = varied.sizes
+        masses = J[:, N + D : N + D + W]
+        result: Floats = J @ self.covariance[frame, frame] @ J.T + self.prior.identified + masses @ masses.T
+        return result
+
+    @property
+    def model(self) -> DampedModel:
+        """The frame at the most probable unknowns."""
+        return self.errors.model(self.p)
 
 
 class _Point:
@@ -96,9 +258,6 @@ class _Posterior:
 
     Parameters
     ----------
-    errors : PredictionErrors
-    along : Directions
-    prior : Gaussian
     inflation : float, optional
         By which the likelihood is tempered: scores of a model that is wrong scatter more than they say.
     """
@@ -140,8 +299,6 @@ def fit_frame(
 
     Parameters
     ----------
-    errors : PredictionErrors
-    prior : FramePrior
     backend : Backend
         Solves the steps.
     start : ndarray, shape (P,), optional
@@ -165,9 +322,7 @@ def fit_frame(
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
     if start is None:
         rough = _Posterior(
-            errors.shortened(FIRST_SAMPLES, p),
-            informative(errors, prior, p, FIRST_INFORMATION),
-            prior.widest,
+            errors.shortened(FIRST_SAMPLES, p), informative(errors, prior, p, FIRST_INFORMATION), prior.widest
         )
         idle = prior.idle_dashpots(range(len(prior.single)) if dashpots else ())
         p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED, idle)[0].p
@@ -207,15 +362,7 @@ def fit_frame(
 
 
 def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
-    """Find the directions on which the record has information, whichever stories changed and whatever the form misses.
-
-    Parameters
-    ----------
-    errors : PredictionErrors
-    prior : FramePrior
-    p : ndarray, shape (P,)
-    least : float, optional
-    """
+    """Find the directions of which the record tells something, whatever changed and whatever the form misses."""
     # An unknown first state would hide from a short part what the whole record tells.
     short = errors.shortened(FIRST_SAMPLES, p, free=False)
     root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
@@ -227,11 +374,8 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
 
     Parameters
     ----------
-    frame : FittedFrame
-    errors : PredictionErrors
     gone : int
         Unknown that the sensor's noise was.
-    backend : Backend
     steps : int
         At most; with none the frame stays as it was.
     """

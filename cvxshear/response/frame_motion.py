@@ -7,7 +7,7 @@ directions that move the motion most.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -17,12 +17,11 @@ from cvxshear.backends import Backend
 from cvxshear.records.motion import Drive
 from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics
-from cvxshear.response.fitted_frame import FittedFrame
-from cvxshear.response.frame_fit import FITTED_SAMPLES, fit_frame
+from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior
 from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
-from cvxshear.response.smoother import Observed, Piece, Smoothed, settled_states, smooth
+from cvxshear.response.smoother import SWEPT_AT_ONCE, Observed, Piece, Smoothed, settled_states, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import NoModesError
@@ -57,8 +56,6 @@ class ReconstructedRun:
 
     Parameters
     ----------
-    name : str
-    response : Response
     std : dict of str to ndarray
         Standard deviations of the quantities over time, by the names of `peaks.histories`.
     base : ndarray, shape (samples,), optional
@@ -109,12 +106,8 @@ class FrameMotion:
     ----------
     frame : UncertainFrame
         As identified.
-    varied : VariedFrame
-    recording : Recording
-    setting : Setting
     noise : Noise
         Where its levels start.
-    backend : Backend
     free : bool
         Whether the frame is fitted.
     """
@@ -153,15 +146,10 @@ class FrameMotion:
         )
 
     def fitted(self, *, detrend: bool) -> tuple[FrameMotion, FittedFrame, list[Smoothed]]:
-        """Fit the frame and find its motion.
+        """Fit the frame and find its motion, the lines through what it leaves of the record taken off where `detrend`.
 
         Gaps and spikes are filled in by the identified frame, then by the fitted one, and so is the state of a record
         that begins while the frame moves.
-
-        Parameters
-        ----------
-        detrend : bool
-            Whether the straight lines through what the motion leaves of the record are taken off.
         """
         errors = self.errors(None, None)
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
@@ -223,15 +211,7 @@ class FrameMotion:
         return run.pieces(self.varied.first_samples(self.recording.step))
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
-        """Find the motion of each run, with deviations of outputs that are given by rows on the state, if any.
-
-        Parameters
-        ----------
-        errors : PredictionErrors
-        p : ndarray, shape (P,)
-            Unknowns of the frame and the noise.
-        rows : ndarray, shape (outputs, n), optional
-        """
+        """Find the motion of each run, with deviations of outputs that are given by rows on the state, if any."""
         model = errors.dynamics(p)
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
@@ -248,8 +228,6 @@ class FrameMotion:
 
         Parameters
         ----------
-        fitted : FittedFrame
-        wider : float
         rough : float
             Standard deviation of a drift, of a floor's displacement or of a force, relative to it, that comes from what
             neither the record nor the tests tell.
@@ -261,12 +239,14 @@ class FrameMotion:
         result = []
         smoothed = self.smoothed(fitted.errors, fitted.p, rows.rows)
         for run, found in zip(self.recording.runs, smoothed, strict=True):
-            moved, std = rows.of(found.states, run.drive), found.output_std
+            std = found.output_std
             np.square(std, out=std)
             for sides in directions.sides:
-                std += directions.allowance * self.moved_by(sides, noise, run, found) ** 2
+                for part, moved in self.moved_by(sides, noise, run, found):
+                    std[part] += directions.allowance * moved**2
             np.sqrt(std, out=std)
             std *= wider
+            moved = rows.of(found.states, run.drive)
             acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
             own = std[:, n : 3 * n]
             np.hypot(own, rough * np.hstack([displacement, drift]), out=own)
@@ -287,38 +267,23 @@ class FrameMotion:
             )
         return result
 
-    def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Floats:
+    def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Iterator[tuple[slice, Floats]]:
         """Half the difference of all outputs between two frames, for a standard deviation, shape (samples, outputs).
 
-        Parameters
-        ----------
-        sides : (DampedModel, DampedModel, float)
-            As in `FrameDirections`.
-        noise : Noise
-        run : RecordedRun
-        found : Smoothed
-            Whose measurements the frames are smoothed to.
+        One part of the run after the other.
         """
-        driven, seen, pieces = run.drive.astype(SHORT), found.completed.astype(SHORT), self.pieces(run)
-        there, back = (self._motion(model, noise, driven, seen, found.states[0], pieces) for model in sides[:2])
-        result: Floats = 0.5 * sides[2] * (there - back)
-        return result
-
-    def _motion(
-        self, model: DampedModel, noise: Noise, excitation: Floats, y: Floats, start: Floats, pieces: list[Piece]
-    ) -> Floats:
-        """All outputs of a frame that is smoothed to what the sensors recorded, shape (samples, outputs)."""
-        system = dynamics(model, noise, self.setting)
-        return system.outputs.of(settled_states(system, excitation, y, start, pieces), excitation)
+        systems = [dynamics(model, noise, self.setting) for model in sides[:2]]
+        of_run = run.drive, found.completed, found.states[0], self.pieces(run)
+        states = [settled_states(system, *of_run) for system in systems]
+        for first in range(0, len(run.drive), SWEPT_AT_ONCE):
+            part = slice(first, first + SWEPT_AT_ONCE)
+            there, back = (
+                system.outputs.of(own[part], run.drive[part]) for system, own in zip(systems, states, strict=True)
+            )
+            yield part, 0.5 * sides[2] * (there - back)
 
     def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> FrameDirections:
-        """Find the directions of the frame's uncertainty that move its motion most, one standard deviation long.
-
-        Parameters
-        ----------
-        fitted : FittedFrame
-        most : int, optional
-        """
+        """Find the directions of the frame's uncertainty that move its motion most, one standard deviation long."""
         frame = fitted.errors.frame
         values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
         own = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -336,13 +301,15 @@ class FrameMotion:
             return model_at(weights, size), model_at(weights, -size)
 
         def moved(model: DampedModel) -> Floats:
-            return self._motion(model, noise, excitation, y, start, [(slice(0, len(y)), run.channels)])
+            system = dynamics(model, noise, self.setting)
+            states = settled_states(system, excitation, y, start, [(slice(0, len(y)), run.channels)])
+            return system.outputs.of(states, excitation)
 
         centre = moved(fitted.model)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
         # A tenth of a standard deviation: the directions are needed to first order only.
         near = [_with_modes(partial(model_at, row), 0.1) for row in np.eye(len(own))]
-        slopes = np.array([(moved(model) - centre) / scale / size for model, size in near])
+        slopes = np.array([((moved(model) - centre) / scale / size).astype(SHORT) for model, size in near])
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
         order = np.argsort(-strength)
@@ -378,12 +345,6 @@ def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
     """List how a measured excitation may have gone between its samples: in straight lines, and band-limited.
 
     One of them where both move the floors alike.
-
-    Parameters
-    ----------
-    model : DampedModel
-        As identified.
-    recording : Recording
     """
     straight = predicted_responses(model, recording)
     if straight is None:

@@ -1,12 +1,14 @@
 """What is known beforehand of a frame in a record: what its tests say, and how probable each change since is.
 
 A Gaussian of the unknowns of a `VariedFrame`, with standard deviations that are compared by their evidence, conditioned
-on the measured modes.
+on the measured modes. The likelihood is linearised once, and an answer to which stories, dashpots and sensors changed
+by themselves is such a prior, so that its evidence is one formula.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +22,7 @@ from cvxshear.effects.stories import StoryChange
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import modes
 from cvxshear.response.damped import DampedModel
+from cvxshear.response.innovations import Likelihood
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import GAIN_UNIT, OTHER_DAMPING_STD, VariedFrame
 from cvxshear.util.typing import Bools, Floats, Ints
@@ -135,64 +138,51 @@ class FramePrior:
 
     Parameters
     ----------
+    varied : VariedFrame
+    others : int
+        Number of noise levels.
     identified : ndarray, shape (N, N)
         Covariance of the logarithms of the story stiffnesses as they were identified, masses and effects given.
     change_std, gain_std : float
         Of the logarithm of a changed story's factor, and of a sensor's gain that is off.
     probability, gain_probability : float
         That one story changed, and that one gain is off.
-    own_damping : ndarray, shape (D - S,)
-    sizes : tuple of int
-        N, D, W and X.
-    nuisance_share : ndarray, shape (W,)
-        Relative change of the frame along each direction of masses and effects.
-    heavier_floors : ndarray, shape (N + D + W + X, N) or (N + D + W + X, 0)
-        Of the unknowns, where one floor weighs twice as much.
-    sensor_gains, dashpots : slice
-        Which unknowns are gains of sensors, and dashpots of single stories, S of them.
-    others : int
-        Number of noise levels.
     measured : ModalRows
-    gain_stds : tuple of float, optional
+    mass_stds, gain_stds : tuple of float, optional
+        What floor masses may have changed by since the tests, and what sensors read too much.
     """
 
+    varied: VariedFrame
+    others: int
     identified: Floats
     change_std: float
     gain_std: float
     probability: float
     gain_probability: float
-    own_damping: Floats
-    sizes: tuple[int, int, int, int]
-    nuisance_share: Floats
-    heavier_floors: Floats
-    sensor_gains: slice
-    dashpots: slice
-    others: int
     measured: ModalRows
+    mass_stds: tuple[float, ...] = MASS_STDS
     gain_stds: tuple[float, ...] = GAIN_STDS
 
     @staticmethod
     def around(frame: UncertainFrame, varied: VariedFrame, others: int) -> FramePrior:
         """Take what was identified, and what is expected of a story that changed."""
         experiment = frame.fitted.experiment
-        (size, probability), (gain, off) = (
-            _expected(effect, experiment, count)
-            for effect, count in ((StoryChange(), experiment.stories), (SensorGain(), varied.gains))
-        )
+        size, probability = _expected(StoryChange(), experiment, experiment.stories)
+        gain, off = _expected(SensorGain(), experiment, varied.gains)
         return FramePrior(
-            frame.conditional_stiffness(), size, gain, probability, off, varied.own_std, varied.sizes,
-            varied.nuisance_share, varied.heavier_floors, varied.sensor_gains, varied.dashpots, others,
-            ModalRows.around(frame, varied),
+            varied, others, frame.conditional_stiffness(), size, gain, probability, off,
+            ModalRows.around(frame, varied), MASS_STDS if varied.heavier_floors.shape[1] else MASS_STDS[:1],
         )  # fmt: skip
 
     @property
     def single(self) -> Ints:
         """Unknowns that may have changed by themselves: of every story, dashpot, gain, shape (N + S + G,)."""
-        gains = np.arange(self.sensor_gains.start, self.sensor_gains.stop if len(self.gain_stds) > 1 else 0)
-        return np.concatenate([np.arange(self.sizes[0]), np.arange(self.dashpots.start, self.dashpots.stop), gains])
+        gains = self.varied.sensor_gains if len(self.gain_stds) > 1 else slice(0)
+        result: Ints = np.r_[: self.varied.sizes[0], self.varied.dashpots, gains]
+        return result
 
     def _of_single(self, story: float, dashpot: float, gain: float) -> Floats:
-        counts = [self.sizes[0], self.dashpots.stop - self.dashpots.start]
+        counts = [self.varied.sizes[0], len(np.r_[self.varied.dashpots])]
         return np.repeat([story, dashpot, gain], [*counts, len(self.single) - sum(counts)])
 
     @property
@@ -203,7 +193,9 @@ class FramePrior:
     @property
     def log_odds(self) -> Floats:
         """Logarithm of the odds that each of them did, shape (N + S + G,)."""
-        p = self._of_single(self.probability, _at_each(DASHPOT_PROBABILITY, self.sizes[0]), self.gain_probability)
+        p = self._of_single(
+            self.probability, _at_each(DASHPOT_PROBABILITY, self.varied.sizes[0]), self.gain_probability
+        )
         return np.asarray(np.log(p) - np.log1p(-p), dtype=np.float64)
 
     @property
@@ -213,13 +205,7 @@ class FramePrior:
 
     def idle_dashpots(self, changed: Sequence[int]) -> Ints:
         """Which unknowns are dashpots that are not there where these singles, and no others, changed."""
-        every = np.arange(self.dashpots.start, self.dashpots.stop)
-        return np.setdiff1d(every, self.single[list(changed)])
-
-    @property
-    def mass_stds(self) -> tuple[float, ...]:
-        """What floor masses may have changed by since the tests."""
-        return MASS_STDS if self.heavier_floors.shape[1] else MASS_STDS[:1]
+        return np.setdiff1d(np.r_[self.varied.dashpots], self.single[list(changed)])
 
     @property
     def widest(self) -> Gaussian:
@@ -230,26 +216,16 @@ class FramePrior:
     @property
     def linear_alone(self) -> FramePrior:
         """The same for a record in which neither floor masses nor gains are asked for."""
-        return dataclasses.replace(self, heavier_floors=self.heavier_floors[:, :0], gain_stds=self.gain_stds[:1])
+        return dataclasses.replace(self, mass_stds=MASS_STDS[:1], gain_stds=GAIN_STDS[:1])
 
     def gaussian(
         self, changed: Sequence[int], form_std: float, scatter_std: float, mass_std: float, gain_std: float, *,
         same: bool = False,
     ) -> Gaussian:  # fmt: skip
-        """Return the prior with given stories and gains changed, and given standard deviations.
+        """Return the prior of an `Answer`.
 
         Parameters
         ----------
-        changed : sequence of int
-            Places in `single`.
-        form_std : float
-            Of e_ij.
-        scatter_std : float
-            Of the factor of each story that did not change.
-        mass_std : float
-            Of the factor of each floor mass since the tests.
-        gain_std : float
-            Of the gain of each sensor.
         same : bool, optional
             Whether stiffnesses and damping are still those of the tests.
         """
@@ -258,18 +234,15 @@ class FramePrior:
         told = self._told[form_std, gain_std]
         covariance = told.covariance.copy()
         if not same:
-            N, ratios, frame = self.sizes[0], slice(self.sizes[0], self.dashpots.start), sum(self.sizes)
+            N, frame = self.varied.sizes[0], sum(self.varied.sizes)
+            ratios = slice(N, self.varied.dashpots.start)
             covariance[:N, :N] += AMPLITUDE_STD**2 + scatter_std**2 * np.eye(N)
-            covariance[ratios, ratios] += DAMPING_STD**2 + OTHER_DAMPING_STD**2 * np.eye(len(self.own_damping))
+            covariance[ratios, ratios] += DAMPING_STD**2 + OTHER_DAMPING_STD**2 * np.eye(len(self.varied.own_std))
             at = self.single[list(changed)]
             covariance[at, at] += self.single_std[list(changed)] ** 2
-            covariance[:frame, :frame] += mass_std**2 * self._heavier
+            if mass_std:
+                covariance[:frame, :frame] += mass_std**2 * (self.varied.heavier_floors @ self.varied.heavier_floors.T)
         return Gaussian(told.mean, covariance, told.evidence)
-
-    @cached_property
-    def _heavier(self) -> Floats:
-        """Covariance of the unknowns, each floor's mass off by itself, shape (N + D + W + X, N + D + W + X)."""
-        return np.asarray(self.heavier_floors @ self.heavier_floors.T)
 
     @cached_property
     def _told(self) -> dict[tuple[float, float], Gaussian]:
@@ -278,14 +251,16 @@ class FramePrior:
 
     def _told_by_modes(self, form_std: float, gain_std: float) -> Gaussian:
         """Return the prior of a record in which stories, masses and damping are those of the tests."""
-        N, D, W, X = self.sizes
+        N, D, W, X = self.varied.sizes
         # What modes say of masses and effects is no better than the form of the model.
-        modal = np.isfinite(self.nuisance_share)
-        nuisances = 1.0 + (form_std / self.nuisance_share) ** 2 / max(int(modal.sum()), 1)
+        share = self.varied.nuisance_share
+        modal = np.isfinite(share)
+        nuisances = 1.0 + (form_std / share) ** 2 / max(int(modal.sum()), 1)
         nuisances[~modal] = (gain_std / GAIN_UNIT) ** 2
         rest = np.diag(np.concatenate([nuisances, np.full(X, form_std**2)]))
         tested = linalg.block_diag(self.identified, rest)
-        damping = np.diag(np.append(self.own_damping, np.full(D - len(self.own_damping), NO_DASHPOT_STD)) ** 2)
+        own = self.varied.own_std
+        damping = np.diag(np.append(own, np.full(D - len(own), NO_DASHPOT_STD)) ** 2)
         whole = linalg.block_diag(self.identified, damping, rest, NOISE_STD**2 * np.eye(self.others))
         # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
         crossed = np.zeros((len(whole), len(tested)))
@@ -320,3 +295,140 @@ def _expected(effect: Effect, experiment: Experiment, places: int) -> tuple[floa
 def _at_each(probability: float, places: int) -> float:
     """Probability at each of some places of what has this one at any of them."""
     return float(1.0 - (1.0 - probability) ** (1.0 / max(places, 1)))
+
+
+LEAST_WEIGHT = 1e-3
+"""Probability of an answer, relative to the most probable one, below which it is left out of the average."""
+
+MOST_CHANGES = 3
+KEPT_SETS = 6
+"""Changed stories in a set at most, and sets of each size that the next size grows from."""
+
+Widths = tuple[tuple[int, ...], float, float, float, float]
+"""What changed by itself, and the standard deviations of form, stories, masses and gains."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One possible way in which the frame differs from the identified one.
+
+    Parameters
+    ----------
+    changed : tuple of int
+        Stories, from 0, and sensors that changed by themselves: places in `FramePrior.single`.
+    form_std : float
+        Standard deviation of the errors of the model's form.
+    scatter_std : float
+        Standard deviation of the factors of the other stories.
+    mass_std : float
+        Standard deviation of the factors of the floor masses.
+    gain_std : float
+        Standard deviation of the gains of the sensors.
+    """
+
+    changed: tuple[int, ...]
+    form_std: float
+    scatter_std: float
+    mass_std: float
+    gain_std: float
+    probability: float
+
+    @property
+    def prior(self) -> Widths:
+        """Arguments of `FramePrior.gaussian`."""
+        return self.changed, self.form_std, self.scatter_std, self.mass_std, self.gain_std
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """Log evidence of linear data, but for a constant.
+
+    Parameters
+    ----------
+    plain : float
+        Of the prior as it is.
+    G, b : ndarray, shapes (N, N) and (N,)
+        Products of the directions along which it may be wider, as the data see them, with each other and the data.
+    """
+
+    plain: float
+    G: Floats
+    b: Floats
+
+    def of(self, sets: Sequence[tuple[int, ...]], one_sided: Bools) -> Floats:
+        """Log evidences of priors whose covariance is larger by the outer products of some directions, shape (len,).
+
+        Parameters
+        ----------
+        one_sided : ndarray of bool, shape (N,)
+            Directions along which unknowns are positive: sets in which one would be negative have no evidence.
+        """
+        result = np.full(len(sets), self.plain)
+        # Sets of one size together: one by one they take half the time of a reconstruction.
+        for size in {len(own) for own in sets} - {0}:
+            chosen = np.array([place for place, own in enumerate(sets) if len(own) == size])
+            at = np.array([sets[place] for place in chosen], dtype=np.int64)
+            wider = np.eye(size) + self.G[at[:, :, None], at[:, None, :]]
+            within = np.linalg.solve(wider, self.b[at][:, :, None])[:, :, 0]
+            result[chosen] += 0.5 * (np.sum(self.b[at] * within, axis=1) - np.linalg.slogdet(wider)[1])
+            result[chosen[np.any((within < 0) & one_sided[at], axis=1)]] = -np.inf
+        return result
+
+
+class Linear:
+    """Linear data of unknowns with a Gaussian prior, the likelihood tempered by its inflation.
+
+    Parameters
+    ----------
+    p : ndarray, shape (P,)
+        Where it was linearised.
+    """
+
+    def __init__(self, at: Likelihood, p: Floats, prior: Gaussian) -> None:
+        self.U, self.prior, self.covariance = at.U, prior, prior.covariance
+        self.data = at.U @ (p - prior.mean) - at.c
+        self.seen = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(at.c))
+
+    def evidence(self, changes: Floats) -> _Evidence:
+        """Return the evidence of priors that may be wider along columns of changes, a standard deviation long."""
+        half = np.asarray(np.linalg.cholesky(self.seen))
+        white = np.linalg.solve(half, np.column_stack([self.U @ changes, self.data]))
+        moved, data = white[:, :-1], white[:, -1]
+        plain = self.prior.evidence - 0.5 * float(data @ data) - float(np.sum(np.log(half.diagonal())))
+        return _Evidence(plain, moved.T @ moved, moved.T @ data)
+
+    def posterior(self) -> tuple[Floats, Floats]:
+        """Mean and covariance of the unknowns."""
+        spread = self.U @ self.covariance
+        gain = np.linalg.solve(self.seen, spread).T
+        return self.prior.mean + gain @ self.data, self.covariance - gain @ spread
+
+
+def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
+    """Which stories and gains may have changed and how much the form may miss, by the linearised likelihood's evidence.
+
+    Sets of each size grow from the best of the size before. All sizes of the form's errors, of the scatter of the
+    stories, and of what the masses changed by, are equally probable beforehand.
+    """
+    single, log_odds, one_sided = range(len(prior.single)), prior.log_odds.tolist(), prior.one_sided
+    scores: dict[Widths, float] = {}
+    changes = np.eye(len(p))[:, prior.single] * prior.single_std
+    for widths in itertools.product(FORM_STDS, SCATTER_STDS, prior.mass_stds, prior.gain_stds):
+        evidence = Linear(at, p, prior.gaussian((), *widths)).evidence(changes)
+        level: list[tuple[int, ...]] = [()]
+        for size in range(min(MOST_CHANGES, len(single)) + 1):
+            grown = level
+            if size:
+                pairs = itertools.product(level, single)
+                grown = sorted({tuple(sorted({*base, other})) for base, other in pairs if other not in base})
+            own = {
+                each: score + sum(log_odds[at] for at in each)
+                for each, score in zip(grown, evidence.of(grown, one_sided).tolist(), strict=True)
+            }
+            scores |= {(each, *widths): score for each, score in own.items()}
+            level = sorted(own, key=own.__getitem__, reverse=True)[:KEPT_SETS]
+    best = max(scores.values())
+    kept = {each: np.exp(score - best) for each, score in scores.items() if score > best + np.log(LEAST_WEIGHT)}
+    total = sum(kept.values())
+    order = sorted(kept, key=lambda each: -kept[each])
+    return tuple(Answer(*each, float(kept[each] / total)) for each in order)

@@ -23,8 +23,8 @@ import numpy as np
 
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.dynamics import BLOCK, SHORT, Dynamics, Noise, Setting, doubled, dynamics, recursion
-from cvxshear.response.smoother import Steady
-from cvxshear.response.varied_frame import VariedFrame
+from cvxshear.response.smoother import SWEPT_AT_ONCE, Steady
+from cvxshear.response.varied_frame import GAIN_UNIT, VariedFrame
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats
 
@@ -45,6 +45,9 @@ FURTHEST_DASHPOT = 20.0
 
 FURTHEST_STDS = 20.0
 """Bound on masses and effects, in standard deviations that may be far too small where the model lacks something."""
+
+FURTHEST_GAIN = np.log(2.0)
+"""Bound on the logarithm of a sensor's gain: one that reads half or twice as much has another unit or amplifier."""
 
 FURTHEST_MASS = 0.25
 """Bound on the change of a floor's mass since the tests, five times its larger standard deviation."""
@@ -68,6 +71,12 @@ is that of 1 %, which the modes of those frames tell."""
 
 DIFFERENCE = 1e-5
 """Step of the unknowns by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
+
+SIDE_BY_SIDE = 8
+"""Derivatives that are run with the filter at once: products of small matrices wait for the memory otherwise."""
+
+LOST_DIGITS = 1e-13
+"""What rounding leaves of a sum of squares, relative to it, of a hundred unknowns."""
 
 SCORE_PERIODS = 1.0
 """Fundamental periods over which scores are summed before their scatter is taken: errors of a wrong model hang together
@@ -161,9 +170,6 @@ class PredictionErrors:
 
     Parameters
     ----------
-    varied : VariedFrame
-    setting : Setting
-    stretches : sequence of Stretch
     noise : Noise
         Where the noise levels start.
     """
@@ -181,6 +187,8 @@ class PredictionErrors:
         N, D, W, _ = varied.sizes
         masses = slice(N + D, N + D + W)
         self.upper[masses] = np.maximum(self.upper[masses], heavier[masses])
+        gains = varied.sensor_gains
+        self.upper[gains.start + len(setting.floors) : gains.stop] = FURTHEST_GAIN / GAIN_UNIT
         self.upper[force] = np.log(MOST_MISSED / noise.force)
         if setting.base_measured:
             self.upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
@@ -224,13 +232,7 @@ class PredictionErrors:
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
     def spread(self, model: Dynamics, y: Floats) -> Floats:
-        """Find the root of the covariance of a state at which the sensors show what they do over the first period.
-
-        Parameters
-        ----------
-        model : Dynamics
-        y : ndarray, shape (samples, m)
-        """
+        """Find the root of the covariance of a state at which the sensors show what they do over the first period."""
         begins = y[: self.varied.first_samples(self.setting.step)]
         shown = np.sum(model.H @ model.P0 * model.H, axis=1)
         unit = np.sqrt(np.diag(model.P0))
@@ -299,25 +301,20 @@ class PredictionErrors:
         own = root[self.frame, self.frame]
         columns = np.eye(self.size)
         columns[self.frame, self.frame] = own
-        R = np.concatenate([part.J for part in self._rows(p, columns[:, self.frame])])
-        _, sizes, turns = np.linalg.svd(np.linalg.qr(R, mode="r"))
-        turns = turns[sizes > least]
+        squares, turns = np.linalg.eigh(_products(self._rows(p, columns[:, self.frame]))[:-1, :-1])
+        turns = turns[:, squares > least**2].T[::-1]
         noise = np.eye(self.size)[self.frame.stop :]
         rows = np.zeros((len(turns), self.size))
         rows[:, self.frame] = np.linalg.solve(own.T, turns.T).T
         return Directions(np.hstack([columns[:, self.frame] @ turns.T, noise.T]), np.concatenate([rows, noise]))
 
     def linearised(self, p: Floats, along: Directions) -> Likelihood:
-        """Return the rows of a Gauss-Newton step, reduced to a triangle.
-
-        Parameters
-        ----------
-        p : ndarray, shape (P,)
-        along : Directions
-        """
+        """Return the rows of a Gauss-Newton step, reduced to a triangle."""
         parts = self._rows(p, along.columns)
-        rows = np.concatenate([np.column_stack([part.J, part.r]) for part in parts])
-        whole = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+        products = _products(parts)
+        # Directions that the record cannot tell apart keep a pivot of the size of rounding.
+        np.fill_diagonal(products, (1.0 + LOST_DIGITS) * products.diagonal() + np.finfo(np.float64).tiny)
+        whole = np.asarray(np.linalg.cholesky(products), dtype=np.float64).T
         frame = along.columns.shape[1] - (self.size - self.frame.stop)
         return Likelihood(whole[:-1, :-1] @ along.rows, whole[:-1, -1], self._inflation(parts, frame))
 
@@ -327,9 +324,7 @@ class PredictionErrors:
         rates = [self._rates(model, p, column) for column in columns.T]
         return [part for here, runs in self._filtered(p) for part in self._rows_of(here, runs, rates)]
 
-    def _rows_of(
-        self, here: Steady, runs: Sequence[Stretch], rates: Sequence[dict[str, Floats]]
-    ) -> list[_Rows]:
+    def _rows_of(self, here: Steady, runs: Sequence[Stretch], rates: Sequence[dict[str, Floats]]) -> list[_Rows]:
         """Return the rows of the stretches in which the same sensors recorded.
 
         One part a stretch, and one of log det S and the states at the beginnings.
@@ -345,10 +340,14 @@ class PredictionErrors:
             seen = run.seen - here.model.shown(run.excitation)
             following = np.append(run.excitation[1:, 0], run.excitation[-1, 0])
             signals = np.column_stack([x, seen, run.excitation, following]).astype(SHORT)
-            J = np.empty((e.size, len(slopes)), dtype=SHORT)
-            for j, slope in enumerate(slopes):
-                moved = recursion(here.F, signals @ slope.inputs, at_rest, whitening @ here.model.H)
-                J[:, j] = -(moved + signals @ slope.outputs).ravel()
+            J = np.empty((len(e), m, len(slopes)), dtype=SHORT)
+            for first in range(0, len(slopes), SIDE_BY_SIDE):
+                some = slopes[first : first + SIDE_BY_SIDE]
+                inputs = (signals @ np.hstack([slope.inputs for slope in some])).reshape(len(e), len(some), -1)
+                moved = recursion(here.F, inputs, at_rest, whitening @ here.model.H)
+                moved += (signals @ np.hstack([slope.outputs for slope in some])).reshape(moved.shape)
+                J[:, :, first : first + len(some)] = -moved.swapaxes(1, 2)
+            J = J.reshape(e.size, len(slopes))
             white = e @ whitening.T
             if run.spread is not None:
                 # The state at the beginning goes along with every change of the frame: variable projection.
@@ -357,7 +356,7 @@ class PredictionErrors:
                 both = np.linalg.solve(normal, free.T @ np.column_stack([J, white.ravel()]))
                 turned, moved = both[:, :-1], both[:, -1]
                 white -= (free @ moved).reshape(white.shape)
-                J -= (free @ turned).astype(SHORT)
+                J -= free.astype(SHORT) @ turned.astype(SHORT)
                 begun.append(both)
             parts.append(_Rows(J, white.ravel(), m))
             mean += white.T @ white
@@ -370,21 +369,21 @@ class PredictionErrors:
     def _inflation(self, parts: Sequence[_Rows], rows: int) -> float:
         """How much more the summed scores of the first directions scatter than of white innovations."""
         samples = max(1, round(SCORE_PERIODS * self.varied.period / self.setting.step))
-        spread, curvature = np.zeros((rows, rows)), np.zeros((rows, rows))
+        spread, curvature = np.zeros(rows), np.zeros(rows)
         for part in parts:
             length = part.sensors * samples
             blocks = len(part.r) // length if length else 0
             if blocks < 2:
                 continue
             flat = part.J[: blocks * length, :rows]
-            summed = (flat * part.r[: len(flat), None]).reshape(blocks, length, rows).sum(axis=1)
+            weights = part.r[: len(flat)].astype(SHORT).reshape(blocks, 1, length)
+            summed = (weights @ flat.reshape(blocks, length, rows))[:, 0].astype(np.float64)
             # At the most probable frame the scores balance the prior and need not sum to zero.
             summed = summed - summed.mean(axis=0)
-            spread += summed.T @ summed * (blocks / (blocks - 1))
-            curvature += flat.T @ flat
-        if not np.any(curvature):
-            return 1.0
-        return max(1.0, float(np.mean(np.diag(spread) / np.maximum(np.diag(curvature), 1e-300))))
+            spread += np.sum(summed**2, axis=0) * (blocks / (blocks - 1))
+            curvature += np.einsum("ij,ij->j", flat, flat)
+        # Where the frame is not fitted there are none.
+        return 1.0 if not rows else max(1.0, float(np.mean(spread / np.maximum(curvature, 1e-300))))
 
     def _slopes(
         self, here: Steady, rates: Sequence[dict[str, Floats]], channels: Bools, whitening: Floats
@@ -421,6 +420,18 @@ class PredictionErrors:
         return {name: (getattr(there, name) - getattr(here, name)) / step for name in names}
 
 
+def _products(parts: Sequence[_Rows]) -> Floats:
+    """Products of derivatives and residuals with each other over all rows, shape (r + 1, r + 1)."""
+    size = parts[0].J.shape[1] + 1
+    total = np.zeros((size, size))
+    for part in parts:
+        for first in range(0, len(part.r), SWEPT_AT_ONCE):
+            chosen = slice(first, first + SWEPT_AT_ONCE)
+            rows = np.column_stack([part.J[chosen], part.r[chosen]])
+            total += rows.T @ rows
+    return total
+
+
 def _free(filtered: Steady, run: Stretch, whitening: Floats) -> Floats:
     """Return what the whitened innovations lose to a state at the beginning, of unit prior, shape (samples m, n)."""
     rows = [whitening @ filtered.model.H]
@@ -443,7 +454,6 @@ class _Rows:
 
     Parameters
     ----------
-    J, r : ndarray
     sensors : int
         Residuals a sample, of innovations; 0 of others.
     """

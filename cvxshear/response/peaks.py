@@ -15,6 +15,7 @@ from cvxshear.util.typing import Floats, Ints, Json
 if TYPE_CHECKING:
     import pandas as pd
 
+
 @dataclass(frozen=True)
 class Quantity:
     """A quantity of a response.
@@ -74,13 +75,7 @@ class Peaks:
         return result
 
     def to_dataframe(self, more: Mapping[str, Floats] | None = None) -> pd.DataFrame:
-        """Return a row a floor or story, each quantity beside its `_std`; what is one number is left out.
-
-        Parameters
-        ----------
-        more : dict of str to ndarray, shape (N,), optional
-            Columns that follow.
-        """
+        """Return a row a floor or story, each quantity beside its `_std`, then more; what is one number is left out."""
         columns: dict[str, Sequence[object]] = {}
         for name, values in self.values.items():
             if not RESPONSES[name].single:
@@ -193,17 +188,9 @@ def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, dampin
 
 
 def largest_spectra(model: DampedModel, accelerations: Sequence[Floats], step: float) -> FloorSpectra:
-    """Compute the response spectra of the floors at 5 % damping, the largest over all runs.
+    """Compute the response spectra of the floors at 5 % damping, the largest over all runs of accelerations, m/s2.
 
     Their frequencies are a fifth of the frame's first to three times its last, as the sampling allows.
-
-    Parameters
-    ----------
-    model : DampedModel
-    accelerations : sequence of ndarray, shape (samples, N)
-        One a run, m/s2.
-    step : float
-        s.
     """
     first, last = model.modes.frequencies[[0, -1]]
     lines = np.geomspace(first / 5, max(min(3 * last, 0.25 / step), first), SPECTRUM_LINES)

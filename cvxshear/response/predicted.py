@@ -16,13 +16,14 @@ from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import Motion
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
 from cvxshear.response.damped import DampedModel, Response, response
-from cvxshear.response.fitted import Fitted, Models
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
 from cvxshear.response.recording import recording_of
 from cvxshear.response.sensor_checks import as_predicted
 from cvxshear.response.sources import (
     DRIVING,
     WORTH_A_WORD,
+    Fitted,
+    Models,
     ModelSource,
     MotionSource,
     line_remarks,
@@ -250,17 +251,10 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
     )
     missed = _missed(after, over_time)
     of_peaks = zip(values.items(), rest, strict=False)
+    peaks = Peaks(values, {name: np.hypot(own, (missed or 0.0) * peak) for (name, peak), own in of_peaks})
+    said = (*damping.remarks, *_between_samples(unseen, DRIVING[motion.input]), *_remarks(after, motion))
     return RecordPrediction(
-        motion=motion,
-        configuration=frame.configuration,
-        backend=frame.backend.name,
-        before=before,
-        after=after,
-        peaks=Peaks(values, {name: np.hypot(own, (missed or 0.0) * peak) for (name, peak), own in of_peaks}),
-        damping=damping,
-        std=over_time,
-        missed=missed,
-        remarks=(*damping.remarks, *_between_samples(unseen, DRIVING[motion.input]), *_remarks(after, motion)),
+        motion, frame.configuration, frame.backend.name, before, after, peaks, damping, over_time, missed, said
     )
 
 

@@ -1,23 +1,34 @@
-"""What a reconstruction found: how every floor moved, how far that can be believed, and what the reader has to know."""
+"""Reconstruction: how every floor moved, from the floors that carry sensors, and how far that can be believed.
+
+First the frame as it was in this record is found from the innovations of the filter (`frame_fit`), then its motion by
+the smoother (`smoother`), then how far both can be off (`frame_motion`). Each sensor is also predicted from all others,
+which is the one check of the bands that nothing assumes (`sensor_checks`).
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import special
 
+from cvxshear import backends
+from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel
-from cvxshear.response.fitted import Fitted
-from cvxshear.response.fitted_frame import FittedFrame
-from cvxshear.response.frame_fit import NONLINEAR
-from cvxshear.response.frame_motion import ReconstructedRun
-from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra
-from cvxshear.response.recording import Recording
-from cvxshear.response.sensor_checks import SensorCheck, Whiteness, widening
-from cvxshear.response.sources import DRIVING, line_remarks
+from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
+from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
+from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
+from cvxshear.response.recording import Recording, RecordingSource, recording_of
+from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
+from cvxshear.response.smoother import Smoothed
+from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
+from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.quantities import listed, numbered, percent, ranged, significant
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
@@ -112,6 +123,12 @@ class Reconstruction(Shown):
     limits: Limits | None
     passed: Floats | None
     remarks: tuple[str, ...]
+
+    json_keys = (
+        "experiment=fitted.experiment.name record=recording.name input=recording.input "
+        "configuration=configuration.name backend effects=fitted.effects measured_floors=recording.floors checks "
+        "widening whiteness"
+    )
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -261,37 +278,30 @@ class Reconstruction(Shown):
     def to_dict(self) -> Json:
         """Return the documented JSON; null where it does not apply."""
         frame, none = self.frame, [None] * len(self.model.M)
+        told = None if self.change_probability is None else frame
+        damps = np.isin(np.arange(1, len(none) + 1), self.dampers if self.fitted.mass_known else ())
         noise, chances = frame.errors.noise_at(frame.p), self.passed
         limits = self.limits and [
             {"name": name, "story_drift": drift, "probability": none if chances is None else chances[place]}
             for place, (name, drift) in enumerate(zip(self.limits.names, self.limits.story_drift, strict=True))
         ]
-        found: Json = as_json(
+        masses = frame.mass_change if self.masses_changed else (none, none)
+        more: Json = as_json(
             {
-                "experiment": self.fitted.experiment.name,
-                "record": self.recording.name,
-                "input": self.recording.input,
-                "configuration": self.configuration.name,
-                "backend": self.backend,
-                "effects": self.fitted.effects,
-                "measured_floors": self.recording.floors,
-                "checks": self.checks,
-                "widening": self.widening,
-                "whiteness": self.whiteness,
                 "frame": {
                     "story_factor": frame.factors,
                     "story_factor_std": frame.factors_std,
-                    "change_probability": none if self.change_probability is None else self.change_probability,
+                    "change_probability": none if told is None else told.story_probability,
                     "changed": self.changed,
-                    "dashpot_probability": none if self.change_probability is None else frame.dashpot_probability,
-                    "dashpot": self._of_dampers(frame.dashpots[0]),
-                    "dashpot_std": self._of_dampers(frame.dashpots[1]),
+                    "dashpot_probability": none if told is None else told.dashpot_probability,
+                    "dashpot": np.where(damps, frame.dashpots[0], np.nan),
+                    "dashpot_std": np.where(damps, frame.dashpots[1], np.nan),
                     "missed_most": self.missed_most,
-                    "mass_change_probability": None if self.change_probability is None else frame.mass_probability,
-                    "mass_change": self.frame.mass_change[0] if self.masses_changed else none,
-                    "mass_change_std": self.frame.mass_change[1] if self.masses_changed else none,
-                    "gain_error": self.frame.gains[0],
-                    "gain_error_std": self.frame.gains[1],
+                    "mass_change_probability": told and told.mass_probability,
+                    "mass_change": masses[0],
+                    "mass_change_std": masses[1],
+                    "gain_error": frame.gains[0],
+                    "gain_error_std": frame.gains[1],
                     "frequencies": self.model.modes.frequencies,
                     "damping_ratios": self.model.ratios,
                     "converged": frame.converged,
@@ -305,12 +315,7 @@ class Reconstruction(Shown):
                 "remarks": (*self.warnings, *self.remarks),
             }
         )
-        return found
-
-    def _of_dampers(self, values: Floats) -> list[float | None]:
-        """Return the values of the stories that damp by themselves; None elsewhere, or where masses have no scale."""
-        named = self.dampers if self.fitted.mass_known else ()
-        return [float(value) if story in named else None for story, value in enumerate(values, 1)]
+        return super().to_dict() | more
 
 
 def reading_remark(excitation: str, straight: float, band_limited: float, *, told: bool) -> str:
@@ -423,3 +428,128 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
             "modes says which), a story that yields or another kind of damping (--damping) does that"
         )
     return said
+
+
+def reconstruct(
+    source: ModelSource,
+    record: RecordingSource,
+    backend: str | Backend = "auto",
+    *,
+    damping: str | None = None,
+    configuration: str | None = None,
+    detrend: bool = True,
+    fit: bool = True,
+    leave_out: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Reconstruction:
+    """Find how every floor moved, with deviations, from the floors that carry sensors.
+
+    Parameters
+    ----------
+    source : str, Path, Experiment, Closure, Estimate or Models
+        What the model is made of, as for `predict`.
+    record : str, Path, TimeRecord or Motion
+        Accelerations of some floors, with gaps (nan) where pieces are missing, and what drove the frame; with
+        input = "none" the base acceleration is estimated.
+    backend : str or Backend, optional
+        Solves the steps of the frame's fit.
+    damping : str, optional
+        "modal", "story" or "rayleigh"; what the experiment declares where not given.
+    configuration : str, optional
+        Which state the frame is in.
+    detrend : bool, optional
+        Whether the straight line through each acceleration is taken for its sensor's, and off.
+    fit : bool, optional
+        Whether the frame is fitted to the record; otherwise only the noise is, and the frame stays as identified.
+    leave_out : bool, optional
+        Whether each sensor is predicted from the others.
+    progress : callable, optional
+        Called with the number of parts done and to do.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    InputError
+        Where nothing tells the frame's damping, the record is of another frame, or no floor was measured.
+    NoSolutionError
+        Where the backend does not solve a program.
+    """
+    solver = backends.get(backend)
+    models = models_of(source, solver)
+    experiment = models.after.experiment
+    recording = recording_of(record, experiment.stories)
+    state = state_of(experiment, recording, configuration)
+    frame = UncertainFrame.of(models.after, state, damping, solver)
+    identified = frame.at(np.zeros(frame.size)).model
+    recording = recorded = as_predicted(identified, recording)
+    if detrend:
+        recording = recording.without_base_line()
+    readings = readings_of(identified, recording)
+    done, parts = itertools.count(1), 2 + len(readings) + (len(recording.floors) if leave_out else 0)
+
+    def advance() -> None:
+        if progress is not None:
+            progress(next(done), parts)
+
+    def fits() -> Iterator[_Fit]:
+        for each in readings:
+            reading = each
+            if detrend:
+                shown = shown_by(identified, predicted_responses(identified, reading), reading)
+                reading = reading.less(reading.lines(shown))
+            work, fitted, smoothed = FrameMotion.around(frame, reading, solver, free=fit).fitted(detrend=detrend)
+            # The states of a long record are large, and found once more with their deviations.
+            yield work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
+            advance()
+
+    (work, fitted, smoothed), evidences = _most_probable(fits())
+    predicted = predicted_responses(identified, work.recording)
+    advance()
+    checks = []
+    for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
+        checks.append(checked(work, fitted, smoothed, channel, predicted))
+        advance()
+    nonlinear = fitted.inflation > NONLINEAR
+    rough = nonlinear or bool(frame.fitted.undetermined) or (work.free and not fitted.converged)
+    runs = work.runs(fitted, widening(checks), ROUGH_DRIFT if rough else 0.0)
+    peaks = peaks_of((run.response, run.std) for run in runs)
+    passed = None
+    name = "story_drift_ratio"
+    if experiment.limits is not None and name in peaks.values:
+        ratio, std = peaks.values[name], np.maximum(peaks.std[name], 1e-300)
+        passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
+        if nonlinear:
+            # How far a story that yields went is not seen: that it stayed below a limit cannot be said, and that
+            # another passed one only where the frame as it was identified would have passed it, too.
+            alone = np.inf if predicted is None else peaks_of((each, {}) for each in predicted).values[name]
+            sure = (passed >= NAMED_CHANGE) & (alone > experiment.limits.story_drift[:, None])
+            passed = np.where(sure, passed, np.nan)
+    found = Reconstruction(
+        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs),
+        peaks,
+        None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
+        whiteness(work, smoothed), experiment.limits, passed, (),
+    )  # fmt: skip
+    advance()
+    said = state_remarks(experiment, recording, state, named=configuration is not None)
+    if len(evidences) > 1:
+        said.append(reading_remark(DRIVING[recording.input], *evidences, told=found.sound))
+    return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
+
+
+_Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]
+"""The motion as it was set up, the frame, and its motion without its states but the first."""
+
+
+def _most_probable(fits: Iterator[_Fit]) -> tuple[_Fit, list[float]]:
+    """Return the most probable fit, and the log evidence of each; long records fill the memory, so one is kept."""
+    best = next(fits)
+    evidences = [best[1].log_evidence]
+    for other in fits:
+        evidences.append(other[1].log_evidence)
+        if evidences[-1] > best[1].log_evidence:
+            best = other
+    return best, evidences

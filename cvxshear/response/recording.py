@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -60,7 +60,6 @@ class RecordedRun:
         Total accelerations, m/s2; nan where a piece is missing.
     excitation : ndarray, shape (samples,)
         m/s2 or N; zeros where nobody measured it.
-    name : str
     floor : int, optional
         Where a measured force acts.
     between : ndarray, shape (samples,), optional
@@ -79,13 +78,7 @@ class RecordedRun:
         return np.column_stack([self.excitation if self.between is None else self.between, self.excitation])
 
     def pieces(self, least: int) -> list[tuple[slice, Bools]]:
-        """Part the run where a sensor begins or ends to record; say which do in each part, shape (m,).
-
-        Parameters
-        ----------
-        least : int
-            Samples of the shortest gap that counts.
-        """
+        """Part the run where a sensor misses so many samples or more; say which record in each part, shape (m,)."""
         recorded, gaps = np.ones(self.measured.shape, dtype=bool), []
         for column, there in enumerate(np.isfinite(self.measured).T):
             ends = np.flatnonzero(np.diff(np.concatenate([[True], there, [True]]).astype(np.int8)))
@@ -103,7 +96,6 @@ class Recording:
 
     Parameters
     ----------
-    runs : tuple of RecordedRun
     sampling_rate : float
         Hz.
     floors : ndarray of int, shape (m,)
@@ -112,8 +104,6 @@ class Recording:
         "base", "force", or "none" where the ground was not measured.
     added_mass : ndarray, shape (N,), optional
         kg.
-    state : str, optional
-    name : str
     remarks : tuple of str
         What was found wrong with the sensors, and what was done about it.
     late : ndarray, shape (m, 2), optional
@@ -169,34 +159,35 @@ class Recording:
         square: Floats = np.nanmean(np.concatenate([run.measured for run in self.runs]) ** 2, axis=0)
         return np.sqrt(square)
 
+    def replaced(self, **arrays: Iterable[Floats]) -> Recording:
+        """Return the recording with other arrays in its runs, those of each field one a run."""
+        every = [dict(zip(arrays, values, strict=True)) for values in zip(*arrays.values(), strict=True)]
+        runs = (dataclasses.replace(run, **each) for run, each in zip(self.runs, every, strict=True))
+        return dataclasses.replace(self, runs=tuple(runs))
+
     def without_base_line(self) -> Recording:
         """Take the straight line off a measured base acceleration; where nothing else is left, refuse it."""
         if self.input != "base":
             return self
-        runs = [dataclasses.replace(run, excitation=run.excitation - sensor_line(run.excitation)) for run in self.runs]
-        for run, whole in zip(runs, self.runs, strict=True):
+        found = self.replaced(excitation=(run.excitation - sensor_line(run.excitation) for run in self.runs))
+        for run, whole in zip(found.runs, self.runs, strict=True):
             if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
                 raise InputError(
                     f"{self.name}, {run.name}: the input channel shows no motion but a straight line; "
                     'input = "none" has the base motion estimated'
                 )
-        return dataclasses.replace(self, runs=tuple(runs))
+        return found
 
     def band_limited(self) -> Recording:
         """Take a measured excitation as band-limited between its samples, not as straight lines."""
-        runs = [dataclasses.replace(run, between=band_limited(run.excitation)) for run in self.runs]
-        return dataclasses.replace(self, runs=tuple(runs))
+        return self.replaced(between=(band_limited(run.excitation) for run in self.runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
         """Find the straight line of each channel, one array (samples, m) a run.
 
-        It is that through what a model does not show. The vibration itself is not without one over a finite time: a
-        cycle that the end of the record cuts off would pass for the sensor's.
-
-        Parameters
-        ----------
-        expected : sequence of ndarray, shape (samples, m)
-            Accelerations of a model at the sensors, for each run.
+        It is that through what a model does not show, whose accelerations at the sensors are expected. The vibration
+        itself is not without one over a finite time: a cycle that the end of the record cuts off would pass for the
+        sensor's.
         """
         found = []
         for run, own in zip(self.runs, expected, strict=True):
@@ -208,10 +199,7 @@ class Recording:
 
     def less(self, lines: Sequence[Floats]) -> Recording:
         """Take straight lines off the measured accelerations, one array (samples, m) a run."""
-        runs = [
-            dataclasses.replace(run, measured=run.measured - line) for run, line in zip(self.runs, lines, strict=True)
-        ]
-        return dataclasses.replace(self, runs=tuple(runs))
+        return self.replaced(measured=(run.measured - line for run, line in zip(self.runs, lines, strict=True)))
 
     def without(self, channel: int) -> Recording:
         """Return the recording with one channel fewer."""
@@ -220,22 +208,17 @@ class Recording:
 
     def cut(self, parts: Sequence[slice]) -> Recording:
         """Return the recording with one part of each run."""
-        runs = [
-            dataclasses.replace(
-                run, measured=run.measured[part], excitation=run.excitation[part],
-                between=None if run.between is None else run.between[part],
-            )
-            for run, part in zip(self.runs, parts, strict=True)
-        ]
-        return dataclasses.replace(self, runs=tuple(runs))
+        pairs = list(zip(self.runs, parts, strict=True))
+        return self.replaced(
+            measured=(run.measured[part] for run, part in pairs),
+            excitation=(run.excitation[part] for run, part in pairs),
+            between=(run.drive[part, 0] for run, part in pairs),
+        )
 
     def envelopes(self, period: float) -> list[Floats]:
-        """Strength of the motion over time in powers of two, relative to its rms over the record; one array a run.
+        """Strength of the motion over time in powers of two, relative to its rms; one array a run.
 
-        Parameters
-        ----------
-        period : float
-            Of the first mode, s.
+        It is averaged over `ENVELOPE_PERIODS` of the period of the first mode, s.
         """
         width = max(1, round(ENVELOPE_PERIODS * period * self.sampling_rate))
         powers = []
@@ -260,10 +243,6 @@ def sensor_line(excitation: Floats) -> Floats:
     A motion that the beginning of the record cuts off is not without a line: with equal weights it came to 6 % of the
     rms. Then each sample counts by the inverse of the variance around it, over `ENVELOPE_PERIODS` of the excitation,
     and a line that such a motion leaves by chance is none.
-
-    Parameters
-    ----------
-    excitation : ndarray, shape (samples,)
     """
     line = trend(excitation)
     moved = excitation - line

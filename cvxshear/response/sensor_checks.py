@@ -12,8 +12,7 @@ from scipy import special
 from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
 from cvxshear.response.damped import DampedModel, Response
-from cvxshear.response.fitted_frame import FittedFrame
-from cvxshear.response.frame_fit import FITTED_SAMPLES, refitted
+from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Stretch
 from cvxshear.response.recording import Recording, rms
@@ -44,7 +43,6 @@ class SensorCheck:
 
     Parameters
     ----------
-    floor : int
     error : float
         Root mean square over time of what was left, m/s2.
     stated : float
@@ -71,7 +69,6 @@ class Whiteness:
 
     Parameters
     ----------
-    floor : int
     size : float
         Their standard deviation over the stated one.
     correlation : float
@@ -101,17 +98,11 @@ class Whiteness:
 
 
 def as_predicted(model: DampedModel, recording: Recording) -> Recording:
-    """Return a recording set right by its prediction.
+    """Return a recording set right by the prediction of the identified model.
 
     Channels that move against it, where no other does, are turned round. A delay that was taken out is put back where
     the sensor was nearer to its prediction with it: dampers shift phases as clocks do, and the model has them. What
     else the prediction contradicts is added to the remarks.
-
-    Parameters
-    ----------
-    model : DampedModel
-        As identified.
-    recording : Recording
     """
     responses = predicted_responses(model, recording)
     if responses is None:
@@ -120,8 +111,7 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     recording = _with_delays(recording, shown)
     measured = [run.measured - trend(run.measured) for run in recording.runs]
     predicted = [
-        np.where(np.isfinite(values), own - trend(own), 0.0)
-        for values, own in zip(measured, shown, strict=True)
+        np.where(np.isfinite(values), own - trend(own), 0.0) for values, own in zip(measured, shown, strict=True)
     ]
     measured = [np.nan_to_num(values) for values in measured]
     against = moved_against(measured, predicted)
@@ -132,9 +122,9 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
         for floor in recording.floors[against]
     ]
     contradicted = contradiction([signs * values for values in measured], predicted, recording.floors)
-    runs = tuple(dataclasses.replace(run, measured=signs * run.measured) for run in recording.runs)
     remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
-    return dataclasses.replace(recording, runs=runs, remarks=remarks)
+    turned = recording.replaced(measured=(signs * run.measured for run in recording.runs))
+    return dataclasses.replace(turned, remarks=remarks)
 
 
 def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording:
@@ -155,8 +145,7 @@ def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording
             if recording.late_remarks.count(message) > 1:
                 # The clock of the input is that of all sensors, of which others may be moved.
                 remarks.append(f"{message}; left in for floor {recording.floors[column]}")
-    runs = tuple(dataclasses.replace(run, measured=each) for run, each in zip(recording.runs, measured, strict=True))
-    return dataclasses.replace(recording, runs=runs, remarks=tuple(remarks))
+    return dataclasses.replace(recording.replaced(measured=measured), remarks=tuple(remarks))
 
 
 def _misfit(measured: Sequence[Floats], predicted: Sequence[Floats]) -> float:
@@ -171,12 +160,10 @@ def checked(
 
     Parameters
     ----------
-    work : FrameMotion
     fitted : FittedFrame
         With all sensors.
     smoothed : sequence of Smoothed
         Likewise.
-    channel : int
     predicted : sequence of Response or None
         Motion without a look at the sensors.
     """
@@ -204,8 +191,8 @@ def checked(
     for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
         variance = each.output_std[:, 0] ** 2 + sigma**2
         for sides in directions.sides:
-            moved = other.moved_by(sides, noise, run, each)[:, place]
-            variance += directions.allowance[place] * (gain * moved) ** 2
+            for chosen, moved in other.moved_by(sides, noise, run, each):
+                variance[chosen] += directions.allowance[place] * (gain * moved[:, place]) ** 2
         there = smoothed[number].weights[part, channel] == 1.0
         seen = work.recording.runs[number].measured[part, channel]
         left.append((each.states @ row + direct * run.excitation - seen)[there])
@@ -227,13 +214,7 @@ def widening(checks: Sequence[SensorCheck]) -> float:
 
 
 def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whiteness, ...]:
-    """Test whether the innovations of each floor are white, over all runs.
-
-    Parameters
-    ----------
-    work : FrameMotion
-    smoothed : sequence of Smoothed
-    """
+    """Test whether the innovations of each floor are white, over all runs."""
     found = []
     lags = np.arange(1, min(LAGS, min(len(each.weights) for each in smoothed) - 1) + 1)
     for channel, floor in enumerate(work.recording.floors):

@@ -79,11 +79,6 @@ class SensorRecord:
         Reversed channels are turned round, units converted, delays taken out, dead channels and the pieces in which a
         channel sticks left out. What is less sure is said.
 
-        Parameters
-        ----------
-        stories : int
-            Of the frame.
-
         Raises
         ------
         InputError

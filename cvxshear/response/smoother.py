@@ -45,6 +45,10 @@ NEAR_LIMIT = 0.05
 """Relative difference of a variance from its limit at which the limit is taken: 2.5 % of a deviation."""
 
 
+SWEPT_AT_ONCE = 8_192
+"""Samples that a sweep goes through at once: what it needs besides the states stays within some ten megabytes."""
+
+
 @dataclass(frozen=True, eq=False)
 class Observed:
     """One run's excitation and measured accelerations.
@@ -129,15 +133,7 @@ class _Gain:
 
 
 def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
-    """Find the motion that minimizes the program of this module, and its standard deviations.
-
-    Parameters
-    ----------
-    model : Dynamics
-    run : Observed
-    rows : ndarray, shape (outputs, n)
-        Linear combinations of the state whose standard deviations are wanted.
-    """
+    """Find the motion that minimizes the program of this module, and standard deviations of rows times the states."""
     weights = run.present.astype(np.float64)
     sigma = np.sqrt(model.R)
     gains: list[_Gain] = []
@@ -212,9 +208,9 @@ def _near(variances: Floats, limits: Floats) -> bool:
 
 
 def _constant(which: Ints) -> Iterator[tuple[int, int, int]]:
-    """Beginning, end and gain of each stretch of constant gain."""
-    edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(which)]
-    for first, last in pairwise(edges):
+    """Beginning, end and gain of each stretch of constant gain, long ones in parts."""
+    edges = {0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), *range(0, len(which), SWEPT_AT_ONCE), len(which)}
+    for first, last in pairwise(sorted(edges)):
         yield first, last, int(which[first])
 
 
@@ -293,7 +289,6 @@ class Steady:
 
     Parameters
     ----------
-    model : Dynamics
     P : ndarray, shape (n, n)
         Covariance of the predicted state.
     S : ndarray, shape (m, m)
@@ -319,13 +314,13 @@ class Steady:
         return Steady(model, P, np.asarray(S), np.asarray(K, dtype=np.float64), F)
 
     def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
-        """States predicted from the past, shape (samples, n), and innovations, (samples, m), in y's precision."""
-        model, kind = self.model, y.dtype
+        """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""
+        model = self.model
         seen = y - model.shown(excitation)
         inputs = model.driven(excitation)
-        inputs += seen @ self.K.T.astype(kind)
+        inputs += seen @ self.K.T
         x = recursion(self.F, inputs, start)
-        return x, seen - x @ model.H.T.astype(kind)
+        return x, seen - x @ model.H.T
 
 
 Piece = tuple[slice, Bools]
@@ -337,17 +332,20 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
 
     Parameters
     ----------
-    model : Dynamics
     excitation : ndarray, shape (samples, 2)
     y : ndarray, shape (samples, m)
-        Complete; its precision is that of the states.
+        Complete.
     start : ndarray, shape (n,)
     pieces : sequence of Piece
         That follow each other from the first sample to the last.
     """
-    kind = y.dtype
+    pieces = [
+        (slice(first, min(first + SWEPT_AT_ONCE, part.stop)), channels)
+        for part, channels in pieces
+        for first in range(part.start, part.stop, SWEPT_AT_ONCE)
+    ]
     filters = {channels.tobytes(): Steady.of(model.seen_by(channels)) for _, channels in pieces}
-    x = np.empty((len(y), len(model.A)), dtype=kind)
+    x = np.empty((len(y), len(model.A)))
     left = []
     for part, channels in pieces:
         # The first sample of the next piece is predicted with this one.
@@ -359,8 +357,8 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
     r = np.zeros(len(model.A))
     for (part, channels), e in zip(reversed(pieces), reversed(left), strict=True):
         own = filters[channels.tobytes()]
-        pulled = e @ np.linalg.solve(own.S, own.model.H).astype(kind)
-        pulled += recursion(own.F.T, pulled[::-1], r)[::-1] @ own.F.astype(kind)
-        x[part] += pulled @ own.P.astype(kind)
-        r = pulled[0].astype(np.float64)
+        pulled = e @ np.linalg.solve(own.S, own.model.H)
+        pulled += recursion(own.F.T, pulled[::-1], r)[::-1] @ own.F
+        x[part] += pulled @ own.P
+        r = pulled[0]
     return x

@@ -23,7 +23,7 @@ from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measur
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.dashpots import LEAST_RATIO, Dashpots, Ratios, damping_ratios, rayleigh, story_dashpots
-from cvxshear.response.fitted import Fitted
+from cvxshear.response.sources import Fitted
 from cvxshear.util import checks
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.quantities import percent, ranged
@@ -37,8 +37,6 @@ class Damped:
 
     Parameters
     ----------
-    model : DampedModel
-    dashpots : Dashpots or None
     rayleigh : ndarray, shape (2,), optional
         a (1/s) and b (s) of C = a M + b K.
     """
@@ -57,13 +55,10 @@ class UncertainFrame:
 
     Parameters
     ----------
-    fitted : Fitted
     configuration : Configuration
         The state: added mass, and which effects are in it.
-    ratios : Ratios
     kind : str
         "modal", "story" or "rayleigh".
-    backend : Backend
     """
 
     fitted: Fitted
@@ -133,13 +128,7 @@ class UncertainFrame:
         return root
 
     def at(self, xi: Floats, near: Damped | None = None) -> Damped:
-        """Build the damped model at one value of xi.
-
-        Parameters
-        ----------
-        xi : ndarray, shape (size,)
-        near : Damped, optional
-            Whose dashpots the programs start from.
+        """Build the damped model at one value of xi; programs of dashpots start from those of a model near.
 
         Raises
         ------
@@ -198,19 +187,9 @@ shorter way."""
 
 
 def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> tuple[Damped, Floats]:
-    """Return the frame as it was fitted, and the standard deviations of a function of it.
+    """Return the frame as it was fitted, and the standard deviations of an array that is a function of it.
 
-    Parameters
-    ----------
-    frame : UncertainFrame
-    function : callable
-        Takes a `Damped`, returns an array of any one shape.
-
-    Returns
-    -------
-    centre : Damped
-    std : ndarray
-        Of the shape that the function returns; nan where nothing tells the noise.
+    They are nan where nothing tells the noise.
     """
     centre = frame.at(np.zeros(frame.size))
     if not frame.uncertain:

@@ -56,7 +56,6 @@ class VariedFrame:
 
     Parameters
     ----------
-    centre : Damped
     story_stiffness : ndarray, shape (N,)
         N/m.
     ratios : ndarray, shape (N,)
@@ -96,16 +95,7 @@ class VariedFrame:
 
     @staticmethod
     def around(frame: UncertainFrame, floors: Sequence[int] | Ints = (), *, excited: bool = False) -> VariedFrame:
-        """Set up the variations around the most probable values of an uncertain frame.
-
-        Parameters
-        ----------
-        frame : UncertainFrame
-        floors : sequence of int, optional
-            That carry sensors.
-        excited : bool, optional
-            Whether a sensor recorded the excitation.
-        """
+        """Set up the variations around the most probable values, with sensors on some floors and of the excitation."""
         centre = frame.at(np.zeros(frame.size))
         if frame.kind == "modal":
             own = frame.ratios.std
@@ -178,15 +168,6 @@ class VariedFrame:
         """Return each story's stiffness over the identified one, and its derivatives by the unknowns.
 
         Story i resists a unit displacement of the floors i to N, as one, by the sum of K over those floors.
-
-        Parameters
-        ----------
-        unknowns : ndarray, shape (N + D + W + X,)
-
-        Returns
-        -------
-        factors : ndarray, shape (N,)
-        J : ndarray, shape (N, N + D + W + X)
         """
         N, D, W, X = self.sizes
         own = np.exp(unknowns[:N])

@@ -84,7 +84,7 @@ def heights(experiment: Experiment) -> Iterator[Finding]:
 def masses(experiment: Experiment) -> Iterator[Finding]:
     """Floors of a building weigh tons, those of a model that stands on a table do not."""
     frame = experiment.frame
-    if frame.story_heights is None or frame.known_total is None:
+    if frame.story_heights is None or frame.known_total is None or frame.total_mass_placeholder:
         return
     height, floor = float(np.mean(frame.story_heights)), frame.known_total / experiment.stories
     if right_in_kg(experiment, floor) is False:

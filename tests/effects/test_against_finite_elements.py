@@ -312,6 +312,15 @@ def test_loose_joints_of_beams_that_bend(floor):
     assert_same(modes_with(effects, 0.4, 0.7, 0.0, number=1), sway_modes(frame))
 
 
+@pytest.mark.parametrize("rho", [0.05, 0.5, 20.0])
+def test_soft_feet(rho):
+    """Exact: springs under the feet of columns whose joints turn, in every test."""
+    effects = [placed("joint_rotation"), placed("soft_feet")]
+    for number in (0, 1):
+        frame = fe.with_loose_joints(fe.with_turning_joints(building(number), 0.4), rho, 0)
+        assert_same(modes_with(effects, 0.4, rho, number=number), sway_modes(frame))
+
+
 def test_a_hinge_at_both_ends_of_a_story():
     """Columns of one story between hinges leave it three quarters softer each time, and none of it in the end."""
     base = placed("joint_release", floor=0, state="loaded")
@@ -411,8 +420,7 @@ def test_loads_that_are_not_fast_to_their_floors(tuning):
     model = modes_with([placed("load_mounting")], frequency, number=1)
     loads = {floor: float(load) for floor, load in enumerate(ADDED[1], 1) if load}
     frame = replace(
-        building(0),
-        attached=tuple((floor, load, load * (2 * np.pi * frequency) ** 2) for floor, load in loads.items()),
+        building(0), attached=tuple((floor, load, load * (2 * np.pi * frequency) ** 2) for floor, load in loads.items())
     )
     assembled = assemble(frame)
     eigenvalues, shapes = assembled.modes()

@@ -23,6 +23,7 @@ CASES = {
     "state_mass": (placed("state_mass", state="loaded"), 0.15),
     "load_scale": (placed("load_scale"), -0.1),
     "floor_mass": (placed("floor_mass", floor=3), 1.2),
+    "soft_feet": (placed("soft_feet"), 0.6),
     "joint_release": (placed("joint_release", floor=2, state="loaded"), (0.6, 0.1)),
     "bracing": (placed("bracing"), 0.2),
 }
@@ -41,6 +42,7 @@ SCALES = {
     "state_mass": 1.0,
     "load_scale": 1.0,
     "floor_mass": 1.0,
+    "soft_feet": 1.0,
     "joint_release": 1.0,
     "bracing": 1.0,
 }

@@ -338,6 +338,7 @@ def practical_size(effect: str, frame: Building) -> float:
         "bracing": 0.4,
         "spring": 0.1 * float(np.mean(frame.story_stiffness)),
         "joint_release": 0.5,
+        "soft_feet": 0.5,
     }[effect]
 
 
@@ -420,6 +421,11 @@ def with_loose_joints(frame: Building, rho: float, at: int) -> Building:
     return dataclasses.replace(frame, connections={**frame.connections, at: each})
 
 
+def with_soft_feet(frame: Building, rho: float, _at: int | None) -> Building:
+    """Springs of mean(k h^2) / rho in all under the feet."""
+    return with_loose_joints(frame, rho, 0)
+
+
 CHANGES: dict[str, Callable[..., Building]] = {
     "gravity": with_gravity,
     "joint_rotation": with_turning_joints,
@@ -431,6 +437,7 @@ CHANGES: dict[str, Callable[..., Building]] = {
     "story_change": with_story_change,
     "state_stiffness": with_softer_state,
     "joint_release": with_loose_joints,
+    "soft_feet": with_soft_feet,
     "bracing": with_braces,
 }
 """What each effect makes of the frame; a sensor's gain changes the reading, not the frame."""

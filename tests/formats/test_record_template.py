@@ -13,9 +13,11 @@ from scipy import io
 
 from cvxshear.files import formats
 from cvxshear.files.columns import Columns
+from cvxshear.files.modes import modes_from_file
 from cvxshear.files.record_file import read_record
 from cvxshear.util.errors import InputError
 from tests.fuzz.files import columns
+from tests.modal.shared import TWO_STORY_FREQUENCIES, csv, two_story_frf
 
 GRAVITY = 9.80665
 """m/s2 (CGPM 1901)."""
@@ -239,6 +241,50 @@ def test_several_files_are_the_runs_of_one_record(values, run, tmp_path):
     assert run("new", files[0])[0] == 2
 
 
+@pytest.mark.parametrize(
+    ("names", "preamble", "floors", "why", "called"),
+    [
+        (["before_OG2_hit1", "before_OG3_hit1"], "", (2, 3), "from its name", "before"),
+        (["hit floor 1 (2)", "hit floor 3 (1)"], "", (1, 3), "from its name", "hit floor"),
+        (["a_2F", "a_3F"], "", (2, 3), "from its name", "a"),
+        (["hit1", "hit2"], "Hammer at the 2nd floor, 16 bit\n", (2, 2), "from its preamble", "hit"),
+        (["run_12", "run_13"], "", (3, 3), "no file says it", "run"),
+        (["x7", "y8"], "Operator: floor 2\n", (3, 3), "no file says it", "x7"),
+    ],
+)
+def test_floors_that_were_hit(names, preamble, floors, why, called, values, run, tmp_path):
+    for name in names:
+        (tmp_path / f"{name}.csv").write_text(text(f"{preamble}t,Hammer [N],a1,a2,a3\n", values))
+    assert run("new", "--record", tmp_path / "*.csv", "-o", tmp_path / "r.toml") == (0, "", "")
+    said = (tmp_path / "r.toml").read_text()
+    assert said.count(f"# GUESSED, {why}: ") == 2
+    record = read_record(tmp_path / "r.toml").record
+    assert (tuple(each.floor for each in record.runs), record.name) == (floors, called)
+
+
+def test_a_release_and_a_roof_over_floors_without_sensors(values, run, tmp_path):
+    (tmp_path / "release.csv").write_text(text("t,Level 2,Level 4,Roof\n", values[:, :4]))
+    said, record = begun(run, tmp_path, "release.csv")
+    assert (record.input, record.floors.tolist()) == ("free_decay", [2, 4, 5])
+    assert "as low as it can be: CHECK how many stories there are" in said
+
+
+def test_functions(run, tmp_path):
+    """Accelerances of a two-story frame with floors of 2 and 1 kg, a file for each floor that was driven."""
+    frequencies = np.arange(0.0, 32.0, 1 / 64)
+    for floor in (1, 2):
+        functions = two_story_frf(frequencies, 0.01, floor)
+        parts = np.column_stack([frequencies, *(part for each in functions.T for part in (each.real, each.imag))])
+        csv(tmp_path / f"set-{floor}.csv", ["freq", "floor1_re", "floor1_im", "floor2_re", "floor2_im"], parts)
+    assert run("new", "--record", tmp_path / "set-*.csv", "-o", tmp_path / "r.toml") == (0, "", "")
+    assert "from the order of the files: the floor" in (tmp_path / "r.toml").read_text()
+    result, _ = modes_from_file(tmp_path / "r.toml")
+    np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=1e-3)
+    np.testing.assert_allclose(np.linalg.inv(result.mode_shapes.T @ result.mode_shapes), np.diag([2.0, 1.0]), atol=0.05)
+    csv(tmp_path / "b.csv", ["freq", "floor1", "floor2"], np.column_stack([frequencies, frequencies, frequencies]))
+    assert "no pair of columns such as floor1_re" in run("new", "--record", tmp_path / "b.csv")[2]
+
+
 def compressed(path, values):
     path.write_bytes(gzip.compress(text("time,ground,a1,a2,a3\n", values).encode()))
 
@@ -306,6 +352,16 @@ def test_a_command_says_how_to_begin(command, values, run, tmp_path):
     status, out, err = run(command, tmp_path / "a.csv")
     assert (status, out) == (2, "")
     assert f"'cvxshear new --record {tmp_path}/a.csv -o a.toml' writes a record file" in err
+
+
+@pytest.mark.parametrize("header", ["Zeit [s]\tStock 1 [m/s²]\n", "t\ta1\n"])
+def test_text_of_a_logger_is_no_toml(header, values, run, tmp_path):
+    (tmp_path / "a.txt").write_text(text(header, values[:, :2], separator="\t"), encoding="latin-1")
+    status, out, err = run("modes", tmp_path / "a.txt")
+    assert (status, out) == (2, "")
+    assert "writes a record file" in err
+    (tmp_path / "b.txt").write_text("[record\n")
+    assert "is not valid TOML" in run("modes", tmp_path / "b.txt")[2]
 
 
 def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from cvxshear import InputError
 from cvxshear.modal import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.modal.clock_offsets import offsets
 from cvxshear.modal.deviations import SENSOR_STD, entry_std
+from cvxshear.modal.diagnostics import reciprocity_findings
 from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
 from cvxshear.records.signals import in_step, struck
@@ -186,6 +188,24 @@ def test_clipped_channel(record):
     assert "of 3000 samples" in finding.message
 
 
+@pytest.mark.parametrize(("frequency", "noise"), [(3.5, 7.0), (3.5, 0.0), (0.8, 0.3), (0.8, 0.0)])
+def test_a_rounded_peak_is_no_clip(frequency, noise):
+    """Decays at 512 Hz of a thousand steps of the converter, with noise in steps; cut off at 70 % they are clipped."""
+    time = np.arange(4096) / 512
+    clips = {1.0: 0, 0.7: 0}
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        moved = 1000.0 * np.exp(-0.2 * time) * np.sin(2 * np.pi * frequency * time + seed)
+        moved = np.round(moved + noise * random.standard_normal(len(time)))
+        for share in clips:
+            limit = np.round(share * np.abs(moved).max())
+            values = np.column_stack([np.clip(moved, -limit, limit), np.roll(moved, 7)])
+            channels = (Channel("a1", 1), Channel("a2", 2))
+            series = TimeRecord(channels, runs=(Run(values),), sampling_rate=512.0, input="free_decay")
+            clips[share] += any(item.kind == "clipped channel" for item in channel_findings(series))
+    assert clips == {1.0: 0, 0.7: 20}
+
+
 def test_drift(record):
     def warm_up(values):
         values[:, 0] += np.linspace(0, 3 * values[:, 0].std(), len(values))
@@ -256,6 +276,31 @@ def test_reciprocity_violation():
     [finding] = found(identify_modes(frf_record(0.01, gain=1.07)), "reciprocity")
     assert finding.numbers["floors"] == [1, 2]
     assert finding.numbers["largest"] == pytest.approx(0.07 / 1.035, abs=0.005)
+
+
+def test_a_transfer_near_a_node_tells_nothing_of_calibrations():
+    """Floor 2 hardly moves in mode 2: 0.1 % of crosstalk makes its transfers differ by a tenth there."""
+    real = np.array([[0.6, 1.0], [1.0, 0.01]])
+    products = np.einsum("ri,rj->rij", real, real).astype(complex)
+    setting = SimpleNamespace(base=False, floors=np.array([1, 2]))
+    full = SimpleNamespace(products=products, real=real, driven=np.array([1, 2]))
+    products[1, 0, 1] += 0.001
+    assert not list(reciprocity_findings(full, setting))
+    products[0, 0, 1] *= 1.05
+    (said,) = reciprocity_findings(full, setting)
+    assert "up to 4.9 % (mode 1; " in said.message
+
+
+def test_another_mode_than_all_may_be_of_a_story_that_was_not_declared():
+    """Sensors at floors 2 and 4 of four stories, declared as floors 2 and 3 of three: four modes are found."""
+    frame = KnownFrame(np.full(4, 10.0), np.full(4, 2e4), 0.01)
+    base = base_record(frame, 0, noise=0.01, duration=200.0, sampling_rate=64.0)
+    run = dataclasses.replace(base.runs[0], responses=base.runs[0].responses[:, [1, 3]])
+    told = dataclasses.replace(base, channels=(Channel("a", 2), Channel("b", 3)), runs=(run,), stories=3)
+    (other,) = found(identify_modes(told), "other mode")
+    assert min(np.abs(frame.modes()[0] - other.numbers["frequency"])) < 0.05
+    assert "one more than 3 stories can have" in other.message
+    assert other.message.endswith("or the frame has more")
 
 
 def test_resolution_coarser_than_the_line():

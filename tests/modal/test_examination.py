@@ -214,6 +214,38 @@ def test_the_input_is_named_where_most_floors_move_against_it():
     assert [item.numbers["channel"] for item in examined(record).findings if item.kind == "sign"] == ["input"]
 
 
+@pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False)])
+def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest, told):
+    """A table without motion below so many times the first frequency; floor 2 is reversed, floor 3 in g."""
+    frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
+    record = base_record(frame, 1, noise=0.0, duration=300.0, sampling_rate=50.0)
+    (run,), random = record.runs, np.random.default_rng(1)
+    cut = signal.butter(8, lowest * frame.modes()[0][0], "high", fs=50.0, output="sos")
+    moved = signal.sosfilt(cut, np.column_stack([run.excitation, run.responses]), axis=0)
+    moved += 0.01 * moved.std(axis=0) * random.standard_normal(moved.shape)
+    record = dataclasses.replace(record, runs=(Run(moved[:, 1:], moved[:, 0]),))
+    found = examined(scaled(record, {"floor2": -1.0, "floor3": 1 / 9.80665})).findings
+    expected = [("sign", "floor2"), ("unit", "floor3")] if told else []
+    assert [(item.kind, item.numbers["channel"]) for item in found] == expected
+
+
+def test_a_channel_in_another_unit_and_a_reversed_one_are_told_together():
+    """Modes of a uniform frame of six stories in closed form: floor 4 in g, and floor 2 or floor 4 itself reversed."""
+    floors = np.arange(1, 7)
+    angles = np.pi / 13 * np.array([1, 3])
+    shapes = np.sin(angles[:, None] * floors)
+    channels = [Channel(f"floor{floor}", floor) for floor in floors.tolist()]
+    for turned in (1, 3):
+        factors = np.ones(6)
+        factors[3] = 1 / 9.80665
+        factors[turned] *= -1.0
+        hypotheses = weighed(2.0 * np.sin(angles / 2), shapes * factors, floors, 6)
+        np.testing.assert_allclose(hypotheses[0].undone(shapes * factors), shapes)
+        unit, sign = findings_of(hypotheses, channels, shapes[0] * factors)
+        assert (unit.numbers["channel"], unit.numbers["unit"]) == ("floor4", "g")
+        assert sign.numbers["channel"] == f"floor{turned + 1}"
+
+
 @pytest.mark.parametrize(("floors", "pair", "turned"), [([1, 2, 4, 5, 6], (1, 3), 1), ([2, 3, 4, 5, 6], (0, 4), 2)])
 def test_two_channels_exchanged_and_one_reversed_are_told(floors, pair, turned):
     """The modes of a uniform frame of six stories are sines: (2 r - 1) pi / 13 times the floor."""

@@ -60,6 +60,11 @@ def test_a_file_of_design_values_is_planned_for(file):
     order = [found.fewer, found.chosen, found.more, found.everywhere]
     assert [each.objective for each in order] == sorted((each.objective for each in order), reverse=True)
     assert np.all(found.chosen.floor_mass_std <= 0.02 * np.array([20.0, 20.0, 18.0, 15.0]) * (1 + 1e-9))
+    table = found.to_dataframe()
+    assert table["floor"][table["sensor"]].tolist() == found.sensors
+    assert table["story_stiffness"].tolist() == [30e3, 28e3, 25e3, 20e3]
+    np.testing.assert_array_equal(table["floor_mass_std"], found.chosen.floor_mass_std)
+    assert table[f"added_mass: {found.names[0]}"].tolist() == [0.0] * 4
 
 
 def test_the_papers_three_structures_can_show_gravity(paper):

@@ -105,6 +105,9 @@ def test_several_effects_make_a_sentence_that_can_be_read(paper):
     many = dataclasses.replace(paper, verdict="ambiguous", effects=(effect, doubtful, doubtful))
     assert "in place of 2 of them something else would explain the data as well" in headline(many)
     assert repr(many).endswith("and 1 more>")
+    unsure = dataclasses.replace(effect, placed=rival.placed, probability=0.92)
+    said = headline(dataclasses.replace(paper, verdict="ambiguous", effects=(effect, unsure)))
+    assert f"but that {rival.placed.label} is there at all is less sure than 95 %" in said
 
 
 def test_an_unexplained_headline_says_where_the_residual_sits(unexplained):

@@ -208,6 +208,18 @@ def test_every_effect_of_the_catalogue_has_words_for_its_size(effect):
     assert all(sentence.endswith(".") and "nan" not in sentence for sentence in said)
 
 
+def test_what_a_story_loses_beside_joints_that_turn_is_no_share_of_its_stiffness():
+    tested = cvxshear.Experiment.from_dict(experiment("joint_rotation", 3, 2, noise=0.01))
+    kinds = {item.name: item for item in cvxshear.effects.catalogue()}
+    assume = [
+        cvxshear.effects.Placed(kinds[name], kinds[name].places(tested)[-1])
+        for name in ("joint_rotation", "story_change")
+    ]
+    result = cvxshear.close_loop(tested, effects=[], assume=assume)
+    changed = consequences(result.estimate, result.assumed[1])[0]
+    assert "of what the story resists with the other effects, " in changed
+
+
 def test_a_report_is_one_page(of_paper):
     assert Page(of_paper).tags[:1] == ["html"]
 

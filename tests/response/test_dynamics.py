@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, linalg
 
 from cvxshear.response.damped import poles
-from cvxshear.response.dynamics import Noise, Setting, _van_loan, dynamics, recursion, settled_covariance
+from cvxshear.response.dynamics import Noise, Setting, _over_a_step, dynamics, recursion, settled_covariance
 from tests.frames import chain
 from tests.response.common import straight
 
@@ -143,7 +143,7 @@ def test_the_poles_add_up_to_the_flexibility(slower):
 def test_the_noise_of_a_step_in_which_a_mode_dies_away_is_what_is_missing_to_its_stationary_covariance(fastest):
     """Q = P - A P A' of the stationary P, from scipy's Lyapunov equation: decays of up to 3,000 over a step."""
     rates = np.array([[0.0, 1.0, 0.0], [-400.0, -fastest, 50.0], [0.0, 0.0, -8.0]])
-    A, Q = _van_loan(rates, np.array([0.0, 0.0, 3.0]), 0.01)
+    A, _, _, Q = _over_a_step(rates, np.zeros(3), np.array([0.0, 0.0, 3.0]), 0.01)
     np.testing.assert_allclose(A, linalg.expm(0.01 * rates), rtol=1e-9, atol=1e-14)
     P = linalg.solve_continuous_lyapunov(rates, -np.diag([0.0, 0.0, 3.0]))
     np.testing.assert_allclose(Q, P - A @ P @ A.T, rtol=1e-6, atol=1e-12 * np.max(P))

@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cvxshear.response.frame_answers import LEAST_WEIGHT, Linear, possible_answers
-from cvxshear.response.frame_prior import FORM_STDS, GAIN_STDS, MASS_STDS, SCATTER_STDS, Gaussian
+from cvxshear.response.frame_prior import (
+    FORM_STDS,
+    GAIN_STDS,
+    LEAST_WEIGHT,
+    MASS_STDS,
+    SCATTER_STDS,
+    Gaussian,
+    Linear,
+    possible_answers,
+)
 from cvxshear.response.innovations import Likelihood
 
 STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07

@@ -342,7 +342,7 @@ def test_what_is_surely_wrong_with_a_sensor_is_set_right_and_said(softened, faul
     assert found.remarks == () if said is None else re.search(said, " ".join(found.remarks))
 
 
-@pytest.mark.parametrize(("who", "off"), [("floor 3", -0.05), ("base motion", 0.04)])
+@pytest.mark.parametrize(("who", "off"), [("floor 3", -0.05), ("floor 3", 0.3), ("base motion", 0.04)])
 def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
     """A sound frame: without the gain among the unknowns the floors would weigh more, and drifts be a quarter off."""
     models, motion, drift, _ = study.setting(3, "sound", 1, seconds=20.0)
@@ -423,7 +423,7 @@ def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
     part, start = run.strongest(PROBED_SAMPLES), np.zeros(len(run.start))
     probed = SimpleNamespace(completed=run.y[part], states=start[None])
     driven = RecordedRun(run.y[part], run.excitation[part, 1], "", between=run.excitation[part, 0])
-    along = np.array([work.moved_by(sides, noise, driven, probed) for sides in found.sides])
+    along = np.array([next(work.moved_by(sides, noise, driven, probed))[1] for sides in found.sides])
     system = dynamics(fitted.model, noise, work.setting)
     states = settled_states(system, run.excitation[part], run.y[part], start, work.pieces(driven))
     outputs = system.outputs.of(states, run.excitation[part])
@@ -433,6 +433,22 @@ def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
     assert MOST_DIRECTIONS < len(share) < len(fitted.covariance)
     assert share[-1] >= 0.995 > share[-2]
     assert len(work.directions(narrow).sides) == MOST_DIRECTIONS
+
+
+def test_frames_a_hundredth_as_far_apart_move_a_hundredth_as_differently(softened):
+    """A deviation is the difference of two long motions, and must not be what rounding leaves of it."""
+    fitted, recording, backend = softened[-1].frame, softened[-1].recording, backends.get("auto")
+    work = FrameMotion.around(
+        UncertainFrame.of(softened[0].after, softened[-1].configuration, None, backend), recording, backend, free=True
+    )
+    noise, (smoothed,) = fitted.errors.noise_at(fitted.p), work.smoothed(fitted.errors, fitted.p)
+    far, near = (
+        np.abs(np.concatenate([moved for _, moved in work.moved_by(sides, noise, recording.runs[0], smoothed)]))
+        for share in (1.0, 1e-4)
+        for sides in work.directions(dataclasses.replace(fitted, covariance=share * fitted.covariance), most=1).sides
+    )
+    off = np.sqrt(np.mean((100.0 * near - far) ** 2, axis=0) / np.mean(far**2, axis=0))
+    assert np.max(off) < 0.02
 
 
 def test_warnings_stand_before_the_numbers(softened):
@@ -448,6 +464,9 @@ def test_warnings_stand_before_the_numbers(softened):
     assert unsure.to_dict()["remarks"][0] == first[0]
     assert unsure.to_dict()["remarks"][1].startswith("the fit of the frame did not settle")
     assert describe(found).sections[0].parts[0].text.startswith(found.fitted.experiment.name)
+    # What is always so is no warning.
+    (always,) = describe(found).sections[-1].parts
+    assert (describe(found).sections[-1].title, always.texts) == ("What to bear in mind", found.remarks)
 
 
 def test_base_motion_that_nobody_measured_is_estimated(softened):

@@ -37,9 +37,11 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
     measured = ModalRows(20.0 * rng.standard_normal((7, 10)), rng.standard_normal(7))
     measured.J[:, 5] = 0.0
     heavier = rng.standard_normal((13, 3))
-    prior = FramePrior(
-        root @ root.T, 0.4, 0.05, 0.1, 0.02, own, SIZES, share, heavier, slice(8, 9), slice(5, 6), 2, measured
+    varied = SimpleNamespace(
+        own_std=own, sizes=SIZES, nuisance_share=share, heavier_floors=heavier, sensor_gains=slice(8, 9),
+        dashpots=slice(5, 6),
     )  # fmt: skip
+    prior = FramePrior(varied, 2, root @ root.T, 0.4, 0.05, 0.1, 0.02, measured)
     form_std, scatter = 0.03, 0.003
     found = prior.gaussian(changed, form_std, scatter, mass_std, 0.01, same=same)
 
@@ -287,9 +289,8 @@ def test_the_prior_has_what_the_file_expects_of_a_story(uncertain):
     assert found.change_std == pytest.approx(float(usual.sizes(None)[0]))
     assert (1.0 - found.probability) ** 3 == pytest.approx(1.0 - usual.probability)
     # The frame is of modal damping, whose ratios were declared to a tenth.
-    np.testing.assert_allclose(found.own_damping, np.full(3, 0.1))
-    assert (found.sizes, found.others) == (frame.sizes, 4)
-    np.testing.assert_allclose(found.nuisance_share, frame.nuisance_share)
+    np.testing.assert_allclose(found.varied.own_std, np.full(3, 0.1))
+    assert (found.varied, found.others) == (frame, 4)
     # Masses known, stiffnesses of no smaller deviation than the fit has.
     assert np.all(np.sqrt(np.diag(found.identified)) < 0.05)
 

@@ -49,6 +49,11 @@ def test_another_unit_is_warned_of(frame, name):
     assert told(building(frame=frame)) == [name]
 
 
+def test_a_total_that_nobody_gave_is_no_mass_in_tons():
+    frame = {"total_mass": 1.0, "total_mass_placeholder": True, "story_heights": 3.2}
+    assert told(building(frame=frame)) == ["total_mass"]
+
+
 def test_masses_are_told_in_the_units_of_the_library():
     declared = Experiment.from_dict(building(frame={"total_mass": 2.0e6}))
     total, std = implied_total(declared)

@@ -152,6 +152,8 @@ class Change:
         Relative change of what the sensors show.
     frequencies : ndarray, shape (N,)
         Relative change of the natural frequencies.
+    alone : bool
+        Whether the stories without the effect are those of a shear frame.
     """
 
     configuration: str
@@ -161,6 +163,7 @@ class Change:
     mass_share: Floats
     gain: Floats
     frequencies: Floats
+    alone: bool
 
 
 def changes(estimate: Estimate, placed: Placed) -> list[Change]:
@@ -196,7 +199,8 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
     frequencies = [each.frequencies[frame_modes(each, M, n)] for each, M in found]
     stiffness = stiff[1] - stiff[0], stiff[1] / stiff[0] - 1.0
     gain, moved = after.gain / before.gain - 1.0, frequencies[1] / frequencies[0] - 1.0
-    return Change(configuration.name, *stiffness, added, added / mass[0], gain, moved)
+    alone = np.allclose(stiff[0], before.story_stiffness, rtol=1e-6)
+    return Change(configuration.name, *stiffness, added, added / mass[0], gain, moved, alone)
 
 
 def _sway_stiffness(state: State) -> Floats:
@@ -238,9 +242,10 @@ def _stiffness(found: list[Change], units: Units) -> Iterator[str]:
         other = int(np.argmin(np.abs(least.stiffness_share)))
         word, way = ("takes", "from") if share < 0 else ("adds", "to")
         factor, unit = units.of_stiffness([10 * float(most.stiffness[story])])
+        whole = "the story stiffness" if most.alone else "what the story resists with the other effects"
         sentence = (
-            f"It {word} {abs(most.stiffness[story]) / factor:.3g} {unit}, {percent(abs(share))} of the "
-            f'story stiffness, {way} story {story + 1} in "{most.configuration}"'
+            f"It {word} {abs(most.stiffness[story]) / factor:.3g} {unit}, {percent(abs(share))} of {whole}, "
+            f'{way} story {story + 1} in "{most.configuration}"'
         )
         smallest = abs(float(least.stiffness_share[other]))
         if (most, story) != (least, other) and smallest > NOTHING:

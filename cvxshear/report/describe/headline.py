@@ -157,8 +157,9 @@ def _doubt(result: Closure) -> str:
         said = f"in place of {len(doubtful)} of them something else would explain the data as well"
     elif in_doubt(result):
         said = f"perhaps {other_numbers(result)} ({chance(result.numberings[1].probability)})"
-    elif any(item.probability < CERTAINLY_THERE for item in result.effects):
-        said = f"that {'it' if len(result.effects) == 1 else 'each of them'} is there at all is less sure than 95 %"
+    elif unsure := [item.placed.label for item in result.effects if item.probability < CERTAINLY_THERE]:
+        which = "it is" if len(result.effects) == 1 else f"{listed(unsure)} {'is' if len(unsure) == 1 else 'are'}"
+        said = f"that {which} there at all is less sure than 95 %"
     return said
 
 

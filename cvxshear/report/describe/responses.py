@@ -7,7 +7,7 @@ import numpy as np
 
 from cvxshear.report.describe.consequences import MODELS
 from cvxshear.report.describe.identified import damping_section
-from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows, table
+from cvxshear.report.describe.vocabulary import Document, Points, Section, Sentence, Table, describe, plain_rows, table
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
 from cvxshear.response.peaks import RESPONSES
 from cvxshear.response.reconstruction import SIGN_KNOWN, UNSETTLED
@@ -166,7 +166,7 @@ def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Documen
         Section("motion", "What the stories did", (stories(result), *peaks(result.peaks))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
         Section("evidence", "Sensors", (whiteness(result),)),
-        Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
+        Section("remarks", "What to bear in mind", (Points("remarks", result.remarks),)),
     )
     return Document(result.fitted.experiment.name, capital("; ".join(_findings(result))), sections)
 
