@@ -1,6 +1,8 @@
 """Backends against closed forms written out here, their certificates, and their refusals."""
 
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -198,3 +200,10 @@ def test_the_scaled_program_has_unit_hessian_and_unit_rows():
     # There and back through a triangle as badly conditioned as the rows: 2e7.
     rounding = np.finfo(float).eps * np.linalg.cond(program.R)
     np.testing.assert_allclose(scaled.to_x(scaled.to_z(x)), x, rtol=rounding)
+
+
+def test_no_solver_prints():
+    """HiGHS 1.16 tells its version on standard output, once a process; what others' tools read would begin with it."""
+    script = "import cvxshear\nfor name in ('highs', 'osqp', 'scs'): cvxshear.identify('paper', backend=name)"
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ran.stdout == ""

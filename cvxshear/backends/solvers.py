@@ -5,11 +5,14 @@ All of this is known without importing any of them, which takes seconds for all 
 
 from __future__ import annotations
 
+import functools
+import os
+import sys
 import time
 import tomllib
 import warnings
 from dataclasses import dataclass
-from importlib import metadata, resources, util
+from importlib import import_module, metadata, resources, util
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -151,6 +154,8 @@ class Qpsolvers(CalledSolver):
         # Most of what this library does needs no solver.
         import qpsolvers  # noqa: PLC0415 - imports every solver that is installed
 
+        if self.name == "highs":
+            _hear_version_of_highs()
         stated = self._stated(problem)
         # Solvers that cannot begin at a point pass over it.
         scale = MAGNIFIED.get(self.name, 1.0)
@@ -182,6 +187,27 @@ class Qpsolvers(CalledSolver):
         equalities = (stored(problem.E), scale * problem.e) if len(problem.e) else (None, None)
         P, q = stored(problem.C.T @ problem.C), -problem.C.T @ (scale * problem.q)
         return qpsolvers.Problem(P, q, *inequalities, *equalities)
+
+
+@functools.cache
+def _hear_version_of_highs() -> None:
+    """Make the first instance of HiGHS where nobody reads what it prints.
+
+    From 1.16 the first one of a process writes a notice of its version to standard output, before any option can be
+    set; output that others' tools read (``--json``) would begin with it.
+    """
+    try:
+        sys.stdout.flush()
+        kept = os.dup(1)
+    except (AttributeError, OSError, ValueError):  # there is no standard output
+        return
+    with open(os.devnull, "wb") as nowhere:
+        try:
+            os.dup2(nowhere.fileno(), 1)
+            import_module("highspy").Highs()
+        finally:
+            os.dup2(kept, 1)
+            os.close(kept)
 
 
 def _status(found: qpsolvers.Solution) -> str:
