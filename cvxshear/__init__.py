@@ -46,7 +46,7 @@ __all__ = [
 _HOMES = {
     name: home
     for home, names in {
-        "cvxshear.loop": "Closure close_loop",
+        "cvxshear.loop": "Closure",
         "cvxshear.backends": "Comparison",
         "cvxshear.measurement.experiment": "Configuration Experiment Frame",
         "cvxshear.methods": "Identification compare_backends identify",
@@ -54,6 +54,7 @@ _HOMES = {
         "cvxshear.files.toml": "load",
         "cvxshear.planning": "plan",
         "cvxshear.response": "predict reconstruct",
+        "cvxshear.screening": "close_loop",
     }.items()
     for name in names.split()
 }

@@ -19,7 +19,8 @@ from itertools import pairwise
 import numpy as np
 from scipy import stats
 
-from cvxshear import Experiment, close_loop
+from cvxshear import Experiment
+from cvxshear.loop import close_loop
 from tests import drawn
 from tests.fe.experiments import simulated, simulated_pair
 

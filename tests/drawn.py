@@ -17,8 +17,9 @@ from itertools import pairwise
 import numpy as np
 from scipy import stats
 
-from cvxshear import Experiment, close_loop
+from cvxshear import Experiment
 from cvxshear.effects import Scale, catalogue
+from cvxshear.loop import close_loop
 from tests.fe.experiments import FREQUENCY_STD, HEIGHT, MODE_SHAPE_STD, placed_at_random, simulated_as_drawn
 
 KINDS = ("prior", "small")

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear import Experiment, close_loop
+from cvxshear import Experiment
+from cvxshear.loop import close_loop
 from tests.fe.experiments import simulated
 
 EFFECTS = (None, "gravity", "joint_rotation", "sensor_gain", "ground_spring")

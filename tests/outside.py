@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, stats
 
-from cvxshear import Experiment, close_loop
+from cvxshear import Experiment
+from cvxshear.loop import close_loop
 from tests.fe.frame import Building, sway_modes
 
 FREQUENCY_STD, SHAPE_STD = 0.001, 0.01

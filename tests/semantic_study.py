@@ -15,7 +15,8 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from cvxshear import CvxshearError, Experiment, InputError, close_loop
+from cvxshear import CvxshearError, Experiment, InputError
+from cvxshear.loop import close_loop
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
 from tests.mistakes import MISTAKES, with_mistake

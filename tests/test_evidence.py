@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from cvxshear import Experiment, backends, close_loop
+from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import WIDTH, Misfit
+from cvxshear.loop import close_loop
 from cvxshear.loop.evidence import _log_constant, log_evidence, log_interval, log_normal_between
 from tests.frames import chain, configuration, experiment
 

@@ -13,7 +13,8 @@ import joblib
 import numpy as np
 import pytest
 
-from cvxshear import Experiment, InputError, NoSolutionError, UnsuitableError, backends, close_loop, identify
+from cvxshear import Experiment, InputError, NoSolutionError, UnsuitableError, backends, identify
+from cvxshear.loop import close_loop
 from cvxshear.methods.separate import complete_test
 from cvxshear.model.shear import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.paper.setups import three_story

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from cvxshear import Experiment, NoSolutionError, backends, close_loop, identify
+from cvxshear import Experiment, NoSolutionError, backends, identify
 from cvxshear.fit.domain import Domain, domain_of
 from cvxshear.fit.gauss_newton import gauss_newton
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.optimality import PlainResiduals, optimality
 from cvxshear.fit.start import uniform
+from cvxshear.loop import close_loop
 from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
 from tests.frames import configuration, experiment

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 
-from cvxshear import Experiment, backends, close_loop, identify
+from cvxshear import Experiment, backends, identify
 from cvxshear.data import Noise
 from cvxshear.fit.efficient import efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.noise import _curvature, _Marginal, estimated_noise
+from cvxshear.loop import close_loop
 from cvxshear.priors import Value
 from tests.frames import configuration, experiment
 

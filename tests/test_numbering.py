@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import Experiment, backends, close_loop
+from cvxshear import Experiment, backends
 from cvxshear.cli import main
 from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
+from cvxshear.loop import close_loop
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.modal import identify_modes
 from cvxshear.modal.diagnostics import A_MODE, left_out, overlooked_modes

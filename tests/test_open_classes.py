@@ -8,12 +8,13 @@ import pytest
 import tomli_w
 from scipy import integrate, stats
 
-from cvxshear import Experiment, InputError, backends, close_loop
+from cvxshear import Experiment, InputError, backends
 from cvxshear.effects import Place, Placed, Scale, catalogue, compose, named, open_classes
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import fitted_with
 from cvxshear.fit.expectation import Expectation, tailed
 from cvxshear.fit.misfit import Misfit
+from cvxshear.loop import close_loop
 from cvxshear.loop.evidence import log_tailed_interval
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis

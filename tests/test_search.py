@@ -7,12 +7,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from cvxshear import Experiment, backends, close_loop
+from cvxshear import Experiment, backends
 from cvxshear.effects import Effect, GroundSpring, Parameter, Place, Placed, SensorGain
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import Expectation
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop import conclusion
+from cvxshear.loop import close_loop, conclusion
 from cvxshear.loop import fitter as fitter_module
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised

@@ -6,10 +6,13 @@ import re
 import numpy as np
 import pytest
 
-from cvxshear import Experiment, backends, close_loop
+import cvxshear
+from cvxshear import Experiment, InputError, backends
 from cvxshear.effects import Place, Placed, named
 from cvxshear.fit.efficient import efficient
+from cvxshear.loop import close_loop
 from cvxshear.loop.fitter import with_stand_in
+from cvxshear.screening import screen
 from cvxshear.util.errors import CvxshearError
 from tests import closed
 from tests.fe.experiments import simulated
@@ -272,3 +275,22 @@ def test_a_significant_residual_that_nobody_needs_is_called_negligible():
 def test_the_loop_s_own_errors_are_the_library_s():
     with pytest.raises(CvxshearError):
         close_loop(damaged(), effects=["softening"])
+
+
+def test_exchanged_sensors_of_one_state_are_refused_from_python_as_from_the_terminal():
+    """Explained by effects instead, they were scattering shapes and a mass at up to 100 %."""
+    sound = damaged()
+    tables = [
+        {
+            **each,
+            "mode_shapes": [[shape[0], shape[2], shape[1], shape[3]] for shape in each["mode_shapes"]]
+            if each["state"] == "after"
+            else each["mode_shapes"],
+        }
+        for each in sound.to_dict()["configuration"]
+    ]
+    exchanged = Experiment.from_dict({**sound.to_dict(), "configuration": tables})
+    with pytest.raises(InputError, match="the sensors of floors 2 and 3 stand in each other's place"):
+        cvxshear.close_loop(exchanged)
+    found = cvxshear.close_loop(sound, effects=["story_change"])
+    assert (found.verdict, found.warnings) == ("explained", screen(sound))

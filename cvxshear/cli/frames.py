@@ -145,12 +145,12 @@ def loop(
     strict
         Status 3 where the verdict is not one to rely on, such as ambiguous.
     """
-    from cvxshear import Closure, close_loop
+    from cvxshear import Closure
     from cvxshear.loop.verdicts import VERDICTS
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_closure
     from cvxshear.response import damping_of, models_of_loop, predict
-    from cvxshear.screening import refuse_mistakes
+    from cvxshear.screening import close_loop
     from cvxshear.util.quantities import Units
 
     if effects == LIST:
@@ -165,10 +165,15 @@ def loop(
         heading = dataclasses.replace(experiment.report, **said_of_it)
         if report is not None:
             photograph_of(heading)
-        # A record has no numbers to put right, and who names others asks for it: they are weighed with the effects.
-        weighed = [each.name for each in experiment.configurations if found or each.other_modes]
-        doubts = refuse_mistakes(experiment, weighed)
-        result = close_loop(experiment, effects=names(effects), assume=names(assume) or (), backend=backend, jobs=jobs)
+        # A record has no numbers to put right: they are weighed with the effects.
+        result = close_loop(
+            experiment,
+            effects=names(effects),
+            assume=names(assume) or (),
+            backend=backend,
+            jobs=jobs,
+            weighed=[each.name for each in experiment.configurations if found],
+        )
         models = models_of_loop(result)
         damping, tried, without = None, None, ""
         try:
@@ -180,7 +185,6 @@ def loop(
     said = {
         **result.to_dict(),
         "information": [*result.information, *filter(None, [without])],
-        "warnings": as_json(doubts),
         **records_in_json(found),
         "damping": as_json(damping),
         "model": models.to_dict(),
@@ -196,7 +200,7 @@ def loop(
     deliver(
         said,
         out,
-        lambda: [*tables_of(found), *terminal.doubts(doubts), *terminal.shown(result, display), *beside],
+        lambda: [*tables_of(found), *terminal.doubts(result.warnings), *terminal.shown(result, display), *beside],
         *files,
         title=heading.title or experiment.name,
     )

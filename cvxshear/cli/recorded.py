@@ -148,11 +148,9 @@ def _series_and_page(context: typer.Context, series: str | None, report: str | N
 
 def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:
     """Load what the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
-    from cvxshear import backends, close_loop
-    from cvxshear.measurement.declaration import NUMBERS
     from cvxshear.response import models_of_loop
     from cvxshear.response.sources import load_unscaled
-    from cvxshear.screening import refuse_mistakes
+    from cvxshear.screening import close_loop, refuse_mistakes
 
     if Path(file).suffix.lower() == ".json":
         if assume:
@@ -163,7 +161,9 @@ def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[Model
     except NoScaleError:
         # Only forces need the scale of the masses, and the result leaves those out.
         experiment, found = load_unscaled(file), []
-    doubts = refuse_mistakes(experiment, NUMBERS if found else ())
     if not found and not assume:
-        return experiment, doubts
-    return models_of_loop(close_loop(experiment, assume=assume, backend=backends.get(backend))), doubts
+        return experiment, refuse_mistakes(experiment)
+    # A record has no numbers to put right: they are weighed with the effects.
+    weighed = [each.name for each in experiment.configurations if found]
+    result = close_loop(experiment, assume=assume, backend=backend, weighed=weighed)
+    return models_of_loop(result), result.warnings

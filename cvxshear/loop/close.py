@@ -76,7 +76,9 @@ def close_loop(
     Raises
     ------
     InputError
-        Where an effect is not known, cannot be assumed for this experiment, or does not say how large it may be.
+        Where an effect is not known, cannot be assumed for this experiment, or does not say how large it may be. As
+        `cvxshear.close_loop` also where `cvxshear.screening` finds a mistake that the file does not accept, such as
+        exchanged sensors.
     NoSolutionError
         Where the shear model itself could not be fitted by this backend.
     """

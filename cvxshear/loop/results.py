@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
@@ -181,6 +181,8 @@ class Closure(Shown):
     next_test : NextTest or None
     fits, programs : int
         How many fits were made, and how many step programs they solved.
+    warnings : tuple of screening.Finding
+        What looks doubtful in the measurement; empty where `cvxshear.screening` was not asked.
     """
 
     experiment: Experiment
@@ -201,12 +203,13 @@ class Closure(Shown):
     next_test: NextTest | None
     fits: int
     programs: int
+    warnings: tuple[Any, ...] = ()
 
     json_keys = (
         "verdict rests_on backend provisional effects assumed numberings models averaged noise before after steps "
         "candidates not_considered frame undetermined=estimate.uncertainty.null_directions "
         "at_bounds=estimate.uncertainty.active predictions=estimate.predictions residual remains information "
-        "next_test fits programs"
+        "next_test fits programs warnings"
     )
 
     @property

@@ -13,12 +13,14 @@ is refused where the repairs together leave less than `LEFT_TO_GIVEN` to it, and
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cvxshear import loop
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
 from cvxshear.measurement.reading import Reading, violations
@@ -142,6 +144,16 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
                 f"{where}{item.found}. To mend it: {item.change}; or, if it is right as it is: {item.how_to_accept}"
             )
     return found
+
+
+@functools.wraps(loop.close_loop)
+def close_loop(experiment: Measurement, *given: Any, weighed: Collection[str] = (), **named: Any) -> loop.Closure:
+    """Close the loop on what `refuse_mistakes` lets pass, and keep its warnings with the result."""
+    experiment = opened(experiment)
+    # Who names modes that the file does not number asks for their numbers to be weighed with the effects.
+    numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
+    doubts = refuse_mistakes(experiment, {*weighed, *numbered_anew})
+    return dataclasses.replace(loop.close_loop(experiment, *given, **named), warnings=doubts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ import sys
 
 import numpy as np
 
-from cvxshear import Experiment, close_loop
+from cvxshear import Experiment
+from cvxshear.loop import close_loop
 from tests.frames import modes_of
 
 LOSS, LOAD = 0.2, 0.15

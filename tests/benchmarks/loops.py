@@ -7,7 +7,8 @@ import time
 
 import numpy as np
 
-from cvxshear import Experiment, close_loop
+from cvxshear import Experiment
+from cvxshear.loop import close_loop
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.benchmarks.timing import table
 

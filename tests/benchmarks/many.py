@@ -4,7 +4,8 @@ import time
 
 import numpy as np
 
-from cvxshear import Experiment, close_loop, identify
+from cvxshear import Experiment, identify
+from cvxshear.loop import close_loop
 from cvxshear.paper.batch import one_shot_batch, two_stage_batch
 from cvxshear.paper.setups import three_story
 from cvxshear.util.parallel import each

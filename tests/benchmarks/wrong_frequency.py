@@ -13,7 +13,8 @@ from collections import Counter
 
 import numpy as np
 
-from cvxshear import CvxshearError, Experiment, close_loop
+from cvxshear import CvxshearError, Experiment
+from cvxshear.loop import close_loop
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
 

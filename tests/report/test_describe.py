@@ -12,6 +12,7 @@ from rich.cells import cell_len
 import cvxshear
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import IdentifiedFrame
+from cvxshear.loop import close_loop
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.verdicts import VERDICTS, Verdict
 from cvxshear.report import terminal
@@ -125,7 +126,7 @@ def test_an_adequate_headline_says_within_which_noise(paper):
 def test_the_headline_names_the_error_of_the_data_that_carried_the_verdict(paper):
     """A gain of a sensor moves no frequency: whatever speaks for it are the shapes."""
     tested = cvxshear.Experiment.from_dict(experiment("sensor_gain", 3), name="gain")
-    found = cvxshear.close_loop(tested, effects=["sensor_gain"])
+    found = close_loop(tested, effects=["sensor_gain"])
     assert found.effects[0].placed.effect.name == "sensor_gain"
     shares = carried_by(found.before.estimate, found.estimate)
     assert next(iter(shares)) == "mode_shape"

@@ -16,6 +16,7 @@ from scipy import linalg
 
 import cvxshear
 from cvxshear.cli import main
+from cvxshear.loop import close_loop
 from cvxshear.report import figures, html
 from cvxshear.report.figures import figure_table
 from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes
@@ -168,7 +169,7 @@ def test_every_residual_lies_within_its_panel_and_its_label_beside_it(narrow):
     ]
     tested = frames.configuration([10.0, 10.0], [24e3, 20e3])
     declared = frames.experiment([10.0, 10.0], [24e3, 20e3], tested, frame=frame)
-    result = cvxshear.close_loop(cvxshear.Experiment.from_dict({**declared, "prior": prior}), effects=["gravity"])
+    result = close_loop(cvxshear.Experiment.from_dict({**declared, "prior": prior}), effects=["gravity"])
     with for_narrow_page() if narrow else contextlib.nullcontext():
         figure = figures.residual(result)
     figure.draw_without_rendering()
@@ -446,7 +447,7 @@ def test_where_the_shear_model_fails_is_drawn_and_told():
             "frequency_std": 0.001, "mode_shape_std": 0.01,
         })  # fmt: skip
     declared = {"frame": {"story_heights": 3.0, "total_mass": 5e4}, "configuration": tests}
-    found = cvxshear.close_loop(cvxshear.Experiment.from_dict(declared), ["other_stiffness", "gravity", "base_rocking"])
+    found = close_loop(cvxshear.Experiment.from_dict(declared), ["other_stiffness", "gravity", "base_rocking"])
     assert found.verdict == "located"
     assert "floors 1 and 4" in str(found).replace("\n", " ")
     axes = found.figure("findings").axes[0]

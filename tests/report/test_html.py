@@ -15,6 +15,7 @@ import pytest
 
 import cvxshear
 from cvxshear.effects import compose
+from cvxshear.loop import close_loop
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.declaration import Heading
 from cvxshear.report import figures
@@ -202,7 +203,7 @@ def test_every_effect_of_the_catalogue_has_words_for_its_size(effect):
     tested = cvxshear.Experiment.from_dict(declared)
     kind = next(item for item in cvxshear.effects.catalogue() if item.name == effect)
     placed = cvxshear.effects.Placed(kind, kind.places(tested)[-1])
-    result = cvxshear.close_loop(tested, effects=[], assume=[placed])
+    result = close_loop(tested, effects=[], assume=[placed])
     said = consequences(result.estimate, result.assumed[0])
     assert said
     assert all(sentence.endswith(".") and "nan" not in sentence for sentence in said)
@@ -215,7 +216,7 @@ def test_what_a_story_loses_beside_joints_that_turn_is_no_share_of_its_stiffness
         cvxshear.effects.Placed(kinds[name], kinds[name].places(tested)[-1])
         for name in ("joint_rotation", "story_change")
     ]
-    result = cvxshear.close_loop(tested, effects=[], assume=assume)
+    result = close_loop(tested, effects=[], assume=assume)
     changed = consequences(result.estimate, result.assumed[1])[0]
     assert "of what the story resists with the other effects, " in changed
 

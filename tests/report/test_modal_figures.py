@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import cvxshear
+from cvxshear.loop import close_loop
 from cvxshear.modal import ModalResult, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
@@ -145,7 +146,7 @@ def test_the_same_mode_of_two_configurations_faces_one_way():
         modes = {"frequencies": frequencies, "mode_shapes": scaled.tolist()}
         configurations.append({"name": name, "added_mass": weights.tolist(), **modes, **noise})
     experiment = cvxshear.Experiment.from_dict({"configuration": configurations})
-    drawn = mode_shapes(cvxshear.close_loop(experiment, effects=["story_change"]).estimate)
+    drawn = mode_shapes(close_loop(experiment, effects=["story_change"]).estimate)
     for first, second in zip(drawn[:3], drawn[3:], strict=True):
         assert first.modelled @ second.modelled > 0
         assert first.measured @ second.measured > 0

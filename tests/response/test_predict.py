@@ -13,6 +13,7 @@ from cvxshear import backends, effects
 from cvxshear.effects import Placed
 from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
+from cvxshear.loop import close_loop
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
@@ -171,7 +172,7 @@ def test_noise_on_the_record_of_the_same_frame_is_no_change_of_it(frame):
 
 def test_the_json_of_a_loop_predicts_the_same(frame, tmp_path):
     experiment, _, truth = frame
-    closure = cvxshear.close_loop(experiment)
+    closure = close_loop(experiment)
     record = recorded(truth)
     written = tmp_path / "loop.json"
     written.write_text(json.dumps({"model": models_of_loop(closure).to_dict()}))

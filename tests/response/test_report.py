@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import close_loop
 from cvxshear.cli import main
 from cvxshear.files.toml import write_measurement
+from cvxshear.loop import close_loop
 from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
@@ -30,7 +30,7 @@ def closed():
     mass, stiffness, dashpots = damped_frame(3)
     ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
     experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, ratios), name=NASTY)
-    return cvxshear.close_loop(experiment, effects=["gravity"])
+    return close_loop(experiment, effects=["gravity"])
 
 
 def motion(*, measured):
