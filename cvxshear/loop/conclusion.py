@@ -19,6 +19,7 @@ from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
 from cvxshear.loop.held_out import held_out_frequency_errors
 from cvxshear.loop.hypotheses import OPEN, Hypothesis
+from cvxshear.loop.linear import Linearised
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
@@ -299,6 +300,7 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
     assert final is not None, "the set of the verdict has a fit"
     there = set(final.effects)
     linear = search.linearised(judged)
+    unseen = _unseen(linear, fitter, judged)
     names = parameter_names(final.experiment, final.effects)
     found = []
     for item in fitter.hypotheses:
@@ -318,9 +320,21 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
                 confounded = linear.confounders(placed, names)
         p_value = min(1.0, len(fitter.hypotheses) * float(special.chdtrc(count, max(gain, 0.0))))
         probability = posterior.of_effects[placed]
+        if judged.effects | {placed} not in search.visited:
+            probability += (1.0 - probability) * unseen.get(placed, 0.0)
         found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
-    order = posterior.ranked(each.placed for each in found)
+    order = posterior.ranked((each.placed for each in found), {each.placed: each.probability for each in found})
     return sorted(found, key=lambda each: (order.index(each.placed) if each.probability else len(order), each.chi2))
+
+
+def _unseen(linear: Linearised, fitter: Fitter, judged: ModelClass) -> dict[Placed, float]:
+    """Find the probability of each effect besides a set, as the model linearised there has it.
+
+    The search fits what promises something. What it passes over for being too small to show is as probable as it was
+    beforehand, and never more: that was not seen.
+    """
+    log_odds = fitter.log_priors(linear.lacking, judged.effects) + np.minimum(linear.gains, 0.0)
+    return dict(zip(linear.lacking, special.expit(log_odds).tolist(), strict=True))
 
 
 def _quoted(names: Sequence[str]) -> str:
