@@ -57,9 +57,10 @@ def plan(
     modes
         How many of the lowest modes will be identified, or which: 1,2,4.
     frequency_std
-        Expected relative standard deviation of frequencies; 0.002 where not given.
+        Expected relative standard deviation of frequencies; where neither this nor the next is given that of FILE's
+        tests, and 0.002 where they state none.
     mode_shape_std
-        Of shape entries, the largest being 1; 0.01 where not given.
+        Of shape entries, the largest being 1; as the last one, and 0.01.
     duration
         Seconds recorded in each test, from which the noise follows instead.
     excitation
@@ -114,8 +115,8 @@ def _noise(
     declared: tuple[float | None, float | None],
     duration: float | None,
     record: tuple[str | None, float | None, float | None],
-) -> TestNoise:
-    """Make the noise that the options stand for."""
+) -> TestNoise | None:
+    """Make the noise that the options stand for; None where they say nothing of it."""
     from cvxshear.planning import Declared, Recorded
 
     stds = zip(("frequency_std", "mode_shape_std"), declared, strict=True)
@@ -125,7 +126,7 @@ def _noise(
     if duration is None:
         if of_record:
             raise InputError("--excitation, --damping and --sensor-noise need --duration, the seconds recorded")
-        return Declared(**given)
+        return Declared(**given) if given else None
     if given:
         raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
     # The options go by the names of its fields, and it checks their values; mypy cannot know which is which.

@@ -13,12 +13,16 @@ of it, the response of the other modes. Where the force is recorded the other mo
 the part that its own sensor adds stays unknown: the frequency's law holds with that part as a factor.
 """
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD, Configuration
 from cvxshear.model.shear import Modes
 from cvxshear.util import checks
 from cvxshear.util.typing import Floats, Ints
@@ -82,12 +86,29 @@ class Declared(TestNoise):
         Relative; of an entry, the mode's largest being 1.
     """
 
-    frequency_std: float = 0.002
-    mode_shape_std: float = 0.01
+    frequency_std: float = DEFAULT_FREQUENCY_STD
+    mode_shape_std: float = DEFAULT_MODE_SHAPE_STD
 
     def __post_init__(self) -> None:
         checks.number(self.frequency_std, "frequency_std", above=0.0)
         checks.number(self.mode_shape_std, "mode_shape_std", above=0.0)
+
+    @staticmethod
+    def of_tests(tests: Sequence[Configuration]) -> Declared:
+        """Expect the median of what tests state; the default where they state nothing."""
+        if not tests:
+            return Declared()
+        frequency = np.concatenate([each.log_frequency_std for each in tests])
+        # Where nothing was measured no entry has a deviation.
+        shapes = [
+            (each.entry_std / np.max(np.abs(each.known_shapes), axis=1, keepdims=True))[each.measured]
+            for each in tests
+            if np.all(np.any(each.measured, axis=1))
+        ]
+        entries = np.concatenate([*shapes, np.zeros(0)])
+        return Declared(
+            float(np.median(frequency)), float(np.median(entries)) if len(entries) else DEFAULT_MODE_SHAPE_STD
+        )
 
     def of(self, found: Modes, mass: Floats, which: Ints) -> tuple[Floats, Floats]:
         return np.full(len(which), self.frequency_std), np.full(len(which), self.mode_shape_std)

@@ -137,7 +137,7 @@ def plan(
     modes : int or sequence of int, optional
         How many of the lowest modes will be identified, or which.
     noise : TestNoise, optional
-        0.2 % of frequencies and 1 % of shapes where not given.
+        What the source's tests state where not given; 0.2 % of frequencies and 1 % of shapes where they state nothing.
     added_mass : float or array_like, shape (N,), optional
         kg that each floor can carry; without it no mass is added.
     added_mass_total : float, optional
@@ -179,7 +179,7 @@ def plan(
     )
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
-    model = AveragedModel.around(_model(design, goal, modes, noise or Declared()))
+    model = AveragedModel.around(_model(design, goal, modes, noise or Declared.of_tests(design.declared)))
     by = criterion_named(criterion or ("worst" if model.frames[0].targets else "D"))
     limits = Limits.of(added_mass, added_mass_total, n)
     if declared:

@@ -366,6 +366,7 @@ def test_a_plan_on_measured_modes_expects_the_measured_frequencies_with_what_the
     declared = {"frame": {"total_mass": 37.0, "story_heights": 0.4}, "configuration": tests}
     of = cvxshear.Experiment.from_dict(declared)
     found = plan(of, modes=3, loop=True)
+    assert "frequencies to 0.1 %, shapes to 0.5 %" in str(found)
     assert [placed.label for placed in found.model.design.effects] == ["ground spring at floor 4"]
     np.testing.assert_allclose([each.frequency for each in found.expected_modes], measured[:3], rtol=2e-3)
     assert found.misfit is None
