@@ -11,6 +11,7 @@ Which tests concern a change is read from what they import and name, see `tests_
 import argparse
 import ast
 import functools
+import inspect
 import os
 import random
 import re
@@ -241,6 +242,11 @@ def imported(tree):
     return {each for each in found if each.startswith("cvxshear.")}
 
 
+def names_of(mutant):
+    """The names of the functions and classes in which a change is run."""
+    return {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+
+
 def tests_of(mutant):
     """The files of tests that concern a change, the nearest first.
 
@@ -249,7 +255,7 @@ def tests_of(mutant):
     """
     room, stem = mutant.module.removesuffix(".py").split("/")[0], Path(mutant.module).stem
     module = "cvxshear." + mutant.module.removesuffix(".py").replace("/", ".")
-    names = {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+    names = names_of(mutant)
     near = {}
     for file, (modules, words) in asked().items():
         own = 4 * any(each.startswith(module) for each in modules) + 3 * bool(names & words)
@@ -278,21 +284,26 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 
 
 class Watcher:
-    """A plugin of pytest that runs files in the order given, writes down the first test that fails, and skips what is
-    left after so many seconds."""
+    """A plugin of pytest that runs first the tests that name one of some functions, then files in the order given,
+    writes down the first test that fails, and skips what is left after so many seconds of running tests."""
 
-    def __init__(self, path, tests, seconds):
-        self._path, self._tests, self._seconds = path, tests, seconds
+    def __init__(self, path, tests, names, seconds):
+        self._path, self._tests, self._names, self._seconds = path, tests, names, seconds
+        self._began = None
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
         """Put the nearest first again, after `conftest` has put first what takes longest."""
         order = {test.partition("::")[0]: place for place, test in enumerate(self._tests)}
-        items.sort(key=lambda item: order[item.nodeid.partition("::")[0]])
+        items.sort(
+            key=lambda item: (self._names.isdisjoint(said_in(item.function)), order[item.nodeid.partition("::")[0]])
+        )
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item):
-        if time.process_time() > self._seconds:
+        if self._began is None:
+            self._began = time.process_time()
+        if time.process_time() - self._began > self._seconds:
             pytest.skip("enough")
 
     def pytest_runtest_logreport(self, report):
@@ -300,6 +311,12 @@ class Watcher:
             self._path.write_text(report.nodeid)
 
     pytest_collectreport = pytest_runtest_logreport
+
+
+@functools.cache
+def said_in(function):
+    """The words in the source of a test."""
+    return frozenset(re.findall(r"\w+", inspect.getsource(function)))
 
 
 def warm_up():
@@ -310,7 +327,7 @@ def warm_up():
             del sys.modules[name]
 
 
-def first_failure(folder, tests, given, broken=()):
+def first_failure(folder, tests, names, given, broken=()):
     """Name the first of these tests that fails in a copy of the project; empty where the process ends before, or takes
     longer than the limit, None where all pass."""
     told = folder / "failed.txt"
@@ -329,7 +346,7 @@ def first_failure(folder, tests, given, broken=()):
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET]
         options += [f"--deselect={each}" for each in broken]
         try:
-            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, tests, given.seconds)])))
+            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, tests, names, given.seconds)])))
         except BaseException:
             os._exit(99)
     until = time.monotonic() + WAITED * given.limit
@@ -357,14 +374,15 @@ def survivors(some, given, say=print):
         for mutant in some:
             path, began = folder / "cvxshear" / mutant.module, time.monotonic()
             before, failed, tests = path.read_text(), None, tests_of(mutant)
+            names = names_of(mutant)
             while tests:
                 path.write_text(mutated(before, mutant))
-                failed = first_failure(folder, tests, given, broken)
+                failed = first_failure(folder, tests, names, given, broken)
                 path.write_text(before)
                 if failed is None or failed in sound:
                     break
                 # A process that ends without a word has found the change only where it does not end so without it.
-                if first_failure(folder, (failed,) if failed else tests, given, broken) is None:
+                if first_failure(folder, (failed,) if failed else tests, names, given, broken) is None:
                     break
                 if failed:
                     say(f"left out, since it fails without any change: {failed}")

@@ -5,6 +5,7 @@ import pytest
 from scipy import linalg
 
 from cvxshear.effects import Place, Placed, catalogue, compose, named
+from cvxshear.loop.twins import dual_fits_as_well
 from cvxshear.measurement.experiment import Experiment
 
 STORIES = 4
@@ -72,3 +73,17 @@ def test_an_effect_without_anything_to_bind_is_itself():
         assert effect.kind == "cause"
         if effect.name not in {"attached_mass", "load_mounting"}:
             assert effect.bound(bare()) is effect
+
+
+@pytest.mark.parametrize(
+    ("more", "as_well"),
+    [
+        ({}, True),
+        ({"added_mass": [0.0, 0.0, 1.0, 0.0]}, False),
+        ({"mode_shapes": [[0.3, 0.6, 0.8, 1.0]]}, False),
+    ],
+)
+def test_shapes_or_a_load_tell_a_frame_from_its_dual(more, as_well):
+    table = {"name": "before", "frequencies": [1.0], **more}
+    tested = Experiment.from_dict({"frame": {"stories": STORIES, "total_mass": 4.0}, "configuration": [table]})
+    assert dual_fits_as_well(tested) is as_well

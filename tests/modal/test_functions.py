@@ -7,6 +7,7 @@ import pytest
 
 from cvxshear.modal import Channel, Run, TimeRecord, from_arrays, identify_modes
 from cvxshear.modal.agreement import band_of, synthesized
+from cvxshear.modal.frf import reach
 from cvxshear.modal.functions import measured_functions
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
 from cvxshear.util.errors import InputError
@@ -113,3 +114,17 @@ def test_poles_out_of_reach_are_told_up_to_the_frequency_asked_for():
 def test_what_was_not_kept_is_said():
     with pytest.raises(InputError, match="holds no functions"):
         synthesized(from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]]))
+
+
+def test_a_blow_of_one_sample_reaches_half_the_sampling_rate():
+    """Its spectrum is flat; that of half a sine of 8 samples is weak before 3 / 16 of the rate, where it vanishes."""
+    answers = np.random.default_rng(1).standard_normal((512, 1))
+
+    def reached(blow):
+        force = np.zeros(512)
+        force[20 : 20 + len(blow)] = blow
+        run = Run(answers, force, 1, "hit")
+        return reach(TimeRecord((Channel("top", 1),), stories=1, runs=(run,), sampling_rate=200.0, input="force"))
+
+    assert reached([1.0]) == pytest.approx(100.0)
+    assert 200.0 / 8 < reached(np.sin(np.pi * (np.arange(8) + 0.5) / 8)) < 200.0 * 3 / 16
