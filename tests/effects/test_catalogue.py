@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue, compose, named, register
+from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue, compose, named, open_classes, register
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.loop.hypotheses import hypotheses
@@ -445,7 +445,7 @@ def test_an_effect_brings_its_own_size_and_probability():
     assert (other.probability, other.expected_sizes(scale)[0]) == (0.3, 0.02)
     # The size is that of the first parameter; where all have one common size it is that of each.
     np.testing.assert_array_equal(one("attached_mass").expecting(size=0.5).expected_sizes(scale), [0.5, np.inf])
-    (gains,) = named(["other_gains"])
+    gains = next(each for each in open_classes() if each.name == "other_gains")
     gains = gains.having(Parameter(f"g{floor}", "") for floor in FOUR).expecting(size=0.04)
     np.testing.assert_array_equal(gains.expected_sizes(scale), np.full(4, 0.04))
     with pytest.raises(InputError, match=r"must lie between 0 and 1, not 1\.5"):

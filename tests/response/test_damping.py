@@ -159,6 +159,16 @@ def test_rayleigh_needs_two_modes():
         damping_of(experiment, estimate, kind="rayleigh")
 
 
+def test_two_modes_are_enough_for_rayleigh():
+    """Two ratios and two factors: the mean of both shares at each frequency, solved by hand."""
+    mass, stiffness, _ = damped_frame(3)
+    experiment, estimate = estimated(declared(mass, stiffness, [0.02, 0.03], modes=[1, 2]))
+    omega = 2 * np.pi * modes_of(mass, stiffness)[0][:2]
+    shares = np.column_stack([0.5 / omega, 0.5 * omega])
+    found = damping_of(experiment, estimate, kind="rayleigh")
+    np.testing.assert_allclose(found.rayleigh, np.linalg.solve(shares, [0.02, 0.03]), rtol=1e-6)
+
+
 def test_defaults_of_deviations_are_told():
     mass, stiffness, _ = damped_frame(3)
     table = declared(mass, stiffness, [0.01] * 3)

@@ -115,3 +115,8 @@ def test_a_known_total_takes_a_direction_of_the_masses_away(uncertain):
     L = UncertainFrame.nuisance_root(uncertain)
     assert L.shape == (7, 3)
     np.testing.assert_allclose(L[:3].sum(axis=0), 0.0, atol=1e-9)
+
+
+def test_a_record_is_as_long_as_its_runs_together():
+    runs = [RecordedRun(np.random.default_rng(n).standard_normal((n, 1)), np.zeros(n), f"{n}") for n in (300, 500)]
+    assert Recording(tuple(runs), 200.0, np.array([2]), "base").seconds == pytest.approx(4.0)
