@@ -437,6 +437,22 @@ def test_total_mass_is_looked_for_where_it_is_declared_exact_and_could_be_told()
     np.testing.assert_allclose(A @ found, b, rtol=1e-14)
 
 
+@pytest.mark.parametrize("quantity", ["floor_mass", "story_stiffness"])
+def test_a_released_statement_is_off_by_its_parameter(quantity):
+    """x2 = 0.9 x1 + e holds, and x2 = 0.9 x1 does not."""
+    ratio = {"kind": "ratio", "quantity": quantity, "of": 2, "to": 1, "value": 0.9}
+    declared = {"frame": {"stories": 2, "total_mass": 8.0}, "configuration": [{"frequencies": [1.0]}], "prior": [ratio]}
+    tested = Experiment.from_dict(declared)
+    effect = one("wrong_exact_prior")
+    (place,) = effect.places(tested)
+    rows = effect.bound_at(tested, place).limits(tested, place)
+    known = {"floor_mass": np.array([5.0, 3.0]), "story_stiffness": np.array([5.0, 3.0])}
+    off = known[quantity][1] - 0.9 * known[quantity][0]
+    for e, left in ((off, 0.0), (0.0, off)):
+        x = np.concatenate([known["floor_mass"], known["story_stiffness"], [e]])
+        np.testing.assert_allclose(np.abs(rows.A @ x - rows.b), abs(left), atol=1e-12)
+
+
 def test_an_effect_brings_its_own_size_and_probability():
     gain = one("sensor_gain")
     scale = Scale(10.0, 2e4, HEIGHTS)
