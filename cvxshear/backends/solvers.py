@@ -201,13 +201,14 @@ def _hear_version_of_highs() -> None:
         kept = os.dup(1)
     except (AttributeError, OSError, ValueError):  # there is no standard output
         return
-    with open(os.devnull, "wb") as nowhere:
-        try:
-            os.dup2(nowhere.fileno(), 1)
-            import_module("highspy").Highs()
-        finally:
-            os.dup2(kept, 1)
-            os.close(kept)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        import_module("highspy").Highs()
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _status(found: qpsolvers.Solution) -> str:
