@@ -669,23 +669,19 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
     np.testing.assert_allclose(only.excitation, np.cos(9 * time[100:250]), atol=1e-12)
 
 
-@pytest.mark.parametrize(("stories", "frames"), [(3, 2), (8, 1)])
-def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
-    """Beams that bend in finite-element frames, a shear model: drifts between the sensors come out within bands.
+def test_effects_that_the_model_lacks_are_in_the_bands():
+    """Beams that bend in a finite-element frame, a shear model: drifts between the sensors come out within bands.
 
     More and longer: `python -m tests.benchmarks.reconstruction`.
     """
-    by_prediction, by_fit = [], []
-    for seed in range(frames):
-        models, motion, drift, _ = study.setting(stories, "beams", seed, seconds=20.0)
-        found = reconstruct(models, motion, leave_out=False)
-        errors, deviations, within = study.against(found, drift)
-        assert np.all(np.abs(deviations) < 3.0)
-        assert np.mean(within) > 0.9
-        assert not found.changed
-        by_prediction.append(found.predicted_peaks.values["story_drift"] / np.abs(drift).max(axis=0) - 1)
-        by_fit.append(errors)
-    assert np.sqrt(np.mean(np.square(by_fit))) < 0.4 * np.sqrt(np.mean(np.square(by_prediction)))
+    models, motion, drift, _ = study.setting(8, "beams", 0, seconds=20.0)
+    found = reconstruct(models, motion, leave_out=False)
+    errors, deviations, within = study.against(found, drift)
+    assert np.all(np.abs(deviations) < 3.0)
+    assert np.mean(within) > 0.9
+    assert not found.changed
+    predicted = found.predicted_peaks.values["story_drift"] / np.abs(drift).max(axis=0) - 1
+    assert np.sqrt(np.mean(np.square(errors))) < 0.4 * np.sqrt(np.mean(np.square(predicted)))
 
 
 @pytest.mark.parametrize(("first", "last", "cut"), [(900, 4000, False), (900, 1500, True)])
