@@ -53,24 +53,41 @@ def matrix(of_class: int, sizes, *parts: bytes, name: bytes = b"a") -> bytes:
     return element(14, head + element(1, name) + b"".join(parts))
 
 
-def compressed(content: bytes) -> bytes:
-    packed = zlib.compress(content, 9)
+def compressed(content: bytes, zeros: int = 0) -> bytes:
+    packed = packed_with(content, zeros)
     return struct.pack("<II", 15, len(packed)) + packed
+
+
+def packed_with(content: bytes, zeros: int) -> bytes:
+    """What zlib makes of some bytes and so many million zeros: a million is packed once and stands there repeatedly."""
+    million, packer = bytes(1_000_000), zlib.compressobj(9)
+    head = packer.compress(content) + packer.flush(zlib.Z_FULL_FLUSH)
+    piece = packer.compress(million) + packer.flush(zlib.Z_FULL_FLUSH)
+    check = zlib.adler32(content)
+    for _ in range(zeros):
+        check = zlib.adler32(million, check)
+    return head + piece * zeros + packer.flush()[:-4] + struct.pack(">I", check)
+
+
+def zeros_in(count: int, millions: int, kind: int = 9) -> bytes:
+    """The head of a matrix of so many numbers that are so many million bytes of zeros, which follow it."""
+    whole = matrix(DOUBLE, (1, count), struct.pack("<II", kind, 1_000_000 * millions))
+    return struct.pack("<II", 14, len(whole) - 8 + 1_000_000 * millions) + whole[8:]
 
 
 def small_that_inflates(path):
     """Deflate makes a thousandfold at most; five megabytes make five gigabytes."""
-    path.write_bytes(HEADER + compressed(matrix(DOUBLE, (1, 12_000_000), element(9, bytes(96_000_000)))) * 50)
+    path.write_bytes(HEADER + compressed(zeros_in(12_000_000, 96), 96) * 50)
     assert path.stat().st_size < 6_000_000
 
 
 def one_that_inflates(path):
-    path.write_bytes(HEADER + compressed(matrix(DOUBLE, (1, 120_000_000), element(9, bytes(960_000_000)))))
+    path.write_bytes(HEADER + compressed(zeros_in(120_000_000, 960), 960))
 
 
 def small_numbers(path):
     """Stored in a byte each, they are read as doubles."""
-    path.write_bytes(HEADER + compressed(matrix(DOUBLE, (1, 90_000_000), element(1, bytes(90_000_000)))))
+    path.write_bytes(HEADER + compressed(zeros_in(90_000_000, 90, kind=1), 90))
 
 
 def deep_cells(path):
@@ -128,7 +145,7 @@ def virtual(file, h5py):
 
 def bursting_piece(file, _):
     item = file.create_dataset("x", (100_000,), "f8", chunks=(100_000,), compression="gzip")
-    item.id.write_direct_chunk((0,), zlib.compress(bytes(600_000_000), 9))
+    item.id.write_direct_chunk((0,), packed_with(b"", 600))
 
 
 ELSEWHERE = ': the numbers of "x" stand in another file; only this one is read'

@@ -207,7 +207,7 @@ def test_only_the_named_effects_are_looked_for():
 
 
 def test_an_assumed_effect_is_in_the_model_from_the_start():
-    result = close_loop(cvxshear.load("paper"), assume=["gravity"])
+    result = closed.close_loop(cvxshear.load("paper"), assume=["gravity"])
     assert [item.label for item in result.assumed] == ["gravity"]
     assert result.effects == ()
     assert result.before.estimate.quality.max_frequency_error < 0.004

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -51,12 +52,18 @@ class Frequencies(Datum):
 
     def residual(self, model: Model) -> Residual:
         """Differences of logarithms over the standard deviation of the logarithm."""
-        weights = 1.0 / self.tested.log_frequency_std[self.kept]
+        weights, logs = self._declared
         values = model.modes.eigenvalues[model.paired][self.kept]
-        r = weights * (0.5 * np.log(values) - np.log(2 * np.pi * self.tested.frequencies[self.kept]))
+        r = weights * (0.5 * np.log(values) - logs)
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
         return Residual(r, (model.mode_derivatives[0][:, self.kept] * (0.5 * weights / values)).T)
+
+    @cached_property
+    def _declared(self) -> tuple[Floats, Floats]:
+        """One over the standard deviations of the logarithms, and the logarithms of the measured omega."""
+        of_modes = self.tested.log_frequency_std[self.kept], self.tested.frequencies[self.kept]
+        return 1.0 / of_modes[0], np.log(2 * np.pi * of_modes[1])
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """model / measured - 1 of each frequency."""

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from cvxshear.effects.base import Placed
-from cvxshear.effects.state import OF_THE_FRAME, STAGES, State
+from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.model.observation import FloorObservation
 from cvxshear.model.shear import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
@@ -38,10 +38,23 @@ def compose(
     -------
     State
     """
+    acting = acting_on(tested, effects, experiment.stories)
+    return composed(experiment, tested, acting, theta, derivatives=derivatives or bool(effects))
+
+
+def acting_on(tested: Tested, effects: Sequence[Placed], stories: int) -> list[tuple[Placed, slice]]:
+    """List the effects that act on a tested state, and the places of their parameters, in the order of their stages."""
+    acting = [(placed, own) for placed, own in slices(effects, 2 * stories) if placed.acts_on(tested)]
+    return sorted(acting, key=lambda item: STAGES.index(item[0].effect.stage))
+
+
+def composed(
+    experiment: Experiment, tested: Tested, acting: list[tuple[Placed, slice]], theta: Floats, *, derivatives: bool
+) -> State:
+    """Return what `compose` does, of the effects that act on this state (`acting_on`)."""
     n, size = experiment.stories, len(theta)
     mass, stiffness = theta[:n], theta[n : 2 * n]
-    acting = [(placed, own) for placed, own in slices(effects, 2 * n) if placed.acts_on(tested)]
-    if not derivatives and not effects:
+    if not derivatives:
         size = 0
         none = np.zeros((0, n, n))
         system = System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none)
@@ -63,13 +76,12 @@ def compose(
         system=system,
         observation=FloorObservation(n),
     )
-    in_order = sorted(acting, key=lambda item: STAGES.index(item[0].effect.stage))
-    frame = [item for item in in_order if item[0].effect.stage in OF_THE_FRAME]
+    frame = [item for item in acting if item[0].effect.stage in OF_THE_FRAME]
     for placed, own in frame:
         state = placed.effect.apply(state, placed.place, theta[own], own)
     if frame:
         state = _assembled(state)
-    for placed, own in in_order[len(frame) :]:
+    for placed, own in acting[len(frame) :]:
         state = placed.effect.apply(state, placed.place, theta[own], own)
     return state
 
@@ -111,16 +123,16 @@ def _assembled(state: State) -> State:
         )
     k, S = state.story_stiffness - state.brace_stiffness, state.joint_flexibility
     uu, ut, tt = _stories(tuple(state.heights.tolist()))
-    Kuu, Kut, Ktt = (np.tensordot(k, unit, 1) for unit in (uu, ut, tt))
+    Kuu, Kut, Ktt = (summed(k, unit) for unit in (uu, ut, tt))
     turned = np.linalg.solve(np.eye(len(S)) + Ktt * S, Kut.T)
     down = -S[:, None] * turned
     # Condensation is a congruence with [1; down], so a derivative of the full matrix passes through it.
     bent = ut @ down
     each = uu + bent + bent.transpose(0, 2, 1) + down.T @ tt @ down
-    dK = np.tensordot(state.d_story_stiffness - state.d_brace_stiffness, each, 1)
+    dK = summed(state.d_story_stiffness - state.d_brace_stiffness, each)
     if state.d_brace_stiffness.any():
         dK += (T * state.d_brace_stiffness[:, None, :]) @ T.T
-    dK -= np.tensordot(state.d_joint_flexibility, turned[:, :, None] * turned[:, None, :], 1)
+    dK -= summed(state.d_joint_flexibility, turned[:, :, None] * turned[:, None, :])
     K = Kuu + Kut @ down
     return state.with_stiffness(0.5 * (K + K.T) + stiffness_matrix(state.brace_stiffness), dK)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,13 +98,19 @@ class State:
     system: System
     observation: Observation
 
+    def having(self, **changes: object) -> State:
+        """Return a copy with some fields replaced; `dataclasses.replace` takes three times as long."""
+        changed = object.__new__(State)
+        changed.__dict__.update(self.__dict__, **changes)
+        return changed
+
     def with_stiffness(self, K: Floats, dK: Floats) -> State:
         """Return the same state with another stiffness matrix and its derivatives."""
-        return dataclasses.replace(self, system=dataclasses.replace(self.system, K=K, dK=dK))
+        return self.having(system=System(self.system.M, K, self.system.dM, dK))
 
     def with_mass(self, M: Floats, dM: Floats) -> State:
         """Return the same state with another mass matrix and its derivatives."""
-        return dataclasses.replace(self, system=dataclasses.replace(self.system, M=M, dM=dM))
+        return self.having(system=System(M, self.system.K, dM, self.system.dK))
 
     def plus_stiffness(self, values: Floats, units: Floats, own: slice) -> State:
         """Return the same state with values_i units_i more stiffness, summed over the parameters `own`.
@@ -179,7 +184,7 @@ class State:
         softer[joints] += rho * unit
         d_softer[:, joints] += rho * d_unit[:, None]
         d_softer[own, joints] += unit
-        return dataclasses.replace(self, joint_flexibility=softer, d_joint_flexibility=d_softer)
+        return self.having(joint_flexibility=softer, d_joint_flexibility=d_softer)
 
     @property
     def gain(self) -> Floats:
@@ -197,10 +202,16 @@ class State:
         return np.cumsum(self.heights)
 
 
+def summed(values: Floats, units: Floats) -> Floats:
+    """Add up values_i units_i, over the last axis of the values; `numpy.tensordot` takes several times as long."""
+    found: Floats = (values @ units.reshape(len(units), -1)).reshape(values.shape[:-1] + units.shape[1:])
+    return found
+
+
 def _plus(matrix: Floats, slopes: Floats, values: Floats, units: Floats, own: slice) -> tuple[Floats, Floats]:
     units = np.asarray(units)
     size = units.shape[1]
     more, d_more = matrix.copy(), slopes.copy()
-    more[:size, :size] += np.tensordot(values, units, 1)
+    more[:size, :size] += summed(values, units)
     d_more[own, :size, :size] += units
     return more, d_more

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -74,9 +73,7 @@ def with_changed_story(state: State, at: int, change: float, parameter: int) -> 
         d_brace[:, at] += d_gained
     k[at] += gained
     dk[:, at] += d_gained
-    return dataclasses.replace(
-        state, story_stiffness=k, d_story_stiffness=dk, brace_stiffness=brace, d_brace_stiffness=d_brace
-    )
+    return state.having(story_stiffness=k, d_story_stiffness=dk, brace_stiffness=brace, d_brace_stiffness=d_brace)
 
 
 class StateStiffness(Effect):
@@ -111,8 +108,7 @@ class StateStiffness(Effect):
             return moved
 
         # The columns' stiffness is what beams and joints are measured by: they soften with it.
-        return dataclasses.replace(
-            state,
+        return state.having(
             story_stiffness=factor * state.story_stiffness,
             d_story_stiffness=slopes(state.story_stiffness, state.d_story_stiffness),
             brace_stiffness=factor * state.brace_stiffness,
@@ -152,8 +148,7 @@ class Bracing(Effect):
         brace, d_brace = state.brace_stiffness + beta * columns, beta * state.d_column_stiffness
         d_columns[own] -= columns
         d_brace[own] += columns
-        return dataclasses.replace(
-            state,
+        return state.having(
             column_stiffness=(1.0 - beta) * columns,
             d_column_stiffness=d_columns,
             brace_stiffness=brace,

@@ -47,7 +47,8 @@ class Expectation:
     def of(self, placed: Placed) -> Floats:
         """Return the standard deviations of an effect's parameters about null, shape (p,); infinite where even."""
         assert self.scale is not None, "without a scale nothing is expected of an effect"
-        return self.stds[placed] if placed in self.stds else placed.effect.expected_sizes(self.scale)
+        std = self.stds.get(placed)
+        return placed.effect.expected_sizes(self.scale) if std is None else std
 
     def residuals(
         self, theta: Floats, effects: Sequence[Placed], factors: Mapping[str, float]

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.special import expit
 
 from cvxshear.data import Datum, Deviation, Model, Noise, NoiseKind, data_of, noise_kinds
-from cvxshear.effects import Placed, compose
-from cvxshear.effects.composition import slices
+from cvxshear.effects import Placed
+from cvxshear.effects.composition import acting_on, composed, slices
 from cvxshear.fit.expectation import Expectation
-from cvxshear.measurement.experiment import Experiment, Tested
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -261,20 +261,22 @@ class Misfit:
         n = self.experiment.stories
         if np.any(theta[: 2 * n] <= 0):
             raise NoModesError("floor masses and story stiffnesses must be positive")
-        models = {id(each): self._model(each, theta, by, derivatives) for each in self.experiment.tested}
-        places = {item.key: place for place, item in enumerate(self.unknown)}
-        parts, rows, unknown = [np.zeros(0)], [], [np.zeros(0, dtype=np.int64)]
-        for datum, (keys, which) in zip(self.data, self._keys, strict=True):
-            factors = np.array([self.widened * self.noise.of(key) for key in keys])
-            found = datum.widened_residual(models[id(datum.tested)], factors[which])
+        # Effects have parameters of their own, by which the matrices' derivatives are made in passing.
+        shaped = derivatives or bool(self.effects)
+        models = {
+            id(each): Model(composed(self.experiment, each, acting, theta, derivatives=shaped), by, derivatives)
+            for each, acting in zip(self.experiment.tested, self._acting, strict=True)
+        }
+        places, of_data, factors = self._deviations
+        parts, rows = [np.zeros(0)], []
+        for datum, factor in zip(self.data, factors, strict=True):
+            found = datum.widened_residual(models[id(datum.tested)], factor)
             parts.append(found.r)
             rows.append(found.J)
-            # Shapes of a single sensor have no declared deviation and no information that would tell it.
-            unknown.append(np.array([places.get(key, -1) for key in keys])[which])
         soft = self._soft(theta)
         expected, expected_keys, frame = self.expectation.residuals(theta, self.effects, dict(self.noise.factors))
         more_keys = [""] * len(soft[0]) + expected_keys + [""] * len(frame[0])
-        unknown.append(np.array([places.get(key, -1) for key in more_keys], dtype=np.int64))
+        unknown = [*of_data, np.array([places.get(key, -1) for key in more_keys], dtype=np.int64)]
         r = np.concatenate([*parts, soft[0], expected[0], frame[0]])
         measured = len(r) - len(expected[0]) - len(frame[0])
         more = [part[1][:, by] for part in (soft, expected, frame)]
@@ -288,9 +290,19 @@ class Misfit:
             np.concatenate(unknown),
         )
 
-    def _model(self, tested: Tested, theta: Floats, by: slice, derivatives: bool) -> Model:
-        state = compose(self.experiment, tested, self.effects, theta, derivatives=derivatives)
-        return Model(state, by, derivatives)
+    @cached_property
+    def _deviations(self) -> tuple[dict[str, int], list[Ints], list[Floats]]:
+        """Places of the unknown standard deviations by their keys; places and factors of each datum's rows."""
+        places = {item.key: place for place, item in enumerate(self.unknown)}
+        # Shapes of a single sensor have no declared deviation and no information that would tell it.
+        unknown = [np.array([places.get(key, -1) for key in keys])[which] for keys, which in self._keys]
+        factors = [np.array([self.widened * self.noise.of(key) for key in keys])[which] for keys, which in self._keys]
+        return places, unknown, factors
+
+    @cached_property
+    def _acting(self) -> list[list[tuple[Placed, slice]]]:
+        """The effects that act on each tested state."""
+        return [acting_on(each, self.effects, self.experiment.stories) for each in self.experiment.tested]
 
     def statement_deviations(self, theta: Floats) -> list[Deviation]:
         """How far each soft prior, and a soft total mass, lies from the model, in its own standard deviations.

@@ -52,15 +52,10 @@ class Uncertainty:
         Rows of the inequalities that hold with equality: of bounds, and of the ends of a parameter's interval.
     interval_std : ndarray, shape (P,)
         Standard deviation that an interval of physical values stands for; infinite where there is none.
-    determined : ndarray of bool, shape (P,)
-    null_directions : tuple of tuple of str
-        For each direction that the data leave open, the parameters that take part in it, largest share first.
-    free : int
-        Number of free directions that the data determine, those held only by an active bound included.
-    active : tuple of str
-        Parameters that sit on a bound.
     least_units : ndarray, shape (P,)
         Least change of each parameter that it is counted in, see `LEAST_UNIT`.
+    names : tuple of str
+        Of the parameters.
     """
 
     J: Floats
@@ -68,11 +63,42 @@ class Uncertainty:
     touching: Floats
     ends: Floats
     interval_std: Floats
-    determined: Bools
-    null_directions: tuple[tuple[str, ...], ...]
-    free: int
-    active: tuple[str, ...]
     least_units: Floats
+    names: tuple[str, ...]
+
+    @cached_property
+    def _divided(self) -> tuple[Floats, tuple[tuple[Floats, Floats], Floats]]:
+        """Units of the parameters, and the directions that the equalities leave free as `_split` divides them.
+
+        What is even over an interval is known to within it, whatever the data say.
+        """
+        known = _with_intervals(self.J, self.interval_std)
+        unit = _units(known, self.least_units)
+        return unit, _split(known * unit, _null_space(self.equalities * unit))
+
+    @property
+    def determined(self) -> Bools:
+        """Which parameters are determined, shape (P,)."""
+        return np.asarray(np.linalg.norm(self._divided[1][1], axis=1) < 1e-4)
+
+    @property
+    def null_directions(self) -> tuple[tuple[str, ...], ...]:
+        """For each direction that is left open, the parameters that take part in it, largest share first."""
+        return tuple(_words(column, self.names) for column in self._divided[1][1].T)
+
+    @property
+    def free(self) -> int:
+        """Number of free directions that the data determine, those held only by an active bound included."""
+        unit, ((basis, _), _) = self._divided
+        if np.any(np.isfinite(self.interval_std)):
+            (basis, _), _ = _split(self.J * unit, _null_space(self.equalities * unit))
+        return int(basis.shape[1])
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Parameters that sit on a bound."""
+        on = np.any(np.concatenate([self.touching, self.ends]), axis=0)
+        return tuple(name for name, here in zip(self.names, on, strict=True) if here)
 
     @cached_property
     def root(self) -> Floats:
@@ -80,13 +106,16 @@ class Uncertainty:
 
         Shape (P, f); J root has orthonormal columns.
         """
-        return self.root_of(self.J)
+        return self.root_of(self.J) if np.any(np.isfinite(self.interval_std)) else self.reach
 
     @cached_property
     def reach(self) -> Floats:
         """The same with parameters of an interval free to leave its ends, and known to lie in it, shape (P, g)."""
-        known = np.concatenate([self.J, _interval_rows(self.interval_std)])
-        return self._unit_directions(known, self.equalities, self.touching)
+        if len(self.touching):
+            known = _with_intervals(self.J, self.interval_std)
+            return self._unit_directions(known, self.equalities, self.touching)
+        unit, ((basis, values), _) = self._divided
+        return unit[:, None] * (basis / values)
 
     def root_of(self, J: Floats) -> Floats:
         """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""
@@ -127,35 +156,24 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
         Of the P parameters.
     """
     here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
-    # What is even over an interval is known to within it, whatever the data say.
-    known = np.concatenate([J, _interval_rows(domain.interval_std)])
-    least_units = LEAST_UNIT * np.abs(theta)
-    unit = _units(known, least_units)
-    A, _ = here.equalities
     G, h = here.inequalities
-    touching = G[h <= ON_BOUND * np.linalg.norm(G * _units(known, np.zeros(len(theta))), axis=1)]
-    free = _null_space(A * unit)
-    _, null = _split(known * unit, free)
+    unit = _units(_with_intervals(J, domain.interval_std), np.zeros(len(theta)))
+    touching = G[h <= ON_BOUND * np.linalg.norm(G * unit, axis=1)]
     ends = np.any(touching[:, np.isfinite(domain.interval_std)], axis=1)
-    open_part = np.linalg.norm(null, axis=1) if null.size else np.zeros(len(theta))
     return Uncertainty(
         J=J,
-        equalities=A,
+        equalities=here.equalities[0],
         touching=touching[~ends],
         ends=touching[ends],
         interval_std=domain.interval_std,
-        determined=open_part < 1e-4,
-        null_directions=tuple(_words(column, names) for column in null.T),
-        free=_split(J * unit, free)[0][0].shape[1],
-        active=tuple(name for name, on in zip(names, np.any(touching, axis=0), strict=True) if on),
-        least_units=least_units,
+        least_units=LEAST_UNIT * np.abs(theta),
+        names=tuple(names),
     )
 
 
-def _interval_rows(interval_std: Floats) -> Floats:
-    """Return what intervals of physical values say, as rows beside the data's."""
-    rows: Floats = np.diag(1.0 / interval_std)[np.isfinite(interval_std)]
-    return rows
+def _with_intervals(J: Floats, interval_std: Floats) -> Floats:
+    """Add what intervals of physical values say, as rows beside the data's."""
+    return np.concatenate([J, np.diag(1.0 / interval_std)[np.isfinite(interval_std)]])
 
 
 def _units(J: Floats, least: Floats) -> Floats:

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from cvxshear.modal.amplitude import amplitude_findings
 from cvxshear.modal.deviations import SENSOR_STD
@@ -308,9 +308,9 @@ def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
     second = min(each for each, _, other in found if other != place)
     freedom = len(modes) * (len(floors) - 1) - 1
     # A change of the frame as well, or instead, leaves more than one gain explains.
-    if abs(gain - 1.0) < GAIN_CHANGED or stats.chi2.sf(least, freedom) < IMPROBABLE_GAIN:
+    if abs(gain - 1.0) < GAIN_CHANGED or special.chdtrc(freedom, least) < IMPROBABLE_GAIN:
         return []
-    if min(second, misfit(1.0, place)) < least + stats.chi2.isf(IMPROBABLE_GAIN, 1):
+    if min(second, misfit(1.0, place)) < least + special.chdtri(1, IMPROBABLE_GAIN):
         return []
     what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
     numbers = {"floor": int(floors[place]), "gain": gain, "records": [before.name, after.name]}

@@ -113,7 +113,9 @@ class ShearSystem(System):
         return ShearSystem(self.M, self.K, self._size, which)
 
     def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
-        drifts, drifts_j = (np.diff(shapes, axis=0, prepend=0.0) for shapes in (phi, phi_j))
+        drifts, drifts_j = phi.copy(), phi_j.copy()
+        drifts[1:] -= phi[:-1]
+        drifts_j[1:] -= phi_j[:-1]
         own_mass = phi[:, :, None] * phi_j[:, None, :]
         own_stiffness = drifts[:, :, None] * drifts_j[:, None, :]
         none = np.zeros_like(own_mass)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cvxshear.effects import Placed
 from cvxshear.effects.stories import StoryChange
@@ -159,7 +159,7 @@ def _as_stated(freed: Freed, data: int) -> bool:
     taken = float(np.trace(J @ np.linalg.pinv(at.J.T @ at.J) @ J.T))
     spare = data - taken
     chi2 = float(at.r[:-own] @ at.r[:-own])
-    return spare >= FEWEST_SPARE and float(stats.chi2.sf(chi2, spare)) > AS_STATED
+    return spare >= FEWEST_SPARE and float(special.chdtrc(spare, chi2)) > AS_STATED
 
 
 def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best: Freed, count: int) -> bool:

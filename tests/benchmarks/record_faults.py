@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import collections
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +68,7 @@ def random_frame(random: np.random.Generator) -> KnownFrame:
     return dataclasses.replace(frame, stiffnesses=stiffnesses * factor)
 
 
+@functools.lru_cache(maxsize=16)
 def sound_record(seed: int, kind: str) -> TimeRecord:
     """A record of a random frame with nothing wrong, sensors at all floors but one or two."""
     random = np.random.default_rng([seed, INPUTS.index(kind)])

@@ -73,8 +73,8 @@ def place_of(name: str) -> str:
 
 
 @functools.cache
-def results(of_measured: bool):
-    """What each of these pages printed, and what each script printed, all run by one process."""
+def ran(of_measured: bool) -> tuple[subprocess.CompletedProcess[str], dict[Path, dict[str, str]]]:
+    """The process that ran these pages, and the scripts on each: one that failed is not run again for every page."""
     (Path(os.environ[runner.KEPT_IN]) / f"pages {of_measured} run by {os.getpid()}").touch()
     with tempfile.TemporaryDirectory() as folder:
         pages = [page for page in RUN if measured(page) == of_measured]
@@ -94,13 +94,20 @@ def results(of_measured: bool):
             # The folder of the tests comes first otherwise, and with it the checkout's package instead of the wheel's.
             env={**os.environ, "PYTHONSAFEPATH": "1"},
         )
-        assert found.returncode == 0, found.stderr
-        printed = json.loads(found.stdout)
-        scripts = {
-            name: printed[str(page)].get(key, printed[str(page)].get("error", ""))
-            for page in pages
-            for name, key in script_calls(page).items()
-        }
+        return found, {page: script_calls(page) for page in pages}
+
+
+@functools.cache
+def results(of_measured: bool):
+    """What each of these pages printed, and what each script printed, all run by one process."""
+    found, scripts_of = ran(of_measured)
+    assert found.returncode == 0, found.stderr
+    printed = json.loads(found.stdout)
+    scripts = {
+        name: printed[str(page)].get(key, printed[str(page)].get("error", ""))
+        for page, called in scripts_of.items()
+        for name, key in called.items()
+    }
     return printed, scripts
 
 

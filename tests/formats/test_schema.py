@@ -114,7 +114,7 @@ def test_plans(more):
 
 def test_motions_in_a_record():
     """Predicted and reconstructed, with a measured base and without, with limits and without."""
-    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=20.0)
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=10.0)
     declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
     declared["frame"] |= {"story_heights": 0.3}
     declared["configuration"][0]["damping_ratios"] = [0.01] * 3

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,13 +55,26 @@ def test_a_fault_of_one_channel_is_named(kind, fault):
 
 
 def damped_record(kind: str, late: float = 0.0, hit: int = 0) -> TimeRecord:
-    """Five stories at 2 Hz with a dashpot in story 2 alone, 2 to 9 % of damping, modes far from real; floor 2 absent.
+    """Sensors with noise on all floors of `damped_motion` but 2; `late` delays floor 4, by a whole number of steps."""
+    rate, finer = 64.0, 5
+    moved, base, force, random = copy.deepcopy(damped_motion(kind, hit, rate, finer))
+    moved[:, 3] = np.roll(moved[:, 3], round(late * rate * finer))
+    values = moved[::finer][:, [0, 2, 3, 4]]
+    values = values + 0.005 * values.std(axis=0) * random.standard_normal(values.shape)
+    driven = {"base": base[::finer], "force": force[::finer, (hit or 3) - 1]}.get(kind)
+    run = Run(values, driven, (hit or 3) if kind == "force" else 0)
+    channels = [Channel(f"floor{floor}", floor) for floor in (1, 3, 4, 5)]
+    return TimeRecord(channels, runs=[run], sampling_rate=rate, input=kind, stories=5)
 
-    Exact for forces held over steps a fifth of a sample long. White base motion, a sweep of a shaker, wind, a knock;
-    `late` delays floor 4 by so many seconds, a whole number of steps.
+
+@functools.cache
+def damped_motion(kind: str, hit: int, rate: float, finer: int):
+    """Five stories at 2 Hz with a dashpot in story 2 alone, 2 to 9 % of damping, modes far from real.
+
+    Exact for forces held over steps a fifth of a sample long. White base motion, a sweep of a shaker, wind, a knock.
+    Accelerations of the floors, the base's, the forces, and the generator of random numbers.
     """
-    random = np.random.default_rng([21, INPUTS.index(kind)])
-    count, rate, finer = 5, 64.0, 5
+    count, random = 5, np.random.default_rng([21, INPUTS.index(kind)])
     drift = np.eye(count) - np.eye(count, k=-1)
     stiffness = drift.T @ np.diag([1.0, 0.9, 0.9, 0.7, 0.6]) @ drift
     stiffness *= (4 * np.pi) ** 2 / np.linalg.eigvalsh(stiffness)[0]
@@ -86,14 +101,7 @@ def damped_record(kind: str, late: float = 0.0, hit: int = 0) -> TimeRecord:
     for place in range(samples):
         moved[place] = x
         x = step @ x + forced[place]
-    absolute = force + moved @ state[count:].T + base[:, None]
-    absolute[:, 3] = np.roll(absolute[:, 3], round(late * rate * finer))
-    values = absolute[::finer][:, [0, 2, 3, 4]]
-    values = values + 0.005 * values.std(axis=0) * random.standard_normal(values.shape)
-    driven = {"base": base[::finer], "force": force[::finer, (hit or 3) - 1]}.get(kind)
-    run = Run(values, driven, (hit or 3) if kind == "force" else 0)
-    channels = [Channel(f"floor{floor}", floor) for floor in (1, 3, 4, 5)]
-    return TimeRecord(channels, runs=[run], sampling_rate=rate, input=kind, stories=count)
+    return force + moved @ state[count:].T + base[:, None], base, force, random
 
 
 def test_a_damper_is_no_drift_where_one_floor_is_hit_after_another():
