@@ -44,6 +44,8 @@ SLOPES_AGREE = 0.6
 BEYOND_OTHERS = 4.0
 """Times the median of what the other clocks seem to drift by among themselves: as much a drift under a sweep must be.
 Modes that a sweep passes one after the other feign as much in one sound sweep of a hundred."""
+MICROSECONDS = 6
+"""Digits of sums of delays, s, that are compared: no clock is told finer."""
 HINT = 2.0
 """Standard deviations of a drift against one clock from which on the others are asked."""
 DRIFT_CHANCE = 1e-6
@@ -68,7 +70,8 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     segments = Segments.of(record)
     compare: Compare = cache(partial(band_clock, segments))
     plain = np.array([[_in_common(segments, i, k) for k in range(len(clocks))] for i in range(len(clocks))])
-    reference = int(np.argmax(np.median(plain, axis=0) if len(clocks) > 3 else plain.sum(axis=0)))
+    shared = np.median(plain, axis=0) if len(clocks) > 3 else plain.sum(axis=0)
+    reference = int(np.argmax(shared))
     against = {i: compare(i, reference) for i in range(len(clocks)) if i != reference}
     usual = float(np.median(np.delete(plain[reference], reference)))
     least = max(LEAST_AGREEMENT, usual / 6)
@@ -90,9 +93,11 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     if driven and not struck(record):
         steady = {i: clocks[i] for i, (slope, _) in drifts.items() if not slope and i < len(names)}
         findings += _perhaps_drifting(compare, list(heard), steady, segments.rate)
-    # The clock that is nearest to all others counts as right, of those that do not drift.
+    # The clock that is nearest to all others counts as right, of those that do not drift. Of an even number two are, to
+    # the rounding of their sums: then the one that has more in common with the others.
     middles = {i: item.middle for i, item in heard.items()}
-    right = min(middles, key=lambda i: (drifts[i][0] != 0, sum(abs(middles[i] - each) for each in middles.values()), i))
+    apart_by = {i: round(sum(abs(middles[i] - each) for each in middles.values()), MICROSECONDS) for i in heard}
+    right = min(heard, key=lambda i: (drifts[i][0] != 0, apart_by[i], -shared[i]))
     wrong: dict[str, tuple[float, float]] = {}
     for i in heard.keys() - {right}:
         late, (slope, slope_std) = middles[i] - middles[right], drifts[i]
