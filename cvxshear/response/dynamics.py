@@ -12,12 +12,13 @@ of the first mode. White noise on the floors would be neither. Where nobody meas
 more state of this kind.
 
 The known excitation is a straight line between samples (first-order hold) and the noise is integrated over a step
-(Van Loan 1978), so that no step is too long.
+over a step, so that no step is too long.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -33,8 +34,9 @@ SETTLED_RICCATI = 1e-13
 """Relative change of a covariance at which the doubling of the Riccati equation ends: it doubles its digits a round, so
 the next change would be rounding."""
 
-MOST_GROWTH = 4.0
-"""Growth of a state backward over a step, as a logarithm, up to which the step is taken whole: two digits are lost."""
+SUMMED_SIZE, SUMMED_POWERS = 0.5, 16
+"""Size of the rates times a part of a step, and how many of their powers are summed over it: the first that is left out
+is below rounding, in the noise's covariance too."""
 
 FORGOTTEN = 1e-10
 """Largest entry of a power of the transition matrix that counts as none: its square is below rounding."""
@@ -182,49 +184,105 @@ class Setting:
 
 def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     """Build the discrete state-space model of a frame."""
-    N = len(model.M)
-    estimated, n = not setting.base_measured, setting.states
-    T = transformation(N)
-    restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
-    # In proportion to the motion: a larger one and as much smaller gains must be the same.
-    missed = model.input_gain * np.linalg.solve(setting.mass, T * setting.story_force)
-    rates = np.zeros((n, n))
-    rates[:N, N : 2 * N] = np.eye(N)
-    rates[N : 2 * N, : 2 * N] = restoring
-    rates[N : 2 * N, 2 * N : 3 * N] = missed
-    rates[2 * N : 3 * N, 2 * N : 3 * N] = -setting.corner * np.eye(N)
-    load = np.zeros(n)
-    total = np.zeros((N, n))
-    total[:, : 3 * N] = np.hstack([restoring, missed])
-    through = np.zeros(N)
-    if estimated:
-        rates[N : 2 * N, 3 * N] = -1.0
-        rates[3 * N, 3 * N] = -setting.ground_corner
-    elif setting.force_floor:
-        through = model.input_gain * np.linalg.solve(model.M, np.eye(N)[setting.force_floor - 1])
-        load[N : 2 * N] = through
-    else:
-        load[N : 2 * N] = -model.input_gain
-    density = np.zeros(n)
-    density[2 * N : 3 * N] = 2 * setting.corner * noise.force**2
-    if estimated:
-        density[3 * N] = 2 * setting.ground_corner * noise.ground**2
-    A, before, after, Q = _over_a_step(rates, load, density, setting.step)
-    at = setting.floors - 1
-    seen, direct = total, through
-    if model.bracket is not None:
-        # a'' of a = total x + through p, x' = rates x + load p; p' and p'' are left out: dampers alone pass them on.
-        twice = total @ rates
-        seen = total - model.bracket[:, None] * (twice @ rates)
-        direct = through - model.bracket * (twice @ load)
+    own = _Rates.of(model, noise, setting)
+    A, before, after, Q = (each[0] for each in _over_a_step(own.rates, own.load, own.density, setting.step))
     # One sample's error moves the frame over both steps that it ends and begins.
-    moved = np.zeros(n) if estimated else noise.ground * (before + after)
+    moved = own.ground * (before + after)
     Q_input = np.outer(moved, moved)
-    return Dynamics(
-        A, before, after, Q + Q_input, Q_input, seen[at] * model.gain[at, None], direct[at] * model.gain[at],
-        noise.sensors**2,
-        _outputs(model, total, through, setting),
-    )  # fmt: skip
+    outputs = _outputs(model, own.total, own.through, setting)
+    return Dynamics(A, before, after, Q + Q_input, Q_input, own.H, own.direct, own.R, outputs)
+
+
+def dynamics_slopes(
+    centre: tuple[DampedModel, Noise], beside: Sequence[tuple[DampedModel, Noise]], sizes: Floats, setting: Setting
+) -> dict[str, Floats]:
+    """Differentiate the discrete state-space model towards frames beside one, so many units away.
+
+    Returns
+    -------
+    dict of str to ndarray
+        By the names of `Dynamics`, the first dimension that of the directions.
+    """
+    own = _Rates.of(*centre, setting)
+    others = [_Rates.of(*each, setting) for each in beside]
+    slopes = [
+        dataclasses.replace(own, **{
+            each.name: (getattr(other, each.name) - getattr(own, each.name)) / size
+            for each in dataclasses.fields(_Rates)
+        })
+        for other, size in zip(others, sizes, strict=True)
+    ]  # fmt: skip
+    A, before, after, Q = _over_a_step(own.rates, own.load, own.density, setting.step, slopes)
+    moved, ground = before + after, np.array([each.ground for each in slopes])
+    noisy = own.ground * moved[0]
+    crossed = (ground[:, None] * moved[0] + own.ground * moved[1:])[:, :, None] * noisy
+    found = {"A": A[1:], "before": before[1:], "after": after[1:], "Q": Q[1:] + crossed + crossed.swapaxes(1, 2)}
+    return found | {name: np.array([getattr(each, name) for each in slopes]) for name in ("H", "direct", "R")}
+
+
+@dataclass(frozen=True, eq=False)
+class _Rates:
+    """Continuous state-space model x' = rates x + load p + white noise of this density, or its derivative.
+
+    Parameters
+    ----------
+    total, through : ndarray, shapes (N, n) and (N,)
+        Weights of state and excitation in the accelerations.
+    ground : float
+        Standard deviation of the excitation's sensor; 0 where the base acceleration is estimated.
+    """
+
+    rates: Floats
+    load: Floats
+    density: Floats
+    total: Floats
+    through: Floats
+    H: Floats
+    direct: Floats
+    R: Floats
+    ground: float
+
+    @staticmethod
+    def of(model: DampedModel, noise: Noise, setting: Setting) -> _Rates:
+        N = len(model.M)
+        estimated, n = not setting.base_measured, setting.states
+        T = transformation(N)
+        restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
+        # In proportion to the motion: a larger one and as much smaller gains must be the same.
+        missed = model.input_gain * np.linalg.solve(setting.mass, T * setting.story_force)
+        rates = np.zeros((n, n))
+        rates[:N, N : 2 * N] = np.eye(N)
+        rates[N : 2 * N, : 2 * N] = restoring
+        rates[N : 2 * N, 2 * N : 3 * N] = missed
+        rates[2 * N : 3 * N, 2 * N : 3 * N] = -setting.corner * np.eye(N)
+        load = np.zeros(n)
+        total = np.zeros((N, n))
+        total[:, : 3 * N] = np.hstack([restoring, missed])
+        through = np.zeros(N)
+        if estimated:
+            rates[N : 2 * N, 3 * N] = -1.0
+            rates[3 * N, 3 * N] = -setting.ground_corner
+        elif setting.force_floor:
+            through = model.input_gain * np.linalg.solve(model.M, np.eye(N)[setting.force_floor - 1])
+            load[N : 2 * N] = through
+        else:
+            load[N : 2 * N] = -model.input_gain
+        density = np.zeros(n)
+        density[2 * N : 3 * N] = 2 * setting.corner * noise.force**2
+        if estimated:
+            density[3 * N] = 2 * setting.ground_corner * noise.ground**2
+        at = setting.floors - 1
+        seen, direct = total, through
+        if model.bracket is not None:
+            # a'' of a = total x + through p, x' = rates x + load p; p' and p'' are left out: dampers alone pass them
+            # on.
+            twice = total @ rates
+            seen = total - model.bracket[:, None] * (twice @ rates)
+            direct = through - model.bracket * (twice @ load)
+        return _Rates(
+            rates, load, density, total, through, seen[at] * model.gain[at, None], direct[at] * model.gain[at],
+            noise.sensors**2, 0.0 if estimated else noise.ground,
+        )  # fmt: skip
 
 
 def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> Outputs:
@@ -246,25 +304,54 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
     return Outputs(np.concatenate(rows), np.concatenate(weights))
 
 
-def _over_a_step(rates: Floats, load: Floats, density: Floats, step: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _over_a_step(
+    rates: Floats, load: Floats, density: Floats, step: float, slopes: Sequence[_Rates] = ()
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Transition, what the excitation at either end of the step adds, and the covariance that white noise leaves.
 
-    The excitation is a straight line in between; the noise is of this density.
+    The excitation is a straight line in between. The first entry of each is the value, the others are derivatives.
+    The powers of the rates are summed over a part of the step, and the part is doubled.
     """
-    n = len(rates)
-    wide = np.zeros((n + 2, n + 2))
+    n, r = len(rates), len(slopes)
+    wide, moved = np.zeros((n + 2, n + 2)), np.zeros((r, n, n + 2))
     wide[:n, :n], wide[:n, n], wide[n, n + 1] = rates, load, 1.0 / step
-    # A mode that dies away within a step grows backward in time, and would swamp the rest. None does so faster than all
-    # together, by the trace.
-    halvings = max(0, int(np.ceil(np.log2(-float(np.trace(rates)) * step / MOST_GROWTH))))
-    both = np.block([[-wide, np.diag(np.append(density, [0.0, 0.0]))], [np.zeros_like(wide), wide.T]])
-    whole = linalg.expm(both * (step / 2**halvings))
-    A = whole[n + 2 :, n + 2 :].T
-    Q = A @ whole[: n + 2, n + 2 :]
+    for each, place in zip(slopes, moved, strict=True):
+        place[:, :n], place[:, n] = each.rates, each.load
+    rows = np.flatnonzero(np.any(moved, axis=(0, 2)))
+    moved = moved[:, rows].reshape(-1, n + 2)
+    size = float(linalg.norm(linalg.matrix_balance(wide, permute=False)[0], 1)) * step
+    halvings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / SUMMED_SIZE))))
+    part = step / 2**halvings
+    noisy = np.flatnonzero(density)
+    power, turned = np.eye(n + 2), np.zeros((n + 2, r, n + 2))
+    powers, slopes_of_powers = [power], [turned]
+    for k in range(1, SUMMED_POWERS):
+        turned = (wide @ turned.reshape(n + 2, -1)).reshape(turned.shape)
+        turned[rows] += (moved @ power).reshape(r, len(rows), n + 2).swapaxes(0, 1)
+        turned *= part / k
+        power = wide @ power * (part / k)
+        powers.append(power)
+        slopes_of_powers.append(turned)
+    A, dA = sum(powers[1:], powers[0]), sum(slopes_of_powers[1:], slopes_of_powers[0]).swapaxes(0, 1)
+    # The integral of two powers over the part.
+    k = np.arange(SUMMED_POWERS)
+    weights = np.kron(part / (k[:, None] + k + 1.0), np.eye(len(noisy)))
+    left = np.concatenate([each[:n, noisy] for each in powers], axis=1)
+    left_slopes = np.concatenate([each[:n, :, noisy] for each in slopes_of_powers], axis=2).swapaxes(0, 1)
+    spread = weights * np.tile(density[noisy], SUMMED_POWERS) @ left.T
+    half = left_slopes @ spread
+    Q, dQ = left @ spread, half + half.swapaxes(1, 2)
+    for place in np.flatnonzero([np.any(each.density) for each in slopes]):
+        dQ[place] += left @ (weights * np.tile(slopes[place].density[noisy], SUMMED_POWERS)) @ left.T
     for _ in range(halvings):
-        Q, A = Q + A @ Q @ A.T, A @ A
-    after = A[:n, n + 1]
-    return A[:n, :n], A[:n, n] - after, after, 0.5 * (Q + Q.T)[:n, :n]
+        core, dcore = A[:n, :n], dA[:, :n, :n]
+        half = dcore @ (Q @ core.T)
+        dQ = dQ + core @ dQ @ core.T + half + half.swapaxes(1, 2)
+        Q = Q + core @ Q @ core.T
+        A, dA = A @ A, dA @ A + A @ dA
+    both, covariances = np.concatenate([A[None], dA]), np.concatenate([Q[None], dQ])
+    after = both[:, :n, n + 1]
+    return both[:, :n, :n], both[:, :n, n] - after, after, 0.5 * (covariances + covariances.swapaxes(1, 2))
 
 
 def doubled(A: Floats, Q: Floats) -> Floats:
