@@ -226,10 +226,13 @@ def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tup
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
     best, without = (-np.inf, 0, 0), (-np.inf, 0)
+    beside, length = np.pad(table, [(0, 0), (most, most)]), table.shape[1]
     for turns in range(-most, most + 1):
-        total = np.zeros(table.shape[1])
-        for row, shift in zip(table, np.round(turns * around / half).astype(int), strict=True):
-            total[max(0, -shift) : len(total) - max(0, shift)] += row[max(0, shift) : len(row) - max(0, -shift)]
+        total = np.zeros(length)
+        for row, first in zip(beside, (most + np.round(turns * around / half).astype(int)).tolist(), strict=True):
+            total += row[first : first + length]
+        if turns and total.max() <= best[0]:
+            continue
         tops = np.flatnonzero((total[1:-1] >= total[:-2]) & (total[1:-1] >= total[2:])) + 1
         if not tops.size:
             continue

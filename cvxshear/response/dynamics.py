@@ -107,8 +107,7 @@ class Dynamics:
 
     def driven(self, excitation: Floats) -> Floats:
         """Return what the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
-        lines = excitation[:, 0]
-        driven: Floats = np.column_stack([lines, np.append(lines[1:], lines[-1])]) @ [self.before, self.after]
+        driven: Floats = steps_of(excitation) @ [self.before, self.after]
         return driven
 
     def shown(self, excitation: Floats) -> Floats:
@@ -180,6 +179,12 @@ class Setting:
     def without(self, channel: int) -> Setting:
         """Return the setting with one channel fewer."""
         return dataclasses.replace(self, floors=np.delete(self.floors, channel))
+
+
+def steps_of(excitation: Floats) -> Floats:
+    """Return q at the beginning and at the end of each step, shape (samples, 2); the last row is not used."""
+    lines = excitation[:, 0]
+    return np.column_stack([lines, np.append(lines[1:], lines[-1])])
 
 
 def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
@@ -397,46 +402,42 @@ BLOCK = 64
 """Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
 
 
-def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = None) -> Floats:
-    """x_0 = start, x_(t+1) = F x_t + inputs_t, by products of large matrices where there are many samples.
+def recursion(F: Floats, B: Floats, signals: Floats, start: Floats) -> Floats:
+    """x_0 = start, x_(t+1) = F x_t + B' s_t, by products of large matrices where there are many samples.
 
-    All blocks of samples are first gone through from zero, side by side; what the state at each block's beginning adds
-    follows from powers of F. The precision is that of the inputs.
+    The states at the beginnings of blocks of samples are found first, then all blocks are gone through side by side.
 
     Parameters
     ----------
     F : ndarray, shape (n, n)
-    inputs : ndarray, shape (samples, ..., n)
-        The last row is not used. Dimensions between are those of recursions side by side.
+    B : ndarray, shape (k, n)
+    signals : ndarray, shape (samples, k)
+        The last row is not used.
     start : ndarray, shape (n,)
-    rows : ndarray, shape (k, n), optional
-        Combinations of the state that are returned in its place.
 
     Returns
     -------
-    ndarray, shape (samples, ..., n) or (samples, ..., k)
+    ndarray, shape (samples, n)
     """
-    samples, *beside, n = inputs.shape
-    turned = F.T.astype(inputs.dtype)
-    seen = np.eye(n, dtype=inputs.dtype) if rows is None else rows.T.astype(inputs.dtype)
+    (samples, k), n, turned = signals.shape, len(F), np.ascontiguousarray(F.T)
     block = BLOCK if samples >= LONG else 1
     blocks = -(-samples // block)
-    if blocks * block > samples:
-        inputs = np.concatenate([inputs, np.zeros((blocks * block - samples, *beside, n), dtype=inputs.dtype)])
-    cut = inputs.reshape(blocks, block, -1, n)
-    result = np.empty((*cut.shape[:3], seen.shape[1]), dtype=inputs.dtype)
-    local = np.zeros_like(cut[:, 0])
-    for j in range(block):
-        flat = local.reshape(-1, n)
-        result[:, j] = (flat if rows is None else flat @ seen).reshape(result[:, j].shape)
-        local = (flat @ turned).reshape(local.shape)
-        local += cut[:, j]
-    leap, state = np.linalg.matrix_power(F.T, block), np.broadcast_to(start, cut.shape[2:])
-    starts = np.empty_like(local)
-    for begun, end in zip(starts, local, strict=True):
+    cut = np.zeros((blocks * block, k))
+    cut[:samples] = signals
+    cut = cut.reshape(blocks, block, k)
+    reach = [B]
+    for _ in range(block - 1):
+        reach.append(reach[-1] @ turned)
+    added = cut.reshape(blocks, -1) @ np.concatenate(reach[::-1])
+    leap, state = np.linalg.matrix_power(turned, block), start
+    states = np.empty((blocks, n))
+    for begun, end in zip(states, added, strict=True):
         begun[...] = state
         state = state @ leap + end
+    result = np.empty((blocks, block, n))
     for j in range(block):
-        result[:, j] += starts @ seen
-        seen = turned @ seen
-    return result.reshape(blocks * block, *beside, -1)[:samples]
+        result[:, j] = states
+        if j + 1 < block:
+            states = states @ turned
+            states += cut[:, j] @ B
+    return result.reshape(-1, n)[:samples]

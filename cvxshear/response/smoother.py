@@ -20,7 +20,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_covariance
+from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_covariance, steps_of
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SPIKE = 5.0
@@ -218,32 +218,39 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     """Smoothed states and innovations in standard deviations: forward, then back."""
     y = np.nan_to_num(run.measured) - model.shown(run.excitation)
     y = np.where(weights > 0, y, 0.0)
-    # What the excitation adds to each state, overwritten by what each sample pulls at the states.
-    pulled = model.driven(run.excitation)
-    predicted, innovations = np.empty_like(pulled), np.empty_like(y)
+    signals = np.hstack([y, steps_of(run.excitation)])
+    # The prediction, to which the sweep back adds what comes later.
+    states, e = np.empty((len(y), len(model.A))), np.empty_like(y)
+    innovations = np.empty_like(y)
     stretches = list(_constant(which))
     x = np.zeros(len(model.A))
     for first, last, at in stretches:
         gain, part = gains[at], slice(first, last)
-        F = gain.transition
-        inputs = pulled[part] + y[part] @ gain.K.T
-        predicted[part] = recursion(F, inputs, x)
-        x = F @ predicted[last - 1] + inputs[-1]
-        e = y[part] - predicted[part] @ gain.H.T
-        innovations[part] = e / gain.innovation_std
-        pulled[part] = e @ (gain.inverse_S @ gain.H)
-    # r_(t-1) = H' S^-1 e_t + F' r_t, from zero after the last sample; what pulls each sample is overwritten by it.
+        F, B = gain.transition, np.vstack([gain.K.T, model.before, model.after])
+        states[part] = recursion(F, B, signals[part], x)
+        x = F @ states[last - 1] + signals[last - 1] @ B
+        e[part] = y[part] - states[part] @ gain.H.T
+        innovations[part] = e[part] / gain.innovation_std
     r = np.zeros(len(model.A))
     for first, last, at in reversed(stretches):
-        F = gains[at].transition
-        # What follows each sample; its own pull is still to be added.
-        swept = recursion(F.T, pulled[first:last][::-1], r)[::-1]
-        pulled[first:last] += swept @ F
-        r = pulled[first]
-    states = predicted
-    for first, last, at in stretches:
-        states[first:last] += pulled[first:last] @ gains[at].P
+        gain = gains[at]
+        pulls = pulled(gain.transition, gain.inverse_S @ gain.H, e[first:last], r)
+        states[first:last] += pulls @ gain.P
+        r = pulls[0]
     return states, np.where(weights > 0, innovations, np.nan)
+
+
+def pulled(F: Floats, B: Floats, e: Floats, r: Floats) -> Floats:
+    """r_(t-1) = H' S^-1 e_t + F' r_t, what pulls at each state of a stretch, shape (samples, n).
+
+    Parameters
+    ----------
+    B : ndarray, shape (m, n)
+        S^-1 H.
+    r : ndarray, shape (n,)
+        What comes after the stretch.
+    """
+    return recursion(F.T, B, np.concatenate([e[::-1], np.zeros((1, e.shape[1]))]), r)[:0:-1]
 
 
 def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
@@ -317,9 +324,8 @@ class Steady:
         """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""
         model = self.model
         seen = y - model.shown(excitation)
-        inputs = model.driven(excitation)
-        inputs += seen @ self.K.T
-        x = recursion(self.F, inputs, start)
+        B = np.vstack([self.K.T, model.before, model.after])
+        x = recursion(self.F, B, np.hstack([seen, steps_of(excitation)]), start)
         return x, seen - x @ model.H.T
 
 
@@ -357,8 +363,7 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
     r = np.zeros(len(model.A))
     for (part, channels), e in zip(reversed(pieces), reversed(left), strict=True):
         own = filters[channels.tobytes()]
-        pulled = e @ np.linalg.solve(own.S, own.model.H)
-        pulled += recursion(own.F.T, pulled[::-1], r)[::-1] @ own.F
-        x[part] += pulled @ own.P
-        r = pulled[0]
+        pulls = pulled(own.F, np.linalg.solve(own.S, own.model.H), e, r)
+        x[part] += pulls @ own.P
+        r = pulls[0]
     return x

@@ -151,7 +151,7 @@ def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     model, setting, system, _ = three
     excitation = shaking(300, STEP, seed=2)
     exact = response(model, Drive(excitation), STEP)
-    states = recursion(system.A, system.driven(straight(excitation)), np.zeros(len(system.A)))
+    states = recursion(system.A, np.eye(9), system.driven(straight(excitation)), np.zeros(9))
     outputs = system.outputs.of(states, straight(excitation))
     for place, values in enumerate((exact.acceleration, exact.displacement, exact.drift, exact.story_force)):
         own = outputs[:, 3 * place : 3 * place + 3]
@@ -160,7 +160,7 @@ def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     drive = Drive(1e3 * excitation, 2, between=band_limited(1e3 * excitation))
     exact = response(model, drive, STEP)
     both = np.column_stack([drive.between, drive.excitation])
-    states = recursion(forced.A, forced.driven(both), np.zeros(len(forced.A)))
+    states = recursion(forced.A, np.eye(9), forced.driven(both), np.zeros(9))
     outputs = forced.outputs.of(states, both)
     np.testing.assert_allclose(outputs[:, :3], exact.acceleration, atol=1e-9 * np.abs(exact.acceleration).max())
     np.testing.assert_allclose(outputs[:, 9:], exact.story_force, atol=1e-9 * np.abs(exact.story_force).max())
@@ -185,7 +185,7 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     _, _, system, _ = three
     rng = np.random.default_rng(7)
     excitation = straight(shaking(4000, STEP))
-    y = recursion(system.A, system.driven(excitation), np.zeros(9)) @ system.H.T + system.shown(excitation)
+    y = recursion(system.A, np.eye(9), system.driven(excitation), np.zeros(9)) @ system.H.T + system.shown(excitation)
     y += np.sqrt(system.R) * rng.standard_normal(y.shape)
     y[1000:2500, 1] = np.nan
     found = smooth(system, Observed(excitation, y, np.ones(4000)), np.zeros((0, 9)))
