@@ -194,8 +194,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     # One sample's error moves the frame over both steps that it ends and begins.
     moved = own.ground * (before + after)
     Q_input = np.outer(moved, moved)
-    outputs = _outputs(model, own.total, own.through, setting)
-    return Dynamics(A, before, after, Q + Q_input, Q_input, own.H, own.direct, own.R, outputs)
+    return Dynamics(A, before, after, Q + Q_input, Q_input, own.H, own.direct, own.R, outputs_of(model, noise, setting))
 
 
 def dynamics_slopes(
@@ -290,9 +289,10 @@ class _Rates:
         )  # fmt: skip
 
 
-def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> Outputs:
-    """Rows of the quantities that a reconstruction reports, `total` and `through` those of the accelerations."""
-    N = len(model.M)
+def outputs_of(model: DampedModel, noise: Noise, setting: Setting) -> Outputs:
+    """Rows of the quantities that a reconstruction reports."""
+    own, N = _Rates.of(model, noise, setting), len(model.M)
+    total, through = own.total, own.through
     moved = np.eye(N, setting.states)
     above = np.triu(np.ones((N, N)))
     shear, direct = -above @ model.M @ total, -above @ model.M @ through

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -367,3 +367,49 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
         x[part] += pulls @ own.P
         r = pulls[0]
     return x
+
+
+def settled_slopes(
+    own: Steady, rates: Mapping[str, Floats], excitation: Floats, y: Floats, start: Floats
+) -> tuple[Floats, Floats]:
+    """Smoothed states of a settled filter, and their derivatives along some directions of the model.
+
+    States x and multipliers r solve x+ = A x + driven + Q r+ and r = A' r+ + H' R^-1 (y - D p - H x), a system that is
+    linear in both: their derivatives solve it with other right-hand sides, by the same gain.
+
+    Parameters
+    ----------
+    rates : mapping of str to ndarray
+        Derivatives of the matrices by their names, those of the sensors that recorded; the noise of these stays.
+    excitation, y, start
+        As for `settled_states`, of the sensors that recorded.
+
+    Returns
+    -------
+    ndarray, shape (samples, n)
+    ndarray, shape (directions, samples, n)
+    """
+    model, F, steps = own.model, own.F, steps_of(excitation)
+    x, e = own.predicted(excitation, y, start)
+    B = np.linalg.solve(own.S, model.H)
+    multipliers = np.concatenate([pulled(F, B, e, np.zeros(len(F))), np.zeros((1, len(F)))])
+    x += multipliers[:-1] @ own.P
+    r = multipliers[1:]
+    left = (y - model.shown(excitation) - x @ model.H.T) / model.R
+    dA, dH, direct = rates["A"], rates["H"], rates["direct"]
+    dx = x @ dA.swapaxes(1, 2) + r @ rates["Q"] + steps @ np.stack([rates["before"], rates["after"]], axis=1)
+    shown = x @ dH.swapaxes(1, 2) + excitation[:, 1:] @ direct[:, None]
+    dr = r @ dA + left @ dH - shown @ (model.H / model.R[:, None])
+    # Forward over the samples, then back, all directions side by side.
+    dx += dr @ (F @ own.P).T
+    dr -= dr @ own.P @ model.H.T @ B
+    state = np.zeros((len(dA), len(F)))
+    for t in range(len(x)):
+        dx[:, t], state = state, state @ F.T + dx[:, t]
+    dr -= dx @ model.H.T @ B
+    state = np.zeros_like(state)
+    for t in reversed(range(len(x))):
+        state = state @ F + dr[:, t]
+        dr[:, t] = state
+    dx += dr @ own.P
+    return x, dx

@@ -17,12 +17,12 @@ from cvxshear.programs import LeastSquares
 from cvxshear.records.motion import Drive, Motion, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
-from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
+from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, dynamics_slopes, recursion, settled_covariance
 from cvxshear.response.frame_motion import MOST_DIRECTIONS, PROBED_SAMPLES, FrameMotion, readings_of
 from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
 from cvxshear.response.sensor_checks import as_predicted
-from cvxshear.response.smoother import Observed, Steady, settled_states, smooth
+from cvxshear.response.smoother import Observed, Steady, settled_slopes, settled_states, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
@@ -204,6 +204,24 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     # Taken for recorded, what is filled in would be believed.
     filled = settled_states(system, excitation, found.completed + [0.0, 0.3] * ~np.isfinite(y), found.states[0], pieces)
     np.testing.assert_allclose(filled, states)
+
+
+def test_slopes_of_smoothed_states_are_those_of_differences(three):
+    """Away from the beginning, where the covariance of a filter that has settled moves with the frame as well."""
+    model, setting, system, _ = three
+    noise, rng, near = Noise(np.array([0.05, 0.08]), 0.05), np.random.default_rng(3), 1e-5
+    excitation, y = straight(shaking(700, STEP)), rng.standard_normal((700, 2))
+    either = [
+        dataclasses.replace(model, K=(1 + size) * model.K, C=(1 - 3 * size) * model.C, gain=model.gain + [0, 0, size])
+        for size in (near, -near)
+    ]
+    rates = dynamics_slopes((model, noise), [(either[0], noise)], np.array([near]), setting)
+    states, slopes = settled_slopes(Steady.of(system), rates, excitation, y, np.zeros(9))
+    whole = [(slice(0, 700), np.ones(2, dtype=bool))]
+    there, back = (settled_states(dynamics(each, noise, setting), excitation, y, np.zeros(9), whole) for each in either)
+    np.testing.assert_allclose(states, settled_states(system, excitation, y, np.zeros(9), whole), atol=1e-12)
+    scale = np.abs(slopes[0, 400:]).max(axis=0)
+    np.testing.assert_allclose(slopes[0, 400:] / scale, (there - back)[400:] / (2 * near) / scale, atol=1e-3)
 
 
 @pytest.mark.parametrize("force_floor", [0, 3])
