@@ -302,7 +302,10 @@ class FrameMotion:
         noise = fitted.errors.noise_at(fitted.p)
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
         part = run.strongest(PROBED_SAMPLES)
-        excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
+        filtered = Steady.of(fitted.errors.dynamics(fitted.p).seen_by(run.channels))
+        # A frame that is taken to be at rest amid the motion would have other directions.
+        start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
+        excitation, y = run.excitation[part], run.seen[part]
 
         def model_at(weights: Floats, size: float) -> DampedModel:
             p = fitted.p.copy()
@@ -313,15 +316,14 @@ class FrameMotion:
             return model_at(weights, size), model_at(weights, -size)
 
         near = [_with_modes(partial(model_at, row), NEAR_STD) for row in np.eye(len(own))]
-        own_noise, sizes = (fitted.model, noise), np.array([size for _, size in near])
-        rates = dynamics_slopes(own_noise, [(model, noise) for model, _ in near], sizes, self.setting)
+        sizes = np.array([size for _, size in near])
+        rates = dynamics_slopes((fitted.model, noise), [(model, noise) for model, _ in near], sizes, self.setting)
         rates |= {name: rates[name][:, run.channels] for name in ("H", "direct")}
-        filtered = Steady.of(dynamics(*own_noise, self.setting).seen_by(run.channels))
         outputs, parts = filtered.model.outputs, []
         for first in range(0, len(near), SIDE_BY_SIDE):
             chosen = slice(first, first + SIDE_BY_SIDE)
             some = {name: each[chosen] for name, each in rates.items()}
-            states, moved = settled_slopes(filtered, some, excitation, y[:, run.channels], start)
+            states, moved = settled_slopes(filtered, some, excitation, y, start)
             centre = outputs.of(states, excitation)
             scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
             for (model, size), turned in zip(near[chosen], moved, strict=True):

@@ -438,7 +438,8 @@ def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
     narrow = dataclasses.replace(fitted, covariance=0.01 * fitted.covariance)
     found = work.directions(narrow, most=len(fitted.covariance))
     noise, run = fitted.errors.noise_at(fitted.p), max(fitted.errors.stretches, key=lambda each: np.mean(each.y**2))
-    part, start = run.strongest(PROBED_SAMPLES), np.zeros(len(run.start))
+    part, filtered = run.strongest(PROBED_SAMPLES), Steady.of(fitted.errors.dynamics(fitted.p))
+    start = filtered.predicted(run.excitation, run.y, run.start)[0][part.start]
     probed = SimpleNamespace(completed=run.y[part], states=start[None])
     driven = RecordedRun(run.y[part], run.excitation[part, 1], "", between=run.excitation[part, 0])
     along = np.array([next(work.moved_by(sides, noise, driven, probed))[1] for sides in found.sides])
