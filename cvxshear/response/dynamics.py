@@ -34,7 +34,7 @@ SETTLED_RICCATI = 1e-13
 """Relative change of a covariance at which the doubling of the Riccati equation ends: it doubles its digits a round, so
 the next change would be rounding."""
 
-SUMMED_SIZE, SUMMED_POWERS = 0.5, 16
+SUMMED_SIZE, SUMMED_POWERS = 0.5, 14
 """Size of the rates times a part of a step, and how many of their powers are summed over it: the first that is left out
 is below rounding, in the noise's covariance too."""
 
@@ -323,28 +323,36 @@ def _over_a_step(
     for each, place in zip(slopes, moved, strict=True):
         place[:, :n], place[:, n] = each.rates, each.load
     rows = np.flatnonzero(np.any(moved, axis=(0, 2)))
+    # The states that what moves there reaches: the others' rows stay as they are.
+    near = np.eye(n + 2, dtype=bool)[rows].any(axis=0)
+    while (further := near | (wide[:, near] != 0).any(axis=1)).sum() > near.sum():
+        near = further
+    live = np.flatnonzero(near)
+    within = np.searchsorted(live, rows)
     moved = moved[:, rows].reshape(-1, n + 2)
     size = float(linalg.norm(linalg.matrix_balance(wide, permute=False)[0], 1)) * step
     halvings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / SUMMED_SIZE))))
     part = step / 2**halvings
     noisy = np.flatnonzero(density)
-    power, turned = np.eye(n + 2), np.zeros((n + 2, r, n + 2))
+    power, turned, between = np.eye(n + 2), np.zeros((len(live), r, n + 2)), wide[np.ix_(live, live)]
     powers, slopes_of_powers = [power], [turned]
     for k in range(1, SUMMED_POWERS):
-        turned = (wide @ turned.reshape(n + 2, -1)).reshape(turned.shape)
-        turned[rows] += (moved @ power).reshape(r, len(rows), n + 2).swapaxes(0, 1)
+        turned = (between @ turned.reshape(len(live), r * (n + 2))).reshape(turned.shape)
+        turned[within] += (moved @ power).reshape(r, len(rows), n + 2).swapaxes(0, 1)
         turned *= part / k
         power = wide @ power * (part / k)
         powers.append(power)
         slopes_of_powers.append(turned)
-    A, dA = sum(powers[1:], powers[0]), sum(slopes_of_powers[1:], slopes_of_powers[0]).swapaxes(0, 1)
+    A, dA = sum(powers[1:], powers[0]), np.zeros((r, n + 2, n + 2))
+    dA[:, live] = sum(slopes_of_powers[1:], slopes_of_powers[0]).swapaxes(0, 1)
     # The integral of two powers over the part.
     k = np.arange(SUMMED_POWERS)
     weights = np.kron(part / (k[:, None] + k + 1.0), np.eye(len(noisy)))
     left = np.concatenate([each[:n, noisy] for each in powers], axis=1)
-    left_slopes = np.concatenate([each[:n, :, noisy] for each in slopes_of_powers], axis=2).swapaxes(0, 1)
+    left_slopes = np.concatenate([each[..., noisy] for each in slopes_of_powers], axis=2)
     spread = weights * np.tile(density[noisy], SUMMED_POWERS) @ left.T
-    half = left_slopes @ spread
+    half = np.zeros((r, n, n))
+    half[:, live] = (left_slopes @ spread).swapaxes(0, 1)
     Q, dQ = left @ spread, half + half.swapaxes(1, 2)
     for place in np.flatnonzero([np.any(each.density) for each in slopes]):
         dQ[place] += left @ (weights * np.tile(slopes[place].density[noisy], SUMMED_POWERS)) @ left.T
@@ -363,8 +371,9 @@ def doubled(A: Floats, Q: Floats) -> Floats:
     """P = A P A' + Q of a stable A and one or several symmetric Q, by doubling the number of steps."""
     P, power = Q, A
     for _ in range(MOST_DOUBLINGS):
-        more = power @ P @ power.T
-        P = P + more
+        # One large product at a time, of all of them: A P A' is the transpose of P A' times A'.
+        half = (P.reshape(-1, len(A)) @ power.T).reshape(P.shape).swapaxes(-1, -2)
+        P = P + (half.reshape(-1, len(A)) @ power.T).reshape(P.shape)
         power = power @ power
         if np.max(np.abs(power)) <= FORGOTTEN:
             break
