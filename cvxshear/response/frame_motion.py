@@ -19,7 +19,7 @@ from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics, dynamics_slopes, outputs_of
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior
-from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
+from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, SIDE_BY_SIDE, PredictionErrors, Stretch
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
 from cvxshear.response.smoother import (
     SWEPT_AT_ONCE,
@@ -51,10 +51,6 @@ PROBED_SAMPLES = 1000
 
 NEAR_STD = 1e-3
 """Standard deviations of the frame over which its matrices are differentiated."""
-
-MOVED_AT_ONCE = 32
-"""Directions that go through the probed samples side by side: with fewer the loop over the samples takes longer than
-its products."""
 
 MOST_DIRECTIONS = 8
 CARRIED_SHARE = 0.995
@@ -325,13 +321,13 @@ class FrameMotion:
         rates = dynamics_slopes((fitted.model, noise), [(model, noise) for model, _ in near], sizes, self.setting)
         rates |= {name: rates[name][:, run.channels] for name in ("H", "direct")}
         outputs, parts = filtered.model.outputs, []
-        for first in range(0, len(near), MOVED_AT_ONCE):
-            chosen = slice(first, first + MOVED_AT_ONCE)
+        for first in range(0, len(near), SIDE_BY_SIDE):
+            chosen = slice(first, first + SIDE_BY_SIDE)
             some = {name: each[chosen] for name, each in rates.items()}
             states, moved = settled_slopes(filtered, some, excitation, y, start)
             centre = outputs.of(states, excitation)
             scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-            for (model, size), turned in zip(near[chosen], moved, strict=True):
+            for (model, size), turned in zip(near[chosen], moved.swapaxes(0, 1), strict=True):
                 beside = outputs_of(model, noise, self.setting).of(states, excitation)
                 parts.append((((beside - centre) / size + turned @ outputs.rows.T) / scale).astype(SHORT))
         slopes = np.array(parts)

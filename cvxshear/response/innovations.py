@@ -72,8 +72,9 @@ is that of 1 %, which the modes of those frames tell."""
 DIFFERENCE = 1e-5
 """Step of the unknowns by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
 
-SIDE_BY_SIDE = 8
-"""Derivatives that are run with the filter at once: products of small matrices wait for the memory otherwise."""
+SIDE_BY_SIDE = 32
+"""Derivatives that are run with the filter at once: of fewer the loop over the samples takes longer than its products,
+of more their memory is large."""
 
 LOST_DIGITS = 1e-13
 """What rounding leaves of a sum of squares, relative to it, of a hundred unknowns."""

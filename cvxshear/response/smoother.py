@@ -193,7 +193,7 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
             if not settled and passed >= LEAST_TRANSIENT and last - t > LEAST_TRANSIENT:
                 if passed == LEAST_TRANSIENT:
                     limit = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
-                if passed == MOST_TRANSIENT or _near(np.diag(P), np.diag(limit)):
+                if passed == MOST_TRANSIENT or _near(P.diagonal(), limit.diagonal()):
                     # What is left of the change is slow and small; the filter has its limit from here on.
                     P = limit
             elif settled:
@@ -271,7 +271,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
         t, limit = last - 1, None
         while t >= first:
             following = own + F.T @ N @ F
-            change = np.max(np.abs(np.diag(following) - np.diag(N)) * scale**2)
+            change = np.max(np.abs(following.diagonal() - N.diagonal()) * scale**2)
             N = 0.5 * (following + following.T)
             variance = plain - np.sum((spread @ N) * spread, axis=1)
             result[t] = np.sqrt(np.maximum(variance, 0.0))
@@ -279,7 +279,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
             passed = last - 1 - t
             if passed == LEAST_TRANSIENT and t - first > LEAST_TRANSIENT:
                 limit = doubled(F.T, own)
-            if limit is not None and (passed == MOST_TRANSIENT or _near(np.diag(N), np.diag(limit))):
+            if limit is not None and (passed == MOST_TRANSIENT or _near(N.diagonal(), limit.diagonal())):
                 # The stretch is taken as settled from here back to its beginning.
                 N, change = limit, 0.0
                 variance = plain - np.sum((spread @ N) * spread, axis=1)
@@ -387,7 +387,7 @@ def settled_slopes(
     Returns
     -------
     ndarray, shape (samples, n)
-    ndarray, shape (directions, samples, n)
+    ndarray, shape (samples, directions, n)
     """
     model, F, steps = own.model, own.F, steps_of(excitation)
     x, e = own.predicted(excitation, y, start)
@@ -397,19 +397,23 @@ def settled_slopes(
     r = multipliers[1:]
     left = (y - model.shown(excitation) - x @ model.H.T) / model.R
     dA, dH, direct = rates["A"], rates["H"], rates["direct"]
-    dx = x @ dA.swapaxes(1, 2) + r @ rates["Q"] + steps @ np.stack([rates["before"], rates["after"]], axis=1)
-    shown = x @ dH.swapaxes(1, 2) + excitation[:, 1:] @ direct[:, None]
-    dr = r @ dA + left @ dH - shown @ (model.H / model.R[:, None])
+    weighted, shape = model.H / model.R[:, None], (len(x), len(dA), len(F))
+    forward = [dA.swapaxes(1, 2), rates["Q"], rates["before"][:, None], rates["after"][:, None]]
+    dx = np.hstack([x, r, steps]) @ np.concatenate(forward, axis=1).swapaxes(0, 1).reshape(-1, len(dA) * len(F))
+    back = [dA, dH, -dH.swapaxes(1, 2) @ weighted, -direct[:, None] @ weighted]
+    signals = np.hstack([r, left, x, excitation[:, 1:]])
+    dr = signals @ np.concatenate(back, axis=1).swapaxes(0, 1).reshape(-1, len(dA) * len(F))
     # Forward over the samples, then back, all directions side by side.
+    dx, dr = dx.reshape(-1, len(F)), dr.reshape(-1, len(F))
     dx += dr @ (F @ own.P).T
     dr -= dr @ own.P @ model.H.T @ B
-    state = np.zeros((len(dA), len(F)))
-    for t in range(len(x)):
-        dx[:, t], state = state, state @ F.T + dx[:, t]
+    state = np.zeros(shape[1:])
+    for row in dx.reshape(shape):
+        state, row[...] = state @ F.T + row, state
     dr -= dx @ model.H.T @ B
     state = np.zeros_like(state)
-    for t in reversed(range(len(x))):
-        state = state @ F + dr[:, t]
-        dr[:, t] = state
+    for row in dr.reshape(shape)[::-1]:
+        state = state @ F + row
+        row[...] = state
     dx += dr @ own.P
-    return x, dx
+    return x, dx.reshape(shape)
