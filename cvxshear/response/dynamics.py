@@ -320,8 +320,8 @@ def _over_a_step(
     n, r = len(rates), len(slopes)
     wide, moved = np.zeros((n + 2, n + 2)), np.zeros((r, n, n + 2))
     wide[:n, :n], wide[:n, n], wide[n, n + 1] = rates, load, 1.0 / step
-    for each, place in zip(slopes, moved, strict=True):
-        place[:, :n], place[:, n] = each.rates, each.load
+    for each, row in zip(slopes, moved, strict=True):
+        row[:, :n], row[:, n] = each.rates, each.load
     rows = np.flatnonzero(np.any(moved, axis=(0, 2)))
     # The states that what moves there reaches: the others' rows stay as they are.
     near = np.eye(n + 2, dtype=bool)[rows].any(axis=0)
@@ -329,7 +329,7 @@ def _over_a_step(
         near = further
     live = np.flatnonzero(near)
     within = np.searchsorted(live, rows)
-    moved = moved[:, rows].reshape(-1, n + 2)
+    flat = moved[:, rows].reshape(-1, n + 2)
     size = float(linalg.norm(linalg.matrix_balance(wide, permute=False)[0], 1)) * step
     halvings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / SUMMED_SIZE))))
     part = step / 2**halvings
@@ -338,7 +338,7 @@ def _over_a_step(
     powers, slopes_of_powers = [power], [turned]
     for k in range(1, SUMMED_POWERS):
         turned = (between @ turned.reshape(len(live), r * (n + 2))).reshape(turned.shape)
-        turned[within] += (moved @ power).reshape(r, len(rows), n + 2).swapaxes(0, 1)
+        turned[within] += (flat @ power).reshape(r, len(rows), n + 2).swapaxes(0, 1)
         turned *= part / k
         power = wide @ power * (part / k)
         powers.append(power)
@@ -346,16 +346,17 @@ def _over_a_step(
     A, dA = sum(powers[1:], powers[0]), np.zeros((r, n + 2, n + 2))
     dA[:, live] = sum(slopes_of_powers[1:], slopes_of_powers[0]).swapaxes(0, 1)
     # The integral of two powers over the part.
-    k = np.arange(SUMMED_POWERS)
-    weights = np.kron(part / (k[:, None] + k + 1.0), np.eye(len(noisy)))
+    order = np.repeat(np.arange(SUMMED_POWERS), len(noisy))
+    weights = part / (order[:, None] + order + 1.0) * np.tile(np.eye(len(noisy)), (SUMMED_POWERS, SUMMED_POWERS))
     left = np.concatenate([each[:n, noisy] for each in powers], axis=1)
     left_slopes = np.concatenate([each[..., noisy] for each in slopes_of_powers], axis=2)
     spread = weights * np.tile(density[noisy], SUMMED_POWERS) @ left.T
     half = np.zeros((r, n, n))
     half[:, live] = (left_slopes @ spread).swapaxes(0, 1)
     Q, dQ = left @ spread, half + half.swapaxes(1, 2)
-    for place in np.flatnonzero([np.any(each.density) for each in slopes]):
-        dQ[place] += left @ (weights * np.tile(slopes[place].density[noisy], SUMMED_POWERS)) @ left.T
+    for place, each in enumerate(slopes):
+        if np.any(each.density):
+            dQ[place] += left @ (weights * np.tile(each.density[noisy], SUMMED_POWERS)) @ left.T
     for _ in range(halvings):
         core, dcore = A[:n, :n], dA[:, :n, :n]
         half = dcore @ (Q @ core.T)

@@ -322,14 +322,14 @@ class FrameMotion:
         rates |= {name: rates[name][:, run.channels] for name in ("H", "direct")}
         outputs, parts = filtered.model.outputs, []
         for first in range(0, len(near), SIDE_BY_SIDE):
-            chosen = slice(first, first + SIDE_BY_SIDE)
-            some = {name: each[chosen] for name, each in rates.items()}
+            beside = slice(first, first + SIDE_BY_SIDE)
+            some = {name: each[beside] for name, each in rates.items()}
             states, moved = settled_slopes(filtered, some, excitation, y, start)
             centre = outputs.of(states, excitation)
             scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-            for (model, size), turned in zip(near[chosen], moved.swapaxes(0, 1), strict=True):
-                beside = outputs_of(model, noise, self.setting).of(states, excitation)
-                parts.append((((beside - centre) / size + turned @ outputs.rows.T) / scale).astype(SHORT))
+            for (model, size), turned in zip(near[beside], moved.swapaxes(0, 1), strict=True):
+                other = outputs_of(model, noise, self.setting).of(states, excitation)
+                parts.append((((other - centre) / size + turned @ outputs.rows.T) / scale).astype(SHORT))
         slopes = np.array(parts)
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)

@@ -348,7 +348,7 @@ class PredictionErrors:
                 # The state at the beginning goes along with every change of the frame: variable projection.
                 free = _free(here, run, whitening)
                 normal = np.eye(free.shape[1]) + free.T @ free
-                both = np.linalg.solve(normal, free.T @ np.column_stack([J, white.ravel()]))
+                both: Floats = np.asarray(np.linalg.solve(normal, free.T @ np.column_stack([J, white.ravel()])))
                 turned, moved = both[:, :-1], both[:, -1]
                 white -= (free @ moved).reshape(white.shape)
                 J -= free.astype(SHORT) @ turned.astype(SHORT)
@@ -476,7 +476,7 @@ class _Slopes:
         )
 
     def moved(self, x: Floats, signals: Floats) -> Floats:
-        """Derivatives of the whitened innovations over the samples, shape (samples m, r).
+        """Differentiate the whitened innovations of all samples, shape (samples m, r).
 
         A block of samples follows from the state at its beginning and its signals by one product.
         """

@@ -320,6 +320,11 @@ class Steady:
         F: Floats = model.A - K @ model.H
         return Steady(model, P, np.asarray(S), np.asarray(K, dtype=np.float64), F)
 
+    @property
+    def pull(self) -> Floats:
+        """S^-1 H, shape (m, n)."""
+        return np.asarray(np.linalg.solve(self.S, self.model.H), dtype=np.float64)
+
     def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
         """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""
         model = self.model
@@ -363,7 +368,7 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
     r = np.zeros(len(model.A))
     for (part, channels), e in zip(reversed(pieces), reversed(left), strict=True):
         own = filters[channels.tobytes()]
-        pulls = pulled(own.F, np.linalg.solve(own.S, own.model.H), e, r)
+        pulls = pulled(own.F, own.pull, e, r)
         x[part] += pulls @ own.P
         r = pulls[0]
     return x
@@ -391,7 +396,7 @@ def settled_slopes(
     """
     model, F, steps = own.model, own.F, steps_of(excitation)
     x, e = own.predicted(excitation, y, start)
-    B = np.linalg.solve(own.S, model.H)
+    B = own.pull
     multipliers = np.concatenate([pulled(F, B, e, np.zeros(len(F))), np.zeros((1, len(F)))])
     x += multipliers[:-1] @ own.P
     r = multipliers[1:]

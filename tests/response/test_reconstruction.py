@@ -210,9 +210,10 @@ def test_slopes_of_smoothed_states_are_those_of_differences(three):
     """Away from the beginning, where the covariance of a filter that has settled moves with the frame as well."""
     model, setting, system, _ = three
     noise, rng, near = Noise(np.array([0.05, 0.08]), 0.05), np.random.default_rng(3), 1e-5
+    top = np.array([0.0, 0.0, 1.0])
     excitation, y = straight(shaking(700, STEP)), rng.standard_normal((700, 2))
     either = [
-        dataclasses.replace(model, K=(1 + size) * model.K, C=(1 - 3 * size) * model.C, gain=model.gain + [0, 0, size])
+        dataclasses.replace(model, K=(1 + size) * model.K, C=(1 - 3 * size) * model.C, gain=model.gain + size * top)
         for size in (near, -near)
     ]
     rates = dynamics_slopes((model, noise), [(either[0], noise)], np.array([near]), setting)
