@@ -335,21 +335,22 @@ def _over_a_step(
     part = step / 2**halvings
     noisy = np.flatnonzero(density)
     power, turned, between = np.eye(n + 2), np.zeros((len(live), r, n + 2)), wide[np.ix_(live, live)]
-    powers, slopes_of_powers = [power], [turned]
+    powers, noisy_slopes, summed = [power], [turned[..., noisy]], turned
     for k in range(1, SUMMED_POWERS):
         turned = (between @ turned.reshape(len(live), r * (n + 2))).reshape(turned.shape)
         turned[within] += (flat @ power).reshape(r, len(rows), n + 2).swapaxes(0, 1)
         turned *= part / k
         power = wide @ power * (part / k)
         powers.append(power)
-        slopes_of_powers.append(turned)
+        noisy_slopes.append(turned[..., noisy])
+        summed = summed + turned
     A, dA = sum(powers[1:], powers[0]), np.zeros((r, n + 2, n + 2))
-    dA[:, live] = sum(slopes_of_powers[1:], slopes_of_powers[0]).swapaxes(0, 1)
+    dA[:, live] = summed.swapaxes(0, 1)
     # The integral of two powers over the part.
     order = np.repeat(np.arange(SUMMED_POWERS), len(noisy))
     weights = part / (order[:, None] + order + 1.0) * np.tile(np.eye(len(noisy)), (SUMMED_POWERS, SUMMED_POWERS))
     left = np.concatenate([each[:n, noisy] for each in powers], axis=1)
-    left_slopes = np.concatenate([each[..., noisy] for each in slopes_of_powers], axis=2)
+    left_slopes = np.concatenate(noisy_slopes, axis=2)
     spread = weights * np.tile(density[noisy], SUMMED_POWERS) @ left.T
     half = np.zeros((r, n, n))
     half[:, live] = (left_slopes @ spread).swapaxes(0, 1)

@@ -348,7 +348,7 @@ class PredictionErrors:
                 # The state at the beginning goes along with every change of the frame: variable projection.
                 free = _free(here, run, whitening)
                 normal = np.eye(free.shape[1]) + free.T @ free
-                both: Floats = np.asarray(np.linalg.solve(normal, free.T @ np.column_stack([J, white.ravel()])))
+                both: Floats = np.asarray(np.linalg.solve(normal, _crossed(free, J, white.ravel())))
                 turned, moved = both[:, :-1], both[:, -1]
                 white -= (free @ moved).reshape(white.shape)
                 J -= free.astype(SHORT) @ turned.astype(SHORT)
@@ -383,13 +383,16 @@ class PredictionErrors:
 
 def _products(parts: Sequence[_Rows]) -> Floats:
     """Products of derivatives and residuals with each other over all rows, shape (r + 1, r + 1)."""
-    size = parts[0].J.shape[1] + 1
-    total = np.zeros((size, size))
-    for part in parts:
-        for first in range(0, len(part.r), SWEPT_AT_ONCE):
-            chosen = slice(first, first + SWEPT_AT_ONCE)
-            rows = np.column_stack([part.J[chosen], part.r[chosen]])
-            total += rows.T @ rows
+    return np.asarray(sum(_crossed(None, part.J, part.r) for part in parts))
+
+
+def _crossed(left: Floats | None, J: Floats, r: Floats) -> Floats:
+    """Products of rows, or of [J, r] itself, with [J, r], in double precision some samples at a time."""
+    total: Floats = np.zeros(1)
+    for first in range(0, len(r), SWEPT_AT_ONCE):
+        chosen = slice(first, first + SWEPT_AT_ONCE)
+        rows = np.column_stack([J[chosen], r[chosen]])
+        total = total + (rows if left is None else left[chosen]).T @ rows
     return total
 
 
