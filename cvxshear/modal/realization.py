@@ -11,6 +11,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -105,12 +106,12 @@ class DampedModes:
 
     eigenvalues: Complexes
 
-    @property
+    @cached_property
     def frequencies(self) -> Floats:
         """Undamped natural frequencies |lambda| / 2 pi, Hz."""
         return np.abs(self.eigenvalues) / (2 * np.pi)
 
-    @property
+    @cached_property
     def damping_ratios(self) -> Floats:
         """Fraction of critical."""
         return -self.eigenvalues.real / np.abs(self.eigenvalues)

@@ -161,12 +161,10 @@ def undivided(
 
 def nearest(poles: Poles, eigenvalue: complex, shape: Complexes, reach: float = 0.05) -> int | None:
     """Index of the pole nearest in the complex plane among those of like shape; None beyond `reach` (relative)."""
-    best, least = None, reach
-    for index, value in enumerate(poles.eigenvalues):
-        distance = abs(value - eigenvalue) / abs(eigenvalue)
-        if distance < least and mac(poles.shapes[index], shape) > 0.8:
-            best, least = index, distance
-    return best
+    distances = np.abs(poles.eigenvalues - eigenvalue) / abs(eigenvalue)
+    near = np.flatnonzero(distances < reach)
+    ordered = near[np.argsort(distances[near], kind="stable")].tolist()
+    return next((index for index in ordered if mac(poles.shapes[index], shape) > 0.8), None)
 
 
 def center(eigenvalues: Complexes, shapes: Complexes) -> tuple[complex, Complexes]:

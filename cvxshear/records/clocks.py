@@ -118,7 +118,12 @@ def _fitted(
     sound = high & (np.abs(tops - line) < step * FINER)
     if np.count_nonzero(sound) < 3:
         return BandClock(float(start), step, agreement, 0.0)
-    slope, middle = np.polyfit(around[sound], tops[sound], 1, w=np.sqrt(heights[sound])).tolist()
+    # The line by weighted least squares; without a slope where a motion that dies leaves weight at one time alone.
+    mean, middle = np.average([around[sound], tops[sound]], axis=1, weights=heights[sound]).tolist()
+    off = heights[sound] * (around[sound] - mean)
+    spread = float(off @ (around[sound] - mean))
+    slope = float(off @ tops[sound]) / spread if spread > 0.0 else 0.0
+    middle -= slope * mean
     fitted = _over_bands(squares[sound], around[sound], middle + slope * around[sound], segments, segments.hit[sound])
     middle, slope = middle + fitted.middle, slope + fitted.slope
     slope_std = float(np.hypot(fitted.slope_std, STEADY / segments.rate / half))
@@ -226,10 +231,13 @@ def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tup
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
     best, without = (-np.inf, 0, 0), (-np.inf, 0)
+    beside, length = np.pad(table, [(0, 0), (most, most)]), table.shape[1]
     for turns in range(-most, most + 1):
-        total = np.zeros(table.shape[1])
-        for row, shift in zip(table, np.round(turns * around / half).astype(int), strict=True):
-            total[max(0, -shift) : len(total) - max(0, shift)] += row[max(0, shift) : len(row) - max(0, -shift)]
+        total = np.zeros(length)
+        for row, first in zip(beside, (most + np.round(turns * around / half).astype(int)).tolist(), strict=True):
+            total += row[first : first + length]
+        if turns and total.max() <= best[0]:
+            continue
         tops = np.flatnonzero((total[1:-1] >= total[:-2]) & (total[1:-1] >= total[2:])) + 1
         if not tops.size:
             continue

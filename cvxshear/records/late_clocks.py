@@ -185,11 +185,13 @@ def _perhaps_drifting(compare: Compare, heard: list[int], names: Mapping[int, st
     """
     if len(heard) < 4:
         return
-    seen = np.array([[0.0 if i == k else compare(i, k).steepest for k in heard] for i in heard])
+    # Of two clocks the second drifts against the first by as much the other way.
+    upper = np.array([[compare(i, k).steepest if i < k else 0.0 for k in heard] for i in heard])
+    seen = upper - upper.T
     for row, place in enumerate(heard):
         slopes = np.delete(seen[row], row)
         slope = float(np.median(slopes))
-        reach = float(np.median([compare(place, k).reach for k in heard if k != place]))
+        reach = float(np.median([compare(min(place, k), max(place, k)).reach for k in heard if k != place]))
         among = np.delete(np.delete(seen, row, axis=0), row, axis=1)[np.triu_indices(len(slopes), 1)]
         least = max(BEYOND_OTHERS * float(np.median(np.abs(among))), LATE / 2 / rate / max(reach, 1e-9))
         alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)

@@ -12,12 +12,13 @@ of the first mode. White noise on the floors would be neither. Where nobody meas
 more state of this kind.
 
 The known excitation is a straight line between samples (first-order hold) and the noise is integrated over a step
-(Van Loan 1978), so that no step is too long.
+over a step, so that no step is too long.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -33,8 +34,9 @@ SETTLED_RICCATI = 1e-13
 """Relative change of a covariance at which the doubling of the Riccati equation ends: it doubles its digits a round, so
 the next change would be rounding."""
 
-MOST_GROWTH = 4.0
-"""Growth of a state backward over a step, as a logarithm, up to which the step is taken whole: two digits are lost."""
+SUMMED_SIZE, SUMMED_POWERS = 0.5, 14
+"""Size of the rates times a part of a step, and how many of their powers are summed over it: the first that is left out
+is below rounding, in the noise's covariance too."""
 
 FORGOTTEN = 1e-10
 """Largest entry of a power of the transition matrix that counts as none: its square is below rounding."""
@@ -105,8 +107,7 @@ class Dynamics:
 
     def driven(self, excitation: Floats) -> Floats:
         """Return what the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
-        lines = excitation[:, 0]
-        driven: Floats = np.column_stack([lines, np.append(lines[1:], lines[-1])]) @ [self.before, self.after]
+        driven: Floats = steps_of(excitation) @ [self.before, self.after]
         return driven
 
     def shown(self, excitation: Floats) -> Floats:
@@ -180,56 +181,118 @@ class Setting:
         return dataclasses.replace(self, floors=np.delete(self.floors, channel))
 
 
+def steps_of(excitation: Floats) -> Floats:
+    """Return q at the beginning and at the end of each step, shape (samples, 2); the last row is not used."""
+    lines = excitation[:, 0]
+    return np.column_stack([lines, np.append(lines[1:], lines[-1])])
+
+
 def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     """Build the discrete state-space model of a frame."""
-    N = len(model.M)
-    estimated, n = not setting.base_measured, setting.states
-    T = transformation(N)
-    restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
-    # In proportion to the motion: a larger one and as much smaller gains must be the same.
-    missed = model.input_gain * np.linalg.solve(setting.mass, T * setting.story_force)
-    rates = np.zeros((n, n))
-    rates[:N, N : 2 * N] = np.eye(N)
-    rates[N : 2 * N, : 2 * N] = restoring
-    rates[N : 2 * N, 2 * N : 3 * N] = missed
-    rates[2 * N : 3 * N, 2 * N : 3 * N] = -setting.corner * np.eye(N)
-    load = np.zeros(n)
-    total = np.zeros((N, n))
-    total[:, : 3 * N] = np.hstack([restoring, missed])
-    through = np.zeros(N)
-    if estimated:
-        rates[N : 2 * N, 3 * N] = -1.0
-        rates[3 * N, 3 * N] = -setting.ground_corner
-    elif setting.force_floor:
-        through = model.input_gain * np.linalg.solve(model.M, np.eye(N)[setting.force_floor - 1])
-        load[N : 2 * N] = through
-    else:
-        load[N : 2 * N] = -model.input_gain
-    density = np.zeros(n)
-    density[2 * N : 3 * N] = 2 * setting.corner * noise.force**2
-    if estimated:
-        density[3 * N] = 2 * setting.ground_corner * noise.ground**2
-    A, before, after, Q = _over_a_step(rates, load, density, setting.step)
-    at = setting.floors - 1
-    seen, direct = total, through
-    if model.bracket is not None:
-        # a'' of a = total x + through p, x' = rates x + load p; p' and p'' are left out: dampers alone pass them on.
-        twice = total @ rates
-        seen = total - model.bracket[:, None] * (twice @ rates)
-        direct = through - model.bracket * (twice @ load)
+    own = _Rates.of(model, noise, setting)
+    A, before, after, Q = (each[0] for each in _over_a_step(own.rates, own.load, own.density, setting.step))
     # One sample's error moves the frame over both steps that it ends and begins.
-    moved = np.zeros(n) if estimated else noise.ground * (before + after)
+    moved = own.ground * (before + after)
     Q_input = np.outer(moved, moved)
-    return Dynamics(
-        A, before, after, Q + Q_input, Q_input, seen[at] * model.gain[at, None], direct[at] * model.gain[at],
-        noise.sensors**2,
-        _outputs(model, total, through, setting),
-    )  # fmt: skip
+    return Dynamics(A, before, after, Q + Q_input, Q_input, own.H, own.direct, own.R, outputs_of(model, noise, setting))
 
 
-def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> Outputs:
-    """Rows of the quantities that a reconstruction reports, `total` and `through` those of the accelerations."""
-    N = len(model.M)
+def dynamics_slopes(
+    centre: tuple[DampedModel, Noise], beside: Sequence[tuple[DampedModel, Noise]], sizes: Floats, setting: Setting
+) -> dict[str, Floats]:
+    """Differentiate the discrete state-space model towards frames beside one, so many units away.
+
+    Returns
+    -------
+    dict of str to ndarray
+        By the names of `Dynamics`, the first dimension that of the directions.
+    """
+    own = _Rates.of(*centre, setting)
+    others = [_Rates.of(*each, setting) for each in beside]
+    slopes = [
+        dataclasses.replace(own, **{
+            each.name: (getattr(other, each.name) - getattr(own, each.name)) / size
+            for each in dataclasses.fields(_Rates)
+        })
+        for other, size in zip(others, sizes, strict=True)
+    ]  # fmt: skip
+    A, before, after, Q = _over_a_step(own.rates, own.load, own.density, setting.step, slopes)
+    moved, ground = before + after, np.array([each.ground for each in slopes])
+    noisy = own.ground * moved[0]
+    crossed = (ground[:, None] * moved[0] + own.ground * moved[1:])[:, :, None] * noisy
+    found = {"A": A[1:], "before": before[1:], "after": after[1:], "Q": Q[1:] + crossed + crossed.swapaxes(1, 2)}
+    return found | {name: np.array([getattr(each, name) for each in slopes]) for name in ("H", "direct", "R")}
+
+
+@dataclass(frozen=True, eq=False)
+class _Rates:
+    """Continuous state-space model x' = rates x + load p + white noise of this density, or its derivative.
+
+    Parameters
+    ----------
+    total, through : ndarray, shapes (N, n) and (N,)
+        Weights of state and excitation in the accelerations.
+    ground : float
+        Standard deviation of the excitation's sensor; 0 where the base acceleration is estimated.
+    """
+
+    rates: Floats
+    load: Floats
+    density: Floats
+    total: Floats
+    through: Floats
+    H: Floats
+    direct: Floats
+    R: Floats
+    ground: float
+
+    @staticmethod
+    def of(model: DampedModel, noise: Noise, setting: Setting) -> _Rates:
+        N = len(model.M)
+        estimated, n = not setting.base_measured, setting.states
+        T = transformation(N)
+        restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
+        # In proportion to the motion: a larger one and as much smaller gains must be the same.
+        missed = model.input_gain * np.linalg.solve(setting.mass, T * setting.story_force)
+        rates = np.zeros((n, n))
+        rates[:N, N : 2 * N] = np.eye(N)
+        rates[N : 2 * N, : 2 * N] = restoring
+        rates[N : 2 * N, 2 * N : 3 * N] = missed
+        rates[2 * N : 3 * N, 2 * N : 3 * N] = -setting.corner * np.eye(N)
+        load = np.zeros(n)
+        total = np.zeros((N, n))
+        total[:, : 3 * N] = np.hstack([restoring, missed])
+        through = np.zeros(N)
+        if estimated:
+            rates[N : 2 * N, 3 * N] = -1.0
+            rates[3 * N, 3 * N] = -setting.ground_corner
+        elif setting.force_floor:
+            through = model.input_gain * np.linalg.solve(model.M, np.eye(N)[setting.force_floor - 1])
+            load[N : 2 * N] = through
+        else:
+            load[N : 2 * N] = -model.input_gain
+        density = np.zeros(n)
+        density[2 * N : 3 * N] = 2 * setting.corner * noise.force**2
+        if estimated:
+            density[3 * N] = 2 * setting.ground_corner * noise.ground**2
+        at = setting.floors - 1
+        seen, direct = total, through
+        if model.bracket is not None:
+            # a'' of a = total x + through p, x' = rates x + load p; p' and p'' are left out: dampers alone pass them
+            # on.
+            twice = total @ rates
+            seen = total - model.bracket[:, None] * (twice @ rates)
+            direct = through - model.bracket * (twice @ load)
+        return _Rates(
+            rates, load, density, total, through, seen[at] * model.gain[at, None], direct[at] * model.gain[at],
+            noise.sensors**2, 0.0 if estimated else noise.ground,
+        )  # fmt: skip
+
+
+def outputs_of(model: DampedModel, noise: Noise, setting: Setting) -> Outputs:
+    """Rows of the quantities that a reconstruction reports."""
+    own, N = _Rates.of(model, noise, setting), len(model.M)
+    total, through = own.total, own.through
     moved = np.eye(N, setting.states)
     above = np.triu(np.ones((N, N)))
     shear, direct = -above @ model.M @ total, -above @ model.M @ through
@@ -246,33 +309,73 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
     return Outputs(np.concatenate(rows), np.concatenate(weights))
 
 
-def _over_a_step(rates: Floats, load: Floats, density: Floats, step: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _over_a_step(
+    rates: Floats, load: Floats, density: Floats, step: float, slopes: Sequence[_Rates] = ()
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Transition, what the excitation at either end of the step adds, and the covariance that white noise leaves.
 
-    The excitation is a straight line in between; the noise is of this density.
+    The excitation is a straight line in between. The first entry of each is the value, the others are derivatives.
+    The powers of the rates are summed over a part of the step, and the part is doubled.
     """
-    n = len(rates)
-    wide = np.zeros((n + 2, n + 2))
+    n, r = len(rates), len(slopes)
+    wide, moved = np.zeros((n + 2, n + 2)), np.zeros((r, n, n + 2))
     wide[:n, :n], wide[:n, n], wide[n, n + 1] = rates, load, 1.0 / step
-    # A mode that dies away within a step grows backward in time, and would swamp the rest. None does so faster than all
-    # together, by the trace.
-    halvings = max(0, int(np.ceil(np.log2(-float(np.trace(rates)) * step / MOST_GROWTH))))
-    both = np.block([[-wide, np.diag(np.append(density, [0.0, 0.0]))], [np.zeros_like(wide), wide.T]])
-    whole = linalg.expm(both * (step / 2**halvings))
-    A = whole[n + 2 :, n + 2 :].T
-    Q = A @ whole[: n + 2, n + 2 :]
+    for each, row in zip(slopes, moved, strict=True):
+        row[:, :n], row[:, n] = each.rates, each.load
+    rows = np.flatnonzero(np.any(moved, axis=(0, 2)))
+    # The states that what moves there reaches: the others' rows stay as they are.
+    near = np.eye(n + 2, dtype=bool)[rows].any(axis=0)
+    while (further := near | (wide[:, near] != 0).any(axis=1)).sum() > near.sum():
+        near = further
+    live = np.flatnonzero(near)
+    within = np.searchsorted(live, rows)
+    flat = moved[:, rows].reshape(-1, n + 2)
+    size = float(linalg.norm(linalg.matrix_balance(wide, permute=False)[0], 1)) * step
+    halvings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / SUMMED_SIZE))))
+    part = step / 2**halvings
+    noisy = np.flatnonzero(density)
+    power, turned, between = np.eye(n + 2), np.zeros((len(live), r, n + 2)), wide[np.ix_(live, live)]
+    powers, noisy_slopes, summed = [power], [turned[..., noisy]], turned
+    for k in range(1, SUMMED_POWERS):
+        turned = (between @ turned.reshape(len(live), r * (n + 2))).reshape(turned.shape)
+        turned[within] += (flat @ power).reshape(r, len(rows), n + 2).swapaxes(0, 1)
+        turned *= part / k
+        power = wide @ power * (part / k)
+        powers.append(power)
+        noisy_slopes.append(turned[..., noisy])
+        summed = summed + turned
+    A, dA = sum(powers[1:], powers[0]), np.zeros((r, n + 2, n + 2))
+    dA[:, live] = summed.swapaxes(0, 1)
+    # The integral of two powers over the part.
+    order = np.repeat(np.arange(SUMMED_POWERS), len(noisy))
+    weights = part / (order[:, None] + order + 1.0) * np.tile(np.eye(len(noisy)), (SUMMED_POWERS, SUMMED_POWERS))
+    left = np.concatenate([each[:n, noisy] for each in powers], axis=1)
+    left_slopes = np.concatenate(noisy_slopes, axis=2)
+    spread = weights * np.tile(density[noisy], SUMMED_POWERS) @ left.T
+    half = np.zeros((r, n, n))
+    half[:, live] = (left_slopes @ spread).swapaxes(0, 1)
+    Q, dQ = left @ spread, half + half.swapaxes(1, 2)
+    for place, each in enumerate(slopes):
+        if np.any(each.density):
+            dQ[place] += left @ (weights * np.tile(each.density[noisy], SUMMED_POWERS)) @ left.T
     for _ in range(halvings):
-        Q, A = Q + A @ Q @ A.T, A @ A
-    after = A[:n, n + 1]
-    return A[:n, :n], A[:n, n] - after, after, 0.5 * (Q + Q.T)[:n, :n]
+        core, dcore = A[:n, :n], dA[:, :n, :n]
+        half = dcore @ (Q @ core.T)
+        dQ = dQ + core @ dQ @ core.T + half + half.swapaxes(1, 2)
+        Q = Q + core @ Q @ core.T
+        A, dA = A @ A, dA @ A + A @ dA
+    both, covariances = np.concatenate([A[None], dA]), np.concatenate([Q[None], dQ])
+    after = both[:, :n, n + 1]
+    return both[:, :n, :n], both[:, :n, n] - after, after, 0.5 * (covariances + covariances.swapaxes(1, 2))
 
 
 def doubled(A: Floats, Q: Floats) -> Floats:
     """P = A P A' + Q of a stable A and one or several symmetric Q, by doubling the number of steps."""
     P, power = Q, A
     for _ in range(MOST_DOUBLINGS):
-        more = power @ P @ power.T
-        P = P + more
+        # One large product at a time, of all of them: A P A' is the transpose of P A' times A'.
+        half = (P.reshape(-1, len(A)) @ power.T).reshape(P.shape).swapaxes(-1, -2)
+        P = P + (half.reshape(-1, len(A)) @ power.T).reshape(P.shape)
         power = power @ power
         if np.max(np.abs(power)) <= FORGOTTEN:
             break
@@ -310,46 +413,42 @@ BLOCK = 64
 """Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
 
 
-def recursion(F: Floats, inputs: Floats, start: Floats, rows: Floats | None = None) -> Floats:
-    """x_0 = start, x_(t+1) = F x_t + inputs_t, by products of large matrices where there are many samples.
+def recursion(F: Floats, B: Floats, signals: Floats, start: Floats) -> Floats:
+    """x_0 = start, x_(t+1) = F x_t + B' s_t, by products of large matrices where there are many samples.
 
-    All blocks of samples are first gone through from zero, side by side; what the state at each block's beginning adds
-    follows from powers of F. The precision is that of the inputs.
+    The states at the beginnings of blocks of samples are found first, then all blocks are gone through side by side.
 
     Parameters
     ----------
     F : ndarray, shape (n, n)
-    inputs : ndarray, shape (samples, ..., n)
-        The last row is not used. Dimensions between are those of recursions side by side.
+    B : ndarray, shape (k, n)
+    signals : ndarray, shape (samples, k)
+        The last row is not used.
     start : ndarray, shape (n,)
-    rows : ndarray, shape (k, n), optional
-        Combinations of the state that are returned in its place.
 
     Returns
     -------
-    ndarray, shape (samples, ..., n) or (samples, ..., k)
+    ndarray, shape (samples, n)
     """
-    samples, *beside, n = inputs.shape
-    turned = F.T.astype(inputs.dtype)
-    seen = np.eye(n, dtype=inputs.dtype) if rows is None else rows.T.astype(inputs.dtype)
+    (samples, k), n, turned = signals.shape, len(F), np.ascontiguousarray(F.T)
     block = BLOCK if samples >= LONG else 1
     blocks = -(-samples // block)
-    if blocks * block > samples:
-        inputs = np.concatenate([inputs, np.zeros((blocks * block - samples, *beside, n), dtype=inputs.dtype)])
-    cut = inputs.reshape(blocks, block, -1, n)
-    result = np.empty((*cut.shape[:3], seen.shape[1]), dtype=inputs.dtype)
-    local = np.zeros_like(cut[:, 0])
-    for j in range(block):
-        flat = local.reshape(-1, n)
-        result[:, j] = (flat if rows is None else flat @ seen).reshape(result[:, j].shape)
-        local = (flat @ turned).reshape(local.shape)
-        local += cut[:, j]
-    leap, state = np.linalg.matrix_power(F.T, block), np.broadcast_to(start, cut.shape[2:])
-    starts = np.empty_like(local)
-    for begun, end in zip(starts, local, strict=True):
+    cut = np.zeros((blocks * block, k))
+    cut[:samples] = signals
+    cut = cut.reshape(blocks, block, k)
+    reach = [B]
+    for _ in range(block - 1):
+        reach.append(reach[-1] @ turned)
+    added = cut.reshape(blocks, -1) @ np.concatenate(reach[::-1])
+    leap, state = np.linalg.matrix_power(turned, block), start
+    states = np.empty((blocks, n))
+    for begun, end in zip(states, added, strict=True):
         begun[...] = state
         state = state @ leap + end
+    result = np.empty((blocks, block, n))
     for j in range(block):
-        result[:, j] += starts @ seen
-        seen = turned @ seen
-    return result.reshape(blocks * block, *beside, -1)[:samples]
+        result[:, j] = states
+        if j + 1 < block:
+            states = states @ turned
+            states += cut[:, j] @ B
+    return result.reshape(-1, n)[:samples]

@@ -16,12 +16,21 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.records.motion import Drive
 from cvxshear.response.damped import DampedModel, Response, response
-from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics
+from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics, dynamics_slopes, outputs_of
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior
-from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Stretch
+from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, SIDE_BY_SIDE, PredictionErrors, Stretch
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
-from cvxshear.response.smoother import SWEPT_AT_ONCE, Observed, Piece, Smoothed, settled_states, smooth
+from cvxshear.response.smoother import (
+    SWEPT_AT_ONCE,
+    Observed,
+    Piece,
+    Smoothed,
+    Steady,
+    settled_slopes,
+    settled_states,
+    smooth,
+)
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import NoModesError
@@ -39,6 +48,9 @@ MOVED_ALIKE = 1e-3
 
 PROBED_SAMPLES = 1000
 """Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
+
+NEAR_STD = 1e-3
+"""Standard deviations of the frame over which its matrices are differentiated."""
 
 MOST_DIRECTIONS = 8
 CARRIED_SHARE = 0.995
@@ -165,8 +177,9 @@ class FrameMotion:
                 for run, found in zip(self.recording.runs, smoothed, strict=True)
             ]
             lines = self.recording.lines(shown)
-            work = dataclasses.replace(self, recording=self.recording.less(lines))
-            smoothed = work.smoothed(errors, fitted.p)
+            if any(np.any(line) for line in lines):
+                work = dataclasses.replace(self, recording=self.recording.less(lines))
+                smoothed = work.smoothed(errors, fitted.p)
         if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):
             return work, fitted, smoothed
         for _ in range(MOST_REFITS):
@@ -290,7 +303,10 @@ class FrameMotion:
         noise = fitted.errors.noise_at(fitted.p)
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
         part = run.strongest(PROBED_SAMPLES)
-        excitation, y, start = run.excitation[part], run.y[part], np.zeros(len(run.start))
+        filtered = Steady.of(fitted.errors.dynamics(fitted.p).seen_by(run.channels))
+        # A frame that is taken to be at rest amid the motion would have other directions.
+        start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
+        excitation, y = run.excitation[part], run.seen[part]
 
         def model_at(weights: Floats, size: float) -> DampedModel:
             p = fitted.p.copy()
@@ -300,16 +316,21 @@ class FrameMotion:
         def either_side(weights: Floats, size: float) -> tuple[DampedModel, DampedModel]:
             return model_at(weights, size), model_at(weights, -size)
 
-        def moved(model: DampedModel) -> Floats:
-            system = dynamics(model, noise, self.setting)
-            states = settled_states(system, excitation, y, start, [(slice(0, len(y)), run.channels)])
-            return system.outputs.of(states, excitation)
-
-        centre = moved(fitted.model)
-        scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        # A tenth of a standard deviation: the directions are needed to first order only.
-        near = [_with_modes(partial(model_at, row), 0.1) for row in np.eye(len(own))]
-        slopes = np.array([((moved(model) - centre) / scale / size).astype(SHORT) for model, size in near])
+        near = [_with_modes(partial(model_at, row), NEAR_STD) for row in np.eye(len(own))]
+        sizes = np.array([size for _, size in near])
+        rates = dynamics_slopes((fitted.model, noise), [(model, noise) for model, _ in near], sizes, self.setting)
+        rates |= {name: rates[name][:, run.channels] for name in ("H", "direct")}
+        outputs, parts = filtered.model.outputs, []
+        for first in range(0, len(near), SIDE_BY_SIDE):
+            beside = slice(first, first + SIDE_BY_SIDE)
+            some = {name: each[beside] for name, each in rates.items()}
+            states, moved = settled_slopes(filtered, some, excitation, y, start)
+            centre = outputs.of(states, excitation)
+            scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
+            for (model, size), turned in zip(near[beside], moved.swapaxes(0, 1), strict=True):
+                other = outputs_of(model, noise, self.setting).of(states, excitation)
+                parts.append((((other - centre) / size + turned @ outputs.rows.T) / scale).astype(SHORT))
+        slopes = np.array(parts)
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
         order = np.argsort(-strength)

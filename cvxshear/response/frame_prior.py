@@ -410,7 +410,7 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     Sets of each size grow from the best of the size before. All sizes of the form's errors, of the scatter of the
     stories, and of what the masses changed by, are equally probable beforehand.
     """
-    single, log_odds, one_sided = range(len(prior.single)), prior.log_odds.tolist(), prior.one_sided
+    single, log_odds, one_sided = range(len(prior.single)), prior.log_odds, prior.one_sided
     scores: dict[Widths, float] = {}
     changes = np.eye(len(p))[:, prior.single] * prior.single_std
     for widths in itertools.product(FORM_STDS, SCATTER_STDS, prior.mass_stds, prior.gain_stds):
@@ -421,10 +421,8 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
             if size:
                 pairs = itertools.product(level, single)
                 grown = sorted({tuple(sorted({*base, other})) for base, other in pairs if other not in base})
-            own = {
-                each: score + sum(log_odds[at] for at in each)
-                for each, score in zip(grown, evidence.of(grown, one_sided).tolist(), strict=True)
-            }
+            odds = log_odds[np.array(grown, dtype=np.int64)].sum(axis=1)
+            own = dict(zip(grown, (evidence.of(grown, one_sided) + odds).tolist(), strict=True))
             scores |= {(each, *widths): score for each, score in own.items()}
             level = sorted(own, key=own.__getitem__, reverse=True)[:KEPT_SETS]
     best = max(scores.values())

@@ -16,13 +16,13 @@ expected curvature (Fisher scoring), so that a Gauss-Newton step stays one least
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.response.damped import DampedModel
-from cvxshear.response.dynamics import BLOCK, SHORT, Dynamics, Noise, Setting, doubled, dynamics, recursion
+from cvxshear.response.dynamics import BLOCK, SHORT, Dynamics, Noise, Setting, doubled, dynamics, dynamics_slopes
 from cvxshear.response.smoother import SWEPT_AT_ONCE, Steady
 from cvxshear.response.varied_frame import GAIN_UNIT, VariedFrame
 from cvxshear.util.errors import NoModesError
@@ -72,8 +72,9 @@ is that of 1 %, which the modes of those frames tell."""
 DIFFERENCE = 1e-5
 """Step of the unknowns by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
 
-SIDE_BY_SIDE = 8
-"""Derivatives that are run with the filter at once: products of small matrices wait for the memory otherwise."""
+SIDE_BY_SIDE = 32
+"""Derivatives that are run with the filter at once: of fewer the loop over the samples takes longer than its products,
+of more their memory is large."""
 
 LOST_DIGITS = 1e-13
 """What rounding leaves of a sum of squares, relative to it, of a hundred unknowns."""
@@ -320,18 +321,20 @@ class PredictionErrors:
 
     def _rows(self, p: Floats, columns: Floats) -> list[_Rows]:
         """Return the residuals and their derivatives along some directions."""
-        model = self.dynamics(p)
-        rates = [self._rates(model, p, column) for column in columns.T]
+        sizes = DIFFERENCE / np.maximum(1.0, np.max(np.abs(columns), axis=0))
+        moved = p + sizes[:, None] * columns.T
+        beside = [(self.model(each), self.noise_at(each)) for each in moved]
+        rates = dynamics_slopes((self.model(p), self.noise_at(p)), beside, sizes, self.setting)
         return [part for here, runs in self._filtered(p) for part in self._rows_of(here, runs, rates)]
 
-    def _rows_of(self, here: Steady, runs: Sequence[Stretch], rates: Sequence[dict[str, Floats]]) -> list[_Rows]:
+    def _rows_of(self, here: Steady, runs: Sequence[Stretch], rates: Mapping[str, Floats]) -> list[_Rows]:
         """Return the rows of the stretches in which the same sensors recorded.
 
         One part a stretch, and one of log det S and the states at the beginnings.
         """
         whitening = np.linalg.inv(np.linalg.cholesky(here.S))
-        slopes = self._slopes(here, rates, runs[0].channels, whitening)
-        m, at_rest = len(whitening), np.zeros(len(here.P))
+        slopes = _Slopes.of(here, rates, runs[0].channels, whitening)
+        m = len(whitening)
         parts: list[_Rows] = []
         begun: list[Floats] = []
         mean, samples = np.zeros((m, m)), sum(len(run.y) for run in runs)
@@ -339,21 +342,13 @@ class PredictionErrors:
             x, e = here.predicted(run.excitation, run.seen, run.start)
             seen = run.seen - here.model.shown(run.excitation)
             following = np.append(run.excitation[1:, 0], run.excitation[-1, 0])
-            signals = np.column_stack([x, seen, run.excitation, following]).astype(SHORT)
-            J = np.empty((len(e), m, len(slopes)), dtype=SHORT)
-            for first in range(0, len(slopes), SIDE_BY_SIDE):
-                some = slopes[first : first + SIDE_BY_SIDE]
-                inputs = (signals @ np.hstack([slope.inputs for slope in some])).reshape(len(e), len(some), -1)
-                moved = recursion(here.F, inputs, at_rest, whitening @ here.model.H)
-                moved += (signals @ np.hstack([slope.outputs for slope in some])).reshape(moved.shape)
-                J[:, :, first : first + len(some)] = -moved.swapaxes(1, 2)
-            J = J.reshape(e.size, len(slopes))
+            J = slopes.moved(x, np.column_stack([seen, run.excitation, following]))
             white = e @ whitening.T
             if run.spread is not None:
                 # The state at the beginning goes along with every change of the frame: variable projection.
                 free = _free(here, run, whitening)
                 normal = np.eye(free.shape[1]) + free.T @ free
-                both = np.linalg.solve(normal, free.T @ np.column_stack([J, white.ravel()]))
+                both: Floats = np.asarray(np.linalg.solve(normal, _crossed(free, J, white.ravel())))
                 turned, moved = both[:, :-1], both[:, -1]
                 white -= (free @ moved).reshape(white.shape)
                 J -= free.astype(SHORT) @ turned.astype(SHORT)
@@ -363,7 +358,7 @@ class PredictionErrors:
         root = np.sqrt(samples / 2)
         # J'r of these rows is half the gradient of T log det S + sum e' S^-1 e by S.
         r = [root * (np.eye(m) - mean / samples).ravel(), *(both[:, -1] for both in begun)]
-        R = [np.array([slope.S.ravel() for slope in slopes]).T * root, *(both[:, :-1] for both in begun)]
+        R = [slopes.S.reshape(len(slopes.S), -1).T * root, *(both[:, :-1] for both in begun)]
         return [*parts, _Rows(np.concatenate(R), np.concatenate(r), 0)]
 
     def _inflation(self, parts: Sequence[_Rows], rows: int) -> float:
@@ -385,50 +380,19 @@ class PredictionErrors:
         # Where the frame is not fitted there are none.
         return 1.0 if not rows else max(1.0, float(np.mean(spread / np.maximum(curvature, 1e-300))))
 
-    def _slopes(
-        self, here: Steady, rates: Sequence[dict[str, Floats]], channels: Bools, whitening: Floats
-    ) -> list[_Slope]:
-        """Differentiate the filter's matrices along each direction.
-
-        That of the covariance P solves dP = F dP F' + G, in which the gain counts as constant, since it is optimal.
-        """
-        model, K, F, P = here.model, here.K, here.F, here.P
-        own = {"H", "R", "direct"}
-        rates = [{name: d[channels] if name in own else d for name, d in each.items()} for each in rates]
-        turned = np.array([each["A"] - K @ each["H"] for each in rates]) @ P @ F.T
-        G = turned + turned.swapaxes(1, 2)
-        G += np.array([(K * each["R"]) @ K.T + each["Q"] for each in rates])
-        inverse = np.linalg.inv(here.S)
-        slopes = []
-        for each, dP in zip(rates, doubled(F, G), strict=True):
-            dA, dH, direct = each["A"], each["H"], each["direct"]
-            crossed = dH @ P @ model.H.T
-            dS = crossed + crossed.T + model.H @ dP @ model.H.T + np.diag(each["R"])
-            dK = (dA @ P @ model.H.T + model.A @ (dP @ model.H.T + P @ dH.T) - K @ dS) @ inverse
-            # y - D p changes by -D' p, which the gain turns into a change of the state.
-            inputs = np.vstack([(dA - dK @ model.H - K @ dH).T, dK.T, each["before"], -K @ direct, each["after"]])
-            nothing = np.zeros((len(direct), 1))
-            outputs = whitening @ np.hstack([dH, np.zeros_like(here.S), nothing, direct[:, None], nothing])
-            slopes.append(_Slope(inputs.astype(SHORT), outputs.T.astype(SHORT), whitening @ dS @ whitening.T))
-        return slopes
-
-    def _rates(self, here: Dynamics, p: Floats, column: Floats) -> dict[str, Floats]:
-        """Differentiate the state-space model's matrices along one direction."""
-        step = DIFFERENCE / max(1.0, float(np.max(np.abs(column))))
-        there = self.dynamics(p + step * column)
-        names = ("A", "H", "R", "Q", "direct", "before", "after")
-        return {name: (getattr(there, name) - getattr(here, name)) / step for name in names}
-
 
 def _products(parts: Sequence[_Rows]) -> Floats:
     """Products of derivatives and residuals with each other over all rows, shape (r + 1, r + 1)."""
-    size = parts[0].J.shape[1] + 1
-    total = np.zeros((size, size))
-    for part in parts:
-        for first in range(0, len(part.r), SWEPT_AT_ONCE):
-            chosen = slice(first, first + SWEPT_AT_ONCE)
-            rows = np.column_stack([part.J[chosen], part.r[chosen]])
-            total += rows.T @ rows
+    return np.asarray(sum(_crossed(None, part.J, part.r) for part in parts))
+
+
+def _crossed(left: Floats | None, J: Floats, r: Floats) -> Floats:
+    """Products of rows, or of [J, r] itself, with [J, r], in double precision some samples at a time."""
+    total: Floats = np.zeros(1)
+    for first in range(0, len(r), SWEPT_AT_ONCE):
+        chosen = slice(first, first + SWEPT_AT_ONCE)
+        rows = np.column_stack([J[chosen], r[chosen]])
+        total = total + (rows if left is None else left[chosen]).T @ rows
     return total
 
 
@@ -464,18 +428,110 @@ class _Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class _Slope:
-    """Derivatives along one direction.
+class _Slopes:
+    """Derivatives of a filter x+ = x F + s B with the whitened innovations -(x C + s D), rows of r directions.
 
     Parameters
     ----------
-    inputs, outputs : ndarray, shapes (n + m + 3, n) and (n + m + 3, m)
-        By which states, sensors, the excitation (q and p) and q at the end of a step change the state and the whitened
-        innovations.
-    S : ndarray, shape (m, m)
+    F, B, C : ndarray, shapes (n, n), (k, n) and (n, m)
+        The filter; its k signals are the sensors, the excitation (q and p) and q at the end of a step.
+    dF, dB, dC, dD : ndarray, shapes (r, n, n), (r, k, n), (r, n, m) and (r, k, m)
+    S : ndarray, shape (r, m, m)
         Of the innovations' covariance, whitened.
     """
 
-    inputs: Floats
-    outputs: Floats
+    F: Floats
+    B: Floats
+    C: Floats
+    dF: Floats
+    dB: Floats
+    dC: Floats
+    dD: Floats
     S: Floats
+
+    @staticmethod
+    def of(here: Steady, rates: Mapping[str, Floats], channels: Bools, whitening: Floats) -> _Slopes:
+        """Differentiate the filter's matrices.
+
+        The derivative of the covariance P solves dP = F dP F' + G, in which the gain counts as constant, since it is
+        optimal.
+        """
+        model, K, F, P = here.model, here.K, here.F, here.P
+        dA, dH, dR, direct = rates["A"], rates["H"][:, channels], rates["R"][:, channels], rates["direct"][:, channels]
+        turned = (dA - K @ dH) @ P @ F.T
+        G = turned + turned.swapaxes(1, 2) + (K * dR[:, None]) @ K.T + rates["Q"]
+        dP = doubled(F, G)
+        crossed, across = dH @ P @ model.H.T, dP @ model.H.T
+        dS = crossed + crossed.swapaxes(1, 2) + model.H @ across + dR[:, None] * np.eye(len(K.T))
+        dK = dA @ P @ model.H.T + model.A @ (across + P @ dH.swapaxes(1, 2)) - K @ dS
+        dK = dK @ np.linalg.inv(here.S)
+        m, nothing = len(K.T), np.zeros(len(F))
+        B = np.vstack([K.T, model.before, nothing, model.after])
+        # y - D p changes by -D' p, which the gain turns into a change of the state.
+        dB = np.concatenate(
+            [dK.swapaxes(1, 2), rates["before"][:, None], -(direct @ K.T)[:, None], rates["after"][:, None]], axis=1
+        )
+        dD = np.zeros((len(dA), m + 3, m))
+        dD[:, m + 1] = direct @ whitening.T
+        dF = (dA - dK @ model.H - K @ dH).swapaxes(1, 2)
+        return _Slopes(
+            F.T, B, (whitening @ model.H).T, dF, dB, (whitening @ dH).swapaxes(1, 2), dD, whitening @ dS @ whitening.T
+        )
+
+    def moved(self, x: Floats, signals: Floats) -> Floats:
+        """Differentiate the whitened innovations of all samples, shape (samples m, r).
+
+        A block of samples follows from the state at its beginning and its signals by one product.
+        """
+        (samples, k), (n, m), r = signals.shape, self.C.shape, len(self.dF)
+        # So many samples a block make these products smallest.
+        block = 2 ** max(0, round(float(np.log2(n / np.sqrt(k * m)))))
+        blocks = -(-samples // block)
+        own = np.zeros((blocks * block, k))
+        own[:samples] = signals
+        begun = np.hstack([x[::block], own.reshape(blocks, -1)]).astype(SHORT)
+        maps, shown, leap = self._over(block)
+        J = np.empty((blocks, block * m, r), dtype=SHORT)
+        for first in range(0, r, SIDE_BY_SIDE):
+            some = maps[:, first : first + SIDE_BY_SIDE]
+            parts = (begun @ some.reshape(len(some), -1)).reshape(blocks, *some.shape[1:])
+            starts, state = np.zeros((blocks, some.shape[1], n), dtype=SHORT), np.zeros((some.shape[1], n))
+            for place, end in zip(starts, parts[:, :, block * m :], strict=True):
+                place[...] = state
+                state = state @ leap + end
+            J[:, :, first : first + SIDE_BY_SIDE] = -(parts[:, :, : block * m] + starts @ shown).swapaxes(1, 2)
+        return J.reshape(-1, r)[: samples * m]
+
+    def _over(self, block: int) -> tuple[Floats, Floats, Floats]:
+        """Differentiate the filter over a block of samples.
+
+        Returns
+        -------
+        ndarray, shape (n + block k, r, block m + n)
+            What the state at the beginning and the signals add to the derivatives of the innovations, less their sign,
+            and of the state at the end.
+        ndarray, shape (n, block m)
+            What the derivative of the state at the beginning adds to those of the innovations.
+        ndarray, shape (n, n)
+            And to that of the state at the end.
+        """
+        (n, m), (r, k) = self.C.shape, self.dB.shape[:2]
+        maps = np.zeros((n + block * k, r, block * m + n), dtype=SHORT)
+        shown, dshown, driven, ddriven = [self.C], self.dC, self.B, self.dB
+        between = [self.dD.swapaxes(0, 1)]
+        for j in range(block):
+            maps[:n, :, j * m : (j + 1) * m] = dshown.swapaxes(0, 1)
+            # From the signals of a sample to the innovations j later, and from those of j before the last to the end.
+            for i in range(block - j):
+                maps[n + i * k : n + (i + 1) * k, :, (i + j) * m : (i + j + 1) * m] = between[j]
+            last = n + (block - 1 - j) * k
+            maps[last : last + k, :, block * m :] = ddriven.swapaxes(0, 1)
+            between.append((self.dB @ shown[j] + self.B @ dshown).swapaxes(0, 1))
+            dshown, ddriven = self.dF @ shown[j] + self.F @ dshown, ddriven @ self.F + driven @ self.dF
+            shown.append(self.F @ shown[j])
+            driven = driven @ self.F
+        power, dpower = self.F, self.dF
+        for _ in range(block.bit_length() - 1):
+            power, dpower = power @ power, dpower @ power + power @ dpower
+        maps[:n, :, block * m :] = dpower.swapaxes(0, 1)
+        return maps, np.concatenate(shown[:block], axis=1).astype(SHORT), power

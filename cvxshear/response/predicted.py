@@ -33,7 +33,7 @@ from cvxshear.response.sources import (
     state_remarks,
 )
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
-from cvxshear.util.quantities import listed, percent
+from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
@@ -342,6 +342,10 @@ def _remarks(after: Side, motion: Motion) -> list[str]:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if not motion.floors.size:
         said.append("the record has no accelerations of floors to compare with")
+    recorded = [each.responses for each in motion.drives if each.responses is not None]
+    gaps = [~np.isfinite(each).all(axis=0) for each in recorded]
+    if gaps and (beside := motion.floors[np.any(gaps, axis=0)].tolist()):
+        said.append(f"samples of {numbered('floor', beside)} are missing: not compared here; reconstruct takes gaps")
     if after.comparison is not None and after.comparison.shifts:
         shifts = "; ".join(str(shift) for shift in after.comparison.shifts)
         said.append(

@@ -6,7 +6,6 @@ of is done to the whole record, gaps and all.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -122,10 +121,11 @@ class SensorRecord:
         )
         most = max(stories, *(each.floor for each in self.channels))
         record = TimeRecord(self.channels, stories=most, runs=runs, sampling_rate=self.sampling_rate, input=self.input)
-        findings = examined(record).findings
-        # A motion whose modes cannot be found, a short one say, is judged without them.
-        with contextlib.suppress(NoSolutionError, InputError):
+        try:
             findings = identify_modes(record, accept_swapped=True).findings
+        except (NoSolutionError, InputError):
+            # A motion whose modes cannot be found, a short one say, is judged without them.
+            findings = examined(record).findings
         return [each for each in findings if each.kind in (*SAID, "spikes")]
 
     def _less(self, findings: Sequence[Finding], pieces: Sequence[tuple[int, slice]]) -> SensorRecord:

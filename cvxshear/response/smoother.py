@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_covariance
+from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_covariance, steps_of
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SPIKE = 5.0
@@ -193,7 +193,7 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
             if not settled and passed >= LEAST_TRANSIENT and last - t > LEAST_TRANSIENT:
                 if passed == LEAST_TRANSIENT:
                     limit = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
-                if passed == MOST_TRANSIENT or _near(np.diag(P), np.diag(limit)):
+                if passed == MOST_TRANSIENT or _near(P.diagonal(), limit.diagonal()):
                     # What is left of the change is slow and small; the filter has its limit from here on.
                     P = limit
             elif settled:
@@ -218,32 +218,39 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     """Smoothed states and innovations in standard deviations: forward, then back."""
     y = np.nan_to_num(run.measured) - model.shown(run.excitation)
     y = np.where(weights > 0, y, 0.0)
-    # What the excitation adds to each state, overwritten by what each sample pulls at the states.
-    pulled = model.driven(run.excitation)
-    predicted, innovations = np.empty_like(pulled), np.empty_like(y)
+    signals = np.hstack([y, steps_of(run.excitation)])
+    # The prediction, to which the sweep back adds what comes later.
+    states, e = np.empty((len(y), len(model.A))), np.empty_like(y)
+    innovations = np.empty_like(y)
     stretches = list(_constant(which))
     x = np.zeros(len(model.A))
     for first, last, at in stretches:
         gain, part = gains[at], slice(first, last)
-        F = gain.transition
-        inputs = pulled[part] + y[part] @ gain.K.T
-        predicted[part] = recursion(F, inputs, x)
-        x = F @ predicted[last - 1] + inputs[-1]
-        e = y[part] - predicted[part] @ gain.H.T
-        innovations[part] = e / gain.innovation_std
-        pulled[part] = e @ (gain.inverse_S @ gain.H)
-    # r_(t-1) = H' S^-1 e_t + F' r_t, from zero after the last sample; what pulls each sample is overwritten by it.
+        F, B = gain.transition, np.vstack([gain.K.T, model.before, model.after])
+        states[part] = recursion(F, B, signals[part], x)
+        x = F @ states[last - 1] + signals[last - 1] @ B
+        e[part] = y[part] - states[part] @ gain.H.T
+        innovations[part] = e[part] / gain.innovation_std
     r = np.zeros(len(model.A))
     for first, last, at in reversed(stretches):
-        F = gains[at].transition
-        # What follows each sample; its own pull is still to be added.
-        swept = recursion(F.T, pulled[first:last][::-1], r)[::-1]
-        pulled[first:last] += swept @ F
-        r = pulled[first]
-    states = predicted
-    for first, last, at in stretches:
-        states[first:last] += pulled[first:last] @ gains[at].P
+        gain = gains[at]
+        pulls = pulled(gain.transition, gain.inverse_S @ gain.H, e[first:last], r)
+        states[first:last] += pulls @ gain.P
+        r = pulls[0]
     return states, np.where(weights > 0, innovations, np.nan)
+
+
+def pulled(F: Floats, B: Floats, e: Floats, r: Floats) -> Floats:
+    """r_(t-1) = H' S^-1 e_t + F' r_t, what pulls at each state of a stretch, shape (samples, n).
+
+    Parameters
+    ----------
+    B : ndarray, shape (m, n)
+        S^-1 H.
+    r : ndarray, shape (n,)
+        What comes after the stretch.
+    """
+    return recursion(F.T, B, np.concatenate([e[::-1], np.zeros((1, e.shape[1]))]), r)[:0:-1]
 
 
 def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
@@ -264,7 +271,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
         t, limit = last - 1, None
         while t >= first:
             following = own + F.T @ N @ F
-            change = np.max(np.abs(np.diag(following) - np.diag(N)) * scale**2)
+            change = np.max(np.abs(following.diagonal() - N.diagonal()) * scale**2)
             N = 0.5 * (following + following.T)
             variance = plain - np.sum((spread @ N) * spread, axis=1)
             result[t] = np.sqrt(np.maximum(variance, 0.0))
@@ -272,7 +279,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
             passed = last - 1 - t
             if passed == LEAST_TRANSIENT and t - first > LEAST_TRANSIENT:
                 limit = doubled(F.T, own)
-            if limit is not None and (passed == MOST_TRANSIENT or _near(np.diag(N), np.diag(limit))):
+            if limit is not None and (passed == MOST_TRANSIENT or _near(N.diagonal(), limit.diagonal())):
                 # The stretch is taken as settled from here back to its beginning.
                 N, change = limit, 0.0
                 variance = plain - np.sum((spread @ N) * spread, axis=1)
@@ -313,13 +320,17 @@ class Steady:
         F: Floats = model.A - K @ model.H
         return Steady(model, P, np.asarray(S), np.asarray(K, dtype=np.float64), F)
 
+    @property
+    def pull(self) -> Floats:
+        """S^-1 H, shape (m, n)."""
+        return np.asarray(np.linalg.solve(self.S, self.model.H), dtype=np.float64)
+
     def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
         """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""
         model = self.model
         seen = y - model.shown(excitation)
-        inputs = model.driven(excitation)
-        inputs += seen @ self.K.T
-        x = recursion(self.F, inputs, start)
+        B = np.vstack([self.K.T, model.before, model.after])
+        x = recursion(self.F, B, np.hstack([seen, steps_of(excitation)]), start)
         return x, seen - x @ model.H.T
 
 
@@ -357,8 +368,57 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
     r = np.zeros(len(model.A))
     for (part, channels), e in zip(reversed(pieces), reversed(left), strict=True):
         own = filters[channels.tobytes()]
-        pulled = e @ np.linalg.solve(own.S, own.model.H)
-        pulled += recursion(own.F.T, pulled[::-1], r)[::-1] @ own.F
-        x[part] += pulled @ own.P
-        r = pulled[0]
+        pulls = pulled(own.F, own.pull, e, r)
+        x[part] += pulls @ own.P
+        r = pulls[0]
     return x
+
+
+def settled_slopes(
+    own: Steady, rates: Mapping[str, Floats], excitation: Floats, y: Floats, start: Floats
+) -> tuple[Floats, Floats]:
+    """Smoothed states of a settled filter, and their derivatives along some directions of the model.
+
+    States x and multipliers r solve x+ = A x + driven + Q r+ and r = A' r+ + H' R^-1 (y - D p - H x), a system that is
+    linear in both: their derivatives solve it with other right-hand sides, by the same gain.
+
+    Parameters
+    ----------
+    rates : mapping of str to ndarray
+        Derivatives of the matrices by their names, those of the sensors that recorded; the noise of these stays.
+    excitation, y, start
+        As for `settled_states`, of the sensors that recorded.
+
+    Returns
+    -------
+    ndarray, shape (samples, n)
+    ndarray, shape (samples, directions, n)
+    """
+    model, F, steps = own.model, own.F, steps_of(excitation)
+    x, e = own.predicted(excitation, y, start)
+    B = own.pull
+    multipliers = np.concatenate([pulled(F, B, e, np.zeros(len(F))), np.zeros((1, len(F)))])
+    x += multipliers[:-1] @ own.P
+    r = multipliers[1:]
+    left = (y - model.shown(excitation) - x @ model.H.T) / model.R
+    dA, dH, direct = rates["A"], rates["H"], rates["direct"]
+    weighted, shape = model.H / model.R[:, None], (len(x), len(dA), len(F))
+    forward = [dA.swapaxes(1, 2), rates["Q"], rates["before"][:, None], rates["after"][:, None]]
+    dx = np.hstack([x, r, steps]) @ np.concatenate(forward, axis=1).swapaxes(0, 1).reshape(-1, len(dA) * len(F))
+    back = [dA, dH, -dH.swapaxes(1, 2) @ weighted, -direct[:, None] @ weighted]
+    signals = np.hstack([r, left, x, excitation[:, 1:]])
+    dr = signals @ np.concatenate(back, axis=1).swapaxes(0, 1).reshape(-1, len(dA) * len(F))
+    # Forward over the samples, then back, all directions side by side.
+    dx, dr = dx.reshape(-1, len(F)), dr.reshape(-1, len(F))
+    dx += dr @ (F @ own.P).T
+    dr -= dr @ own.P @ model.H.T @ B
+    state = np.zeros(shape[1:])
+    for row in dx.reshape(shape):
+        state, row[...] = state @ F.T + row, state
+    dr -= dx @ model.H.T @ B
+    state = np.zeros_like(state)
+    for row in dr.reshape(shape)[::-1]:
+        state = state @ F + row
+        row[...] = state
+    dx += dr @ own.P
+    return x, dx.reshape(shape)

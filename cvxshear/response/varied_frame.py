@@ -172,11 +172,11 @@ class VariedFrame:
         N, D, W, X = self.sizes
         own = np.exp(unknowns[:N])
         nuisance, missed = np.split(unknowns[N + D :], [W])
-        tested = 1.0 + self._shares(self.dK) @ nuisance
+        tested = 1.0 + self._tested_shares @ nuisance
         heavier, forms = 1.0 + self._heavier @ nuisance, self._shares(self.form)
         J = np.zeros((N, N + D + W + X))
         J[:, :N] = np.diag(tested * own)
-        J[:, N + D : N + D + W] = own[:, None] * self._shares(self.dK) + np.outer(forms @ missed, self._heavier)
+        J[:, N + D : N + D + W] = own[:, None] * self._tested_shares + np.outer(forms @ missed, self._heavier)
         J[:, N + D + W :] = heavier * forms
         return tested * own + heavier * (forms @ missed), J
 
@@ -185,6 +185,10 @@ class VariedFrame:
         above = np.cumsum(np.cumsum(changes[:, ::-1, ::-1], axis=1), axis=2)[:, ::-1, ::-1]
         result: Floats = np.diagonal(above, axis1=1, axis2=2).T / self.story_stiffness[:, None]
         return result
+
+    @cached_property
+    def _tested_shares(self) -> Floats:
+        return self._shares(self.dK)
 
     @cached_property
     def _heavier(self) -> Floats:
@@ -225,10 +229,14 @@ class VariedFrame:
         """
         stiffness, damping, nuisance, missed = np.split(unknowns, np.cumsum(self.sizes)[:3])
         old = self.centre.model
-        M = old.M + np.tensordot(nuisance, self.dM, axes=1)
         heavier = 1.0 + self._heavier @ nuisance
-        K = old.K + np.tensordot(nuisance, self.dK, axes=1) + heavier * np.tensordot(missed, self.form, axes=1)
-        tested = self.story_stiffness * (1.0 + self._shares(self.dK) @ nuisance)
+        # A tensor product takes as long to set up as all else.
+        dM, dK, form = (
+            (factors @ each.reshape(len(each), old.M.size)).reshape(old.M.shape)
+            for factors, each in ((nuisance, self.dM), (nuisance, self.dK), (missed, self.form))
+        )
+        M, K = old.M + dM, old.K + dK + heavier * form
+        tested = self.story_stiffness * (1.0 + self._tested_shares @ nuisance)
         K = K + stiffness_matrix(tested * np.expm1(stiffness))
         damping, dashpots = np.split(damping, [len(self.own_std)])
         scale, own = np.exp(damping), modes(M, K)

@@ -1,23 +1,30 @@
-"""A 20-story frame under a minute of base motion, beside the usual means."""
+"""A 20-story frame under base motion: its response beside the usual means, and its reconstruction from four sensors."""
 
+import resource
 import time
 from functools import partial
 
 import numpy as np
 from scipy import signal
 
-from cvxshear.records.motion import Drive
+from cvxshear import Experiment, backends
+from cvxshear.fit.efficient import efficient
+from cvxshear.model.shear import modes
+from cvxshear.records.motion import Drive, Motion
 from cvxshear.report.handover import state_space
-from cvxshear.response import DampedModel, response
+from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
+from cvxshear.response.uncertain import modal_matrix
 from tests.benchmarks.timing import fastest, shown, table
-from tests.response.common import damped_frame, matrices
+from tests.response.common import damped_frame, declared, matrices
 
 STORIES, RATE, SECONDS = 20, 100.0, 60.0
+RECORD_RATE, RECORD_SECONDS, SENSORS, NOISE, RATIO = 200.0, 300.0, np.array([5, 10, 15, 20]), 0.02, 0.03
+"""Of the record that is reconstructed; its noise over the rms, and the damping ratio of all modes."""
 
 
-def earthquake(seed=6):
-    """Filtered noise that rises within some seconds and decays over the rest of the minute."""
-    time = np.arange(0, SECONDS, 1 / RATE)
+def earthquake(seconds=SECONDS, rate=RATE, seed=6):
+    """Filtered noise that rises within some seconds and decays over the rest of a minute."""
+    time = np.arange(0, seconds, 1 / rate)
     noise = np.convolve(np.random.default_rng(seed).standard_normal(len(time)), np.ones(6) / 6, mode="same")
     return noise * (time / 4) ** 2 * np.exp(2 - time / 2)
 
@@ -65,6 +72,32 @@ def main():
             ["scipy.signal.lsim", shown(lsim), f"{lsim / alone:.1f}", f"{_off(of_lsim, single[:n]):.0e}"],
             ["Newmark loop", shown(stepped), f"{stepped / alone:.1f}", f"{_off(of_newmark, single[:n]):.0e}"],
         ],
+    )
+    reconstruction()
+
+
+def reconstruction():
+    """Time of a reconstruction over that of one simulation of the same record, and what the process took by then."""
+    mass, stiffness, dashpots = damped_frame(STORIES)
+    M, _, K = matrices(mass, stiffness, dashpots)
+    ratios = np.full(STORIES, RATIO)
+    C = modal_matrix(M, modes(M, K), ratios)
+    rng, excitation = np.random.default_rng(1), earthquake(RECORD_SECONDS, RECORD_RATE)
+    experiment = Experiment.from_dict(declared(mass, stiffness, ratios, rng=rng))
+    models = Models(None, Fitted.of(efficient(experiment, backends.get("auto"))))
+    lsim, _ = fastest(lambda: by_lsim(M, C, K, excitation, 1 / RECORD_RATE), 1, time.process_time)
+    seen = response(DampedModel(M, C, K, np.ones(STORIES)), Drive(excitation), 1 / RECORD_RATE).acceleration
+    seen = seen[:, SENSORS - 1]
+    seen = seen + NOISE * seen.std(axis=0) * rng.standard_normal(seen.shape)
+    motion = Motion((Drive(excitation, 0, seen),), RECORD_RATE, floors=SENSORS)
+    began = time.process_time()
+    reconstruct(models, motion)
+    taken = time.process_time() - began
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    table(
+        f"Reconstruction: {STORIES} stories, {len(SENSORS)} sensors, {RECORD_SECONDS:.0f} s at {RECORD_RATE:.0f} Hz",
+        ["processor time", "over scipy.signal.lsim of the same frame and record", "largest memory of the process"],
+        [[shown(taken), f"{taken / lsim:.0f}", f"{peak:.0f} MB"]],
     )
 
 

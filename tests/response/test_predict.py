@@ -309,6 +309,19 @@ def test_a_record_that_contradicts_the_model_in_one_thing_says_so(frame, change,
     assert said is None or contradiction in found.remarks
 
 
+def test_a_floor_with_a_gap_is_not_compared_and_that_is_said(frame):
+    _, estimate, truth = frame
+    record = recorded(truth)
+    seen = record.runs[0].responses.copy()
+    seen[500:600, 0] = np.nan
+    motion = Motion((Drive(record.runs[0].excitation, 0, seen),), RATE, floors=np.array([1, 2, 3]))
+    found = predict(estimate, motion)
+    assert found.after.comparison.floors.tolist() == [2, 3]
+    assert sum(remark.startswith("samples of floor 1 are missing: not compared") for remark in found.remarks) == 1
+    whole = predict(estimate, record)
+    assert not any("not compared" in remark for remark in whole.remarks)
+
+
 @pytest.mark.parametrize(
     ("signs", "said"), [([1, -1, 1], "floor 2.*is reversed.*turned round"), ([-1, -1, -1], "is reversed.*turned round")]
 )

@@ -17,12 +17,12 @@ from cvxshear.programs import LeastSquares
 from cvxshear.records.motion import Drive, Motion, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
-from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, recursion, settled_covariance
+from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, dynamics_slopes, recursion, settled_covariance
 from cvxshear.response.frame_motion import MOST_DIRECTIONS, PROBED_SAMPLES, FrameMotion, readings_of
 from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
 from cvxshear.response.sensor_checks import as_predicted
-from cvxshear.response.smoother import Observed, Steady, settled_states, smooth
+from cvxshear.response.smoother import Observed, Steady, settled_slopes, settled_states, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
@@ -151,7 +151,7 @@ def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     model, setting, system, _ = three
     excitation = shaking(300, STEP, seed=2)
     exact = response(model, Drive(excitation), STEP)
-    states = recursion(system.A, system.driven(straight(excitation)), np.zeros(len(system.A)))
+    states = recursion(system.A, np.eye(9), system.driven(straight(excitation)), np.zeros(9))
     outputs = system.outputs.of(states, straight(excitation))
     for place, values in enumerate((exact.acceleration, exact.displacement, exact.drift, exact.story_force)):
         own = outputs[:, 3 * place : 3 * place + 3]
@@ -160,7 +160,7 @@ def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     drive = Drive(1e3 * excitation, 2, between=band_limited(1e3 * excitation))
     exact = response(model, drive, STEP)
     both = np.column_stack([drive.between, drive.excitation])
-    states = recursion(forced.A, forced.driven(both), np.zeros(len(forced.A)))
+    states = recursion(forced.A, np.eye(9), forced.driven(both), np.zeros(9))
     outputs = forced.outputs.of(states, both)
     np.testing.assert_allclose(outputs[:, :3], exact.acceleration, atol=1e-9 * np.abs(exact.acceleration).max())
     np.testing.assert_allclose(outputs[:, 9:], exact.story_force, atol=1e-9 * np.abs(exact.story_force).max())
@@ -185,7 +185,7 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     _, _, system, _ = three
     rng = np.random.default_rng(7)
     excitation = straight(shaking(4000, STEP))
-    y = recursion(system.A, system.driven(excitation), np.zeros(9)) @ system.H.T + system.shown(excitation)
+    y = recursion(system.A, np.eye(9), system.driven(excitation), np.zeros(9)) @ system.H.T + system.shown(excitation)
     y += np.sqrt(system.R) * rng.standard_normal(y.shape)
     y[1000:2500, 1] = np.nan
     found = smooth(system, Observed(excitation, y, np.ones(4000)), np.zeros((0, 9)))
@@ -204,6 +204,25 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     # Taken for recorded, what is filled in would be believed.
     filled = settled_states(system, excitation, found.completed + [0.0, 0.3] * ~np.isfinite(y), found.states[0], pieces)
     np.testing.assert_allclose(filled, states)
+
+
+def test_slopes_of_smoothed_states_are_those_of_differences(three):
+    """Away from the beginning, where the covariance of a filter that has settled moves with the frame as well."""
+    model, setting, system, _ = three
+    noise, rng, near = Noise(np.array([0.05, 0.08]), 0.05), np.random.default_rng(3), 1e-5
+    top = np.array([0.0, 0.0, 1.0])
+    excitation, y = straight(shaking(700, STEP)), rng.standard_normal((700, 2))
+    either = [
+        dataclasses.replace(model, K=(1 + size) * model.K, C=(1 - 3 * size) * model.C, gain=model.gain + size * top)
+        for size in (near, -near)
+    ]
+    rates = dynamics_slopes((model, noise), [(either[0], noise)], np.array([near]), setting)
+    states, slopes = settled_slopes(Steady.of(system), rates, excitation, y, np.zeros(9))
+    whole = [(slice(0, 700), np.ones(2, dtype=bool))]
+    there, back = (settled_states(dynamics(each, noise, setting), excitation, y, np.zeros(9), whole) for each in either)
+    np.testing.assert_allclose(states, settled_states(system, excitation, y, np.zeros(9), whole), atol=1e-12)
+    scale = np.abs(slopes[400:, 0]).max(axis=0)
+    np.testing.assert_allclose(slopes[400:, 0] / scale, (there - back)[400:] / (2 * near) / scale, atol=1e-3)
 
 
 @pytest.mark.parametrize("force_floor", [0, 3])
@@ -424,7 +443,8 @@ def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
     narrow = dataclasses.replace(fitted, covariance=0.01 * fitted.covariance)
     found = work.directions(narrow, most=len(fitted.covariance))
     noise, run = fitted.errors.noise_at(fitted.p), max(fitted.errors.stretches, key=lambda each: np.mean(each.y**2))
-    part, start = run.strongest(PROBED_SAMPLES), np.zeros(len(run.start))
+    part, filtered = run.strongest(PROBED_SAMPLES), Steady.of(fitted.errors.dynamics(fitted.p))
+    start = filtered.predicted(run.excitation, run.y, run.start)[0][part.start]
     probed = SimpleNamespace(completed=run.y[part], states=start[None])
     driven = RecordedRun(run.y[part], run.excitation[part, 1], "", between=run.excitation[part, 0])
     along = np.array([next(work.moved_by(sides, noise, driven, probed))[1] for sides in found.sides])
@@ -471,6 +491,16 @@ def test_warnings_stand_before_the_numbers(softened):
     # What is always so is no warning.
     (always,) = describe(found).sections[-1].parts
     assert (describe(found).sections[-1].title, always.texts) == ("What to bear in mind", found.remarks)
+
+
+def test_a_model_that_misses_a_part_of_the_motion_makes_drifts_provisional(softened):
+    """The innovations of the second sensor hang together by 0.3 from sample to sample."""
+    found = softened[-1]
+    assert "provisional" not in describe(found).headline
+    white, other = found.whiteness
+    missed = dataclasses.replace(found, whiteness=(white, dataclasses.replace(other, correlation=0.3, p_value=1e-6)))
+    assert f"drifts are provisional: the model of {found.fitted.experiment.name}" in describe(missed).headline
+    assert f"misses a part of how floor {other.floor} moved" in describe(missed).headline
 
 
 def test_base_motion_that_nobody_measured_is_estimated(softened):

@@ -193,18 +193,12 @@ def _findings(result: Reconstruction) -> Iterator[str]:
     if result.undetermined:
         yield "the tests do not determine the frame: drifts are rough, and what changed since cannot be told"
     yield largest
-    if result.limits is not None and result.passed is not None:
-        for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
-            sure = [int(story) + 1 for story in np.flatnonzero(chances >= CERTAINLY_PASSED)]
-            unsure = (chances > 1 - CERTAINLY_PASSED) & (chances < CERTAINLY_PASSED)
-            open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
-            label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
-            passed = f"passed in {numbered('story', sure)}" if sure else "passed in no story"
-            if np.isnan(chances).any():
-                passed = (
-                    f"passed in {numbered('story', sure)}, elsewhere that cannot be told" if sure else "cannot be told"
-                )
-            yield f"limit {label}: {passed}" + (f", possibly in {numbered('story', open_)}" if open_ else "")
+    if result.names_changes and result.coloured:
+        yield (
+            f"drifts are provisional: the model of {result.fitted.experiment.name} misses a part of how "
+            f"{numbered('floor', result.coloured)} moved, so it is not quite the building in this record"
+        )
+    yield from _limits(result)
     if result.changed:
         for story in result.changed:
             change, deviation = (float(each[story - 1]) for each in result.frame.against_others)
@@ -235,6 +229,23 @@ def _findings(result: Reconstruction) -> Iterator[str]:
         probable = chance(result.frame.mass_probability)
         where = f": {', '.join(sizes)}" if sizes else "; which of them is open"
         yield f"the floors do not weigh what they did in the tests ({probable} probable){where}"
+
+
+def _limits(result: Reconstruction) -> Iterator[str]:
+    """Say in which stories each limit was passed."""
+    if result.limits is None or result.passed is None:
+        return
+    for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
+        sure = [int(story) + 1 for story in np.flatnonzero(chances >= CERTAINLY_PASSED)]
+        unsure = (chances > 1 - CERTAINLY_PASSED) & (chances < CERTAINLY_PASSED)
+        open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
+        label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
+        passed = f"passed in {numbered('story', sure)}" if sure else "passed in no story"
+        if np.isnan(chances).any():
+            passed = (
+                f"passed in {numbered('story', sure)}, elsewhere that cannot be told" if sure else "cannot be told"
+            )
+        yield f"limit {label}: {passed}" + (f", possibly in {numbered('story', open_)}" if open_ else "")
 
 
 def left_out(result: Reconstruction) -> Table:
