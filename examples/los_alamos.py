@@ -76,7 +76,7 @@ for state, (name, level, size), (placed, value, std), unit, odds in answer(closu
     done = f"{UNITS[name][0]} {level} {size:+6.2f} {UNITS[name][1]:2s}"
     named = "first" if first else f"a tie with {placed.label.split(' of ')[0]}"
     # Nine states have more sets of effects than a search visits: which it ends with moves the odds by a percent or two.
-    odds = f"{100 * odds:.0f} %" if odds < 0.99 else chance(odds)
-    print(f"{state}  done: {done}  found: {value:+6.2f} ± {std:.2f} {unit:2s}  {odds}, {named}")
+    said = f"{100 * odds:.0f} %" if odds < 0.99 else chance(odds)
+    print(f"{state}  done: {done}  found: {value:+6.2f} ± {std:.2f} {unit:2s}  {said}, {named}")
 Path("los-alamos.json").write_text(json.dumps(closure.to_dict()))
 figures.save(picture(closure), "los-alamos.svg")
