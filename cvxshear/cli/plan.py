@@ -60,7 +60,8 @@ def plan(
         Expected relative standard deviation of frequencies; where neither this nor the next is given that of FILE's
         tests, and 0.002 where they state none.
     mode_shape_std
-        Of shape entries, the largest being 1; as the last one, and 0.01.
+        Of shape entries, the largest being 1; where neither is given that of the tests as well, and 0.01 where they
+        state none.
     duration
         Seconds recorded in each test, from which the noise follows instead.
     excitation
