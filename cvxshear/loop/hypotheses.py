@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.effects import Effect, Place, Placed, catalogue, open_classes
+from cvxshear.effects.guests import refuse_faulty, refuse_repeated
 from cvxshear.measurement.experiment import ExpectedEffect, Experiment
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -143,6 +144,32 @@ def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
         for each in effects
         for effect in ((each,) if isinstance(each, Effect) else known[checks.choice(each, list(known), "effect")])
     )
+
+
+def able_to_take_part(
+    wanted: Sequence[Effect], experiment: Experiment
+) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """List the effects that can take part, and messages that say why others, of one's own, cannot.
+
+    Raises
+    ------
+    InputError
+        Where two go by one name, or none of several can take part.
+    """
+    refuse_repeated(wanted)
+    own = {id(effect) for effect in (*catalogue(), *open_classes())}
+    sound: list[Effect] = []
+    messages = []
+    for effect in wanted:
+        try:
+            if id(effect) not in own:
+                refuse_faulty(effect, experiment)
+            sound.append(effect)
+        except InputError as error:
+            if len(wanted) == 1:
+                raise
+            messages.append(str(error))
+    return tuple(sound), tuple(messages)
 
 
 def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Placed, ...]:

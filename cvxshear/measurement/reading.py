@@ -7,6 +7,7 @@ sign r - 1 times at most. Entries that noise could have turned round count in fa
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -185,3 +186,20 @@ def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ..
         parts = (each.added_mass, each.modes, each.measured_floors, each.frequencies, each.mode_shapes)
         groups.setdefault(tuple(np.asarray(part).tobytes() for part in parts), []).append(each.name)
     return tuple(tuple(names) for names in groups.values() if len(names) > 1)
+
+
+def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[str, str], ...]]:
+    """Return the experiment with each test once, and the names of the copies with that of the test they repeat.
+
+    Measured values that agree to the last digit are one measurement: counted twice they would seem twice as sure.
+    """
+    groups = repeated_configurations(experiment)
+    kept = {each.name for each in experiment.configurations if each.state == experiment.frame.reference}
+    repeated = tuple((name, first) for first, *others in groups for name in others if name not in kept)
+    copies = {name for name, _ in repeated}
+    if not copies:
+        return experiment, ()
+    once = tuple(each for each in experiment.configurations if each.name not in copies)
+    states = {each.state for each in once} | {each.state for each in experiment.static}
+    expected = tuple(each for each in experiment.expected if each.state is None or each.state in states)
+    return dataclasses.replace(experiment, configurations=once, expected=expected), repeated

@@ -14,16 +14,19 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cvxshear import loop
+from cvxshear.backends import Backend
+from cvxshear.effects import Effect, Placed
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
 from cvxshear.measurement.reading import Reading, violations
+from cvxshear.priors import Prior
 from cvxshear.screening import repairs, shear_fit
 from cvxshear.screening.compared_tests import frequency_units, look_alike, repeats, state_names
 from cvxshear.screening.declared_masses import masses_declared, total_mass
@@ -147,13 +150,24 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
 
 
 @functools.wraps(loop.close_loop)
-def close_loop(experiment: Measurement, *given: Any, weighed: Collection[str] = (), **named: Any) -> loop.Closure:
+def close_loop(
+    experiment: Measurement,
+    effects: Sequence[str | Effect] | None = None,
+    assume: Sequence[str | Placed] = (),
+    backend: str | Backend = "auto",
+    priors: Sequence[Prior] = (),
+    *,
+    jobs: int = 1,
+    weighed: Collection[str] = (),
+) -> loop.Closure:
     """Close the loop on what `refuse_mistakes` lets pass, and keep its warnings with the result."""
     experiment = opened(experiment)
     # Who names modes that the file does not number asks for their numbers to be weighed with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
     doubts = refuse_mistakes(experiment, {*weighed, *numbered_anew})
-    return dataclasses.replace(loop.close_loop(experiment, *given, **named), warnings=doubts)
+    return dataclasses.replace(
+        loop.close_loop(experiment, effects, assume, backend, priors, jobs=jobs), warnings=doubts
+    )
 
 
 @dataclass(frozen=True, eq=False)
