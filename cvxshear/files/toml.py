@@ -53,8 +53,8 @@ def load(path: str | Path) -> Experiment:
     path : str or Path
         A TOML file, or a built-in example: "paper", the published two-story test frame in three configurations;
         "los-alamos", the published frequencies of a three-story structure in nine states; or another of the measured
-        frames in `cvxshear.files.toml.MEASURED`. A file of such a name in the current folder is reached as "./paper",
-        or as a Path.
+        frames in `cvxshear.files.toml.MEASURED_FRAMES`. A file of such a name in the current folder is reached as
+        "./paper", or as a Path.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def load(path: str | Path) -> Experiment:
             f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
         )
     path = Path(path)
-    declared = _declared(path)
+    declared = read_tables(path)
     if "record" in declared:
         raise InputError(
             f"{path} is a record file (it has a table [record]), not a measurement file: "
@@ -88,7 +88,7 @@ def load(path: str | Path) -> Experiment:
     return experiment
 
 
-def _declared(path: Path) -> dict[str, object]:
+def read_tables(path: Path) -> dict[str, object]:
     """Read the tables of a TOML file that is no file of samples."""
     refuse_data(path)
     return parse(read_text(path), path)
@@ -161,7 +161,7 @@ def is_record_file(path: str | Path) -> bool:
     InputError
         Where the file cannot be read or is not TOML.
     """
-    return not is_built_in(path) and "record" in _declared(Path(path))
+    return not is_built_in(path) and "record" in read_tables(Path(path))
 
 
 def files_of(path: str | Path) -> tuple[Path, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.effects import Place, Placed, Scale, catalogue, compose
-from cvxshear.files.toml import is_built_in, load, parse, read_result, read_text
+from cvxshear.files.toml import is_built_in, load, read_result, read_tables
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop import close_loop
@@ -380,7 +380,7 @@ def read_design(
             raise InputError("a loop, or a state of the frame, needs a file with measured modes ([[configuration]])")
         if path.suffix.lower() == ".json":
             return Design.of_result(read_result(path), path.stem)
-        return Design.of_file(parse(read_text(path), path), path.stem)
+        return Design.of_file(read_tables(path), path.stem)
     except InputError as error:
         raise error if str(error).startswith(str(path)) else type(error)(f"{path}: {error}") from error
 
@@ -396,6 +396,6 @@ def measurement_of(source: str | Path) -> Experiment | None:
     if is_built_in(source):
         return load(source)
     path = Path(source)
-    if path.suffix.lower() == ".json" or "configuration" not in parse(read_text(path), path):
+    if path.suffix.lower() == ".json" or "configuration" not in read_tables(path):
         return None
     return load(path)

@@ -19,7 +19,7 @@ from cvxshear.effects import Place, Placed, catalogue, open_classes
 from cvxshear.effects.readings import WrongPrior
 from cvxshear.files.modes import experiment_from_file
 from cvxshear.files.record_file import read_motion
-from cvxshear.files.toml import is_record_file, load, parse, read_result, read_text, with_modes_read
+from cvxshear.files.toml import is_record_file, load, read_result, read_tables, with_modes_read
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure, close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment
@@ -269,7 +269,7 @@ def load_unscaled(path: str | Path) -> Experiment:
         return load(path)
     except NoScaleError:
         path = Path(path)
-        declared = dict(with_modes_read(parse(read_text(path), path), path.parent))
+        declared = dict(with_modes_read(read_tables(path), path.parent))
         frame = declared.get("frame") or {}
         # A remark of the result says it; doubts about masses that nobody wrote down would puzzle.
         accepted = {*frame.get("accept", ()), "total_mass", "masses"}
