@@ -115,7 +115,7 @@ def test_the_gains_of_pairs_are_the_differences_of_evidences(base, linear):
 
 def test_the_promised_decrease_and_the_predicted_minimum_are_those_of_the_fit_for_a_small_effect(base, linear):
     fitted = refitted(base, MASS_3)
-    assert linear.told(MASS_3) > 2
+    assert linear.precision_gained(MASS_3) > 2
     wide = Expectation(SCALE, {MASS_3: np.array([1e9])})
     free = fitted_with(
         Misfit(base.experiment, [MASS_3], expectation=wide), np.append(base.theta, 0.0), backends.get("auto")
@@ -160,7 +160,7 @@ def test_how_much_surer_an_effect_is_known_is_the_ratio_of_precisions(base, line
             backends.get("auto"),
         )
         expected = 1 + (EXPECTED.of(placed)[0] / free.uncertainty.std()[10]) ** 2
-        assert linear.told(placed) == pytest.approx(expected, rel=0.1)
+        assert linear.precision_gained(placed) == pytest.approx(expected, rel=0.1)
 
 
 def test_what_a_frame_changes_instead_of_a_story_is_first_of_all_that_story(linear):

@@ -133,8 +133,8 @@ class MassCoupling(Effect):
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         n = experiment.stories
-        held = np.hstack([-np.eye(n), np.zeros((n, n)), 0.5 * _ends(n)[:, None]])
-        return Constraints(G=held, h=np.zeros(n))
+        lightest = np.hstack([-np.eye(n), np.zeros((n, n)), 0.5 * _ends(n)[:, None]])
+        return Constraints(G=lightest, h=np.zeros(n))
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = with_std(values[0], std[0], units[0])

@@ -235,8 +235,8 @@ def pieces_of(
     why = [f"{lost} of {last - first} samples are missing or stand between gaps"] if lost else []
     why += [f"the clock jumps {counted(jumped, 'time')}"] if jumped else []
     clock = since_first(columns, declared)
-    told = ", ".join(f"{clock[each.start]:.4g} to {clock[each.stop - 1]:.4g} s" for each in kept)
-    return kept, rate, f"{', '.join(why)}; the longest sound pieces are used as runs of their own: {told}"
+    pieces = ", ".join(f"{clock[each.start]:.4g} to {clock[each.stop - 1]:.4g} s" for each in kept)
+    return kept, rate, f"{', '.join(why)}; the longest sound pieces are used as runs of their own: {pieces}"
 
 
 def since_first(columns: Columns, declared: Mapping[str, Any]) -> Floats:

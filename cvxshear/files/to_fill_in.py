@@ -256,8 +256,8 @@ def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int, top: i
 
 def _hit_floor(path: Path, top: int) -> tuple[int, str] | None:
     """Find the floor that was hit in the name of a file, or in a line of its preamble that speaks of a force."""
-    told = [line for line in _preamble(path).splitlines() if FORCE.search(line)]
-    for text, why in ((path.stem, "from its name"), *((line, "from its preamble") for line in told)):
+    force_lines = [line for line in _preamble(path).splitlines() if FORCE.search(line)]
+    for text, why in ((path.stem, "from its name"), *((line, "from its preamble") for line in force_lines)):
         found = HIT_FLOOR.search(text)
         if found is not None and 0 < int(found[1] or found[2]) <= top:
             return int(found[1] or found[2]), why

@@ -94,8 +94,8 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     for placed, own in slices(effects, 2 * n):
         parameters = placed.effect.parameters
         if placed.fixed:
-            held = Constraints(A=np.eye(len(parameters)), b=np.array(placed.fixed))
-            parts.append(NamedConstraints(f"{placed.label} as assumed", embedded(held, own, size)))
+            exact = Constraints(A=np.eye(len(parameters)), b=np.array(placed.fixed))
+            parts.append(NamedConstraints(f"{placed.label} as assumed", embedded(exact, own, size)))
             continue
         bounds = Constraints(
             lower=np.array([item.lower for item in parameters]), upper=np.array([item.upper for item in parameters])

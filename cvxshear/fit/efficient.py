@@ -172,9 +172,9 @@ class Estimate:
         n = self.experiment.stories
         values = np.where(self.uncertainty.determined, self.theta, np.nan)
         std = self.std
-        held = self._held_by_bounds(std)
+        at_bounds = self._held_by_bounds(std)
         mass, mass_std = self._corrected(values[:n], std)
-        return IdentifiedFrame(mass, values[n : 2 * n], mass_std, std[n : 2 * n], held)
+        return IdentifiedFrame(mass, values[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
 
     def own(self, placed: Placed) -> slice:
         """Where an effect's parameters stand in theta."""
@@ -186,9 +186,9 @@ class Estimate:
         names = parameter_names(self.experiment, self.effects)
         n = self.experiment.stories
         std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
-        held = self._held_by_bounds(std)
+        at_bounds = self._held_by_bounds(std)
         mass, mass_std = self._corrected(self.theta[:n], std)
-        return IdentifiedFrame(mass, self.theta[n : 2 * n], mass_std, std[n : 2 * n], held)
+        return IdentifiedFrame(mass, self.theta[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
 
     def _corrected(self, mass: Floats, std: Floats) -> tuple[Floats, Floats]:
         """Floor masses and their standard deviations with what effects put right of declared ones."""
@@ -208,7 +208,7 @@ class Estimate:
         names = parameter_names(self.experiment, self.effects)[: 2 * n]
         active = set(self.uncertainty.active)
         none_left = std[: 2 * n] <= HELD * np.abs(self.theta[: 2 * n])
-        return tuple(name for name, held in zip(names, none_left, strict=True) if held and name in active)
+        return tuple(name for name, at_bounds in zip(names, none_left, strict=True) if at_bounds and name in active)
 
     @property
     def free_directions(self) -> Floats:

@@ -187,8 +187,8 @@ def step_program(at: Residuals, theta: Floats, domain: Domain, damping: float = 
     D is the diagonal of the sensitivities (`fit.optimality.sensitivities`).
     """
     U, c = at.triangle
-    held = damping * sensitivities(U, domain)
-    program = LeastSquares(R=np.concatenate([U, np.diag(held)]), s=np.concatenate([-c, np.zeros(len(theta))]))
+    step_weights = damping * sensitivities(U, domain)
+    program = LeastSquares(R=np.concatenate([U, np.diag(step_weights)]), s=np.concatenate([-c, np.zeros(len(theta))]))
     return constrained(program, domain.statements, theta)
 
 

@@ -121,10 +121,10 @@ class Uncertainty:
         """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""
         return self._unit_directions(J, self.equalities, self.touching, self.ends)
 
-    def _unit_directions(self, J: Floats, *held: Floats) -> Floats:
+    def _unit_directions(self, J: Floats, *constraints: Floats) -> Floats:
         """Directions on which the held rows are zero and that J determines, each of unit effect on J's residuals."""
         unit = _units(J, self.least_units)
-        (basis, values), _ = _split(J * unit, _null_space(np.concatenate(held) * unit))
+        (basis, values), _ = _split(J * unit, _null_space(np.concatenate(constraints) * unit))
         return unit[:, None] * (basis / values)
 
     def covariance(self) -> Floats:

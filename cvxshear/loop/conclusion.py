@@ -41,7 +41,7 @@ adequate: data that tell nothing of them leave what there was beforehand."""
 REPORTED = 1e-3
 """Probability of a set from which on it is reported."""
 
-TOLD = 1.1
+LITTLE_GAINED = 1.1
 """Ratio of precisions, with the data and without, from which on they tell an effect from the frame."""
 
 AT_AN_END = 1e-3
@@ -163,8 +163,8 @@ def _verdict(
     if unexplained:
         return "unexplained"
     if not added and not numbering.changes:
-        told = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
-        return "adequate" if told else "ambiguous"
+        answered = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
+        return "adequate" if answered else "ambiguous"
     sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:
@@ -194,8 +194,8 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitt
     for count, placed in enumerate(order, 1):
         ways.append((f"with {placed.label}", partial(_in_noise_of, final, order[:count], fitter)))
     estimates = [*(make() for _, make in ways[:-1]), final]
-    held = held_out_frequency_errors(estimates[0], final, fitter)
-    errors = [held[0], *[None] * (len(ways) - 2), held[1]] if len(ways) > 1 else [held[1]]
+    left_out = held_out_frequency_errors(estimates[0], final, fitter)
+    errors = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
     return tuple(
         Step(estimate, what, estimate.p_value, error)
         for (what, _), estimate, error in zip(ways, estimates, errors, strict=True)
@@ -316,7 +316,7 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
         else:
             gain = linear.decrease(placed)
             chi2, dof = final.chi2 - gain, final.dof - count
-            if linear.told(placed) < TOLD and posterior.keeps_odds(placed):
+            if linear.precision_gained(placed) < LITTLE_GAINED and posterior.keeps_odds(placed):
                 confounded = linear.confounders(placed, names)
         p_value = min(1.0, len(fitter.hypotheses) * float(special.chdtrc(count, max(gain, 0.0))))
         probability = posterior.of_effects[placed]

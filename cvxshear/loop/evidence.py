@@ -93,12 +93,12 @@ def free_basis(estimate: Estimate, expectation: Expectation) -> Floats:
     lengths = np.linalg.norm(np.hstack([A[:, :n2] * unit, A[:, n2:]]), axis=1)
     A = A / np.where(lengths > 0, lengths, 1.0)[:, None]
     frame, own = A[:, :n2] * unit, A[:, n2:]
-    held = np.linalg.norm(frame, axis=1) < 1e-12
+    without_frame = np.linalg.norm(frame, axis=1) < 1e-12
     inverse = np.linalg.pinv(frame, rcond=1e-10)
     _, values, right = np.linalg.svd(frame, full_matrices=True)
     open_frame = right[int(np.sum(values > 1e-10)) :].T
     # An effect held at a value has a row of its own and no direction.
-    fixed = np.any(np.abs(own[held]) > 0, axis=0)
+    fixed = np.any(np.abs(own[without_frame]) > 0, axis=0)
     parameters = np.flatnonzero(~fixed)
     B = np.zeros((size, open_frame.shape[1] + len(parameters)))
     B[:n2, : open_frame.shape[1]] = unit[:, None] * open_frame

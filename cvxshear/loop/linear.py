@@ -244,7 +244,7 @@ class Linearised:
         order = np.argsort(-part, kind="stable")
         return tuple(names[i] for i in order if part[i] > share * part[order[0]])
 
-    def told(self, placed: Placed) -> float:
+    def precision_gained(self, placed: Placed) -> float:
         """How much more surely its first parameter is known with the data than without, as a ratio of precisions."""
         own = self._at[placed]
         if own.start == own.stop:

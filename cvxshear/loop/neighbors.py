@@ -189,8 +189,8 @@ def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fi
     """
     proposals = []
     for effects, frame in starts:
-        held = [item.placed for item in fitter.hypotheses if item.placed in effects]
-        plain = fitter.proposal(base, (*fitter.assumed, *held))
+        present = [item.placed for item in fitter.hypotheses if item.placed in effects]
+        plain = fitter.proposal(base, (*fitter.assumed, *present))
         start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
         proposals.append(dataclasses.replace(plain, starts=(start,)))
     return sorted(proposals, key=_after_a_step)[:FROM_FRAMES]

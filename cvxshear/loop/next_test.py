@@ -96,13 +96,14 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         distances.append([each.at(first.measured_floors - 1) for each in said])
     if not possible:
         return None
-    apart = np.array(distances)
-    told = apart.max(axis=0) >= WORTHWHILE
-    if told.any():
-        rivals, apart = [rival for rival, tells in zip(rivals, told, strict=True) if tells], apart[:, told]
+    distance = np.array(distances)
+    separable = distance.max(axis=0) >= WORTHWHILE
+    if separable.any():
+        rivals = [rival for rival, tells in zip(rivals, separable, strict=True) if tells]
+        distance = distance[:, separable]
     found = [
-        (dataclasses.replace(test, standard_deviations=float(nearest), tells_all=bool(told.all())), first)
-        for (test, first), nearest in zip(possible, apart.min(axis=1), strict=True)
+        (dataclasses.replace(test, standard_deviations=float(nearest), tells_all=bool(separable.all())), first)
+        for (test, first), nearest in zip(possible, distance.min(axis=1), strict=True)
     ]
     # The first of equals: the state, floor and mass that come first.
     found.sort(key=lambda each: -each[0].standard_deviations)
@@ -138,7 +139,7 @@ def _said(
     return [disagreement(accepted, rival, test, first) for rival in rivals]
 
 
-def _apart(said: Sequence[Disagreement], floors: Ints) -> float:
+def _smallest_distance(said: Sequence[Disagreement], floors: Ints) -> float:
     """Count the standard deviations between the accepted model and the nearest rival with sensors at these floors."""
     return min(each.at(floors) for each in said)
 
@@ -150,16 +151,16 @@ def _with_sensors(accepted: Estimate, rivals: Sequence[Estimate], test: NextTest
         return test
     said = _said(accepted, rivals, first, test.floor, test.added_mass)
     floors = first.measured_floors - 1
-    apart = test.standard_deviations
-    while apart < CLEAR:
+    distance = test.standard_deviations
+    while distance < CLEAR:
         bare = np.setdiff1d(np.arange(accepted.experiment.stories), floors)
-        tried = [(_apart(said, np.union1d(floors, floor)), floor) for floor in bare]
-        if not tried or max(tried)[0] < WORTH_A_SENSOR * apart:
+        tried = [(_smallest_distance(said, np.union1d(floors, floor)), floor) for floor in bare]
+        if not tried or max(tried)[0] < WORTH_A_SENSOR * distance:
             break
-        apart, floor = max(tried)
+        distance, floor = max(tried)
         floors = np.union1d(floors, floor)
     if len(floors) == len(first.measured_floors):
         return test
     return dataclasses.replace(
-        test, standard_deviations=apart, measured_floors=tuple(int(floor) + 1 for floor in floors)
+        test, standard_deviations=distance, measured_floors=tuple(int(floor) + 1 for floor in floors)
     )

@@ -112,7 +112,7 @@ def _together_or_alone(
     sets = [(tuple(changes), odds / 2 if several else odds)]
     if several:
         sets += [((each,), odds / 2 / len(changes)) for each in changes]
-    return [Numbering(_renumbered(experiment, held), float(np.log(of)), held) for held, of in sets]
+    return [Numbering(_renumbered(experiment, changed), float(np.log(prior)), changed) for changed, prior in sets]
 
 
 def _without(experiment: Experiment, mode: int) -> list[tuple[str, tuple[int, ...]]]:

@@ -160,34 +160,34 @@ class Posterior:
         best = [placed for placed in self.ranked(self.best.effects) if placed not in self._kept_odds]
         rivals = {placed: {rival.placed: rival.probability for rival in self.rivals(placed)} for placed in best}
         # What replaces several effects belongs to the one that it replaces most often.
-        families = {
+        alternatives_of = {
             placed: [placed, *(each for each in own if own[each] >= max(r.get(each, 0.0) for r in rivals.values()))]
             for placed, own in rivals.items()
         }
-        held: list[Placed] = []
-        for family in families.values():
-            if self._enough(family):
-                free = [each for each in family if each not in held]
-                held.append(self.ranked(free or family)[0])
+        chosen: list[Placed] = []
+        for alternatives in alternatives_of.values():
+            if self._enough(alternatives):
+                free = [each for each in alternatives if each not in chosen]
+                chosen.append(self.ranked(free or alternatives)[0])
         # A rival of what is added is there in its place, not besides it.
-        passed = {each for family in families.values() for each in family}
+        passed = {each for alternatives in alternatives_of.values() for each in alternatives}
         more = [placed for placed in self.of_effects if placed not in passed and self._enough([placed])]
-        return frozenset((*held, *more))
+        return frozenset((*chosen, *more))
 
-    def _enough(self, family: Sequence[Placed]) -> bool:
+    def _enough(self, alternatives: Sequence[Placed]) -> bool:
         """Whether one of these effects is there with at least even odds, which the data have raised."""
-        return self._any(family) >= ADDED and self._raised(family) >= RAISED
+        return self._any(alternatives) >= ADDED and self._raised(alternatives) >= RAISED
 
-    def _raised(self, family: Sequence[Placed]) -> float:
+    def _raised(self, alternatives: Sequence[Placed]) -> float:
         """Return the factor by which the data have raised the odds that one of these effects is there."""
-        probability = self._any(family)
-        prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in family]))
+        probability = self._any(alternatives)
+        prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in alternatives]))
         return probability / max(1.0 - probability, 1e-300) * (1.0 - prior) / prior
 
-    def _any(self, family: Sequence[Placed]) -> float:
+    def _any(self, alternatives: Sequence[Placed]) -> float:
         """Return the probability that one of these effects is there."""
-        held = [not model.effects.isdisjoint(family) for model in self.models]
-        return float(self.probabilities[held].sum())
+        including = [not model.effects.isdisjoint(alternatives) for model in self.models]
+        return float(self.probabilities[including].sum())
 
     @cached_property
     def _kept_odds(self) -> frozenset[Placed]:

@@ -95,7 +95,7 @@ class Search:
         self.visited: dict[Set, ModelClass] = {start.effects: start}
         self.expanded: set[Set] = set()
         self.pruned: set[Set] = set()
-        self.thinned: set[Set] = set()
+        self.reduced: set[Set] = set()
         self.regrouped: set[Set] = set()
         self.accompanied: set[Set] = set()
         self.other_optima: list[ModelClass] = []
@@ -133,7 +133,7 @@ class Search:
             partial(self._follow, self._regroup, self.regrouped, 0.0),
             partial(self._follow, self._expand, self.expanded, REACH),
             partial(self._follow, self._regroup, self.regrouped, WITHIN),
-            partial(self._follow, self._thin, self.thinned, WITHIN),
+            partial(self._follow, self._reduce, self.reduced, WITHIN),
             self._add_motions,
             self._add_companions,
         )
@@ -181,10 +181,10 @@ class Search:
         tried beside the best of the others, the other only beside sets that are worse.
         """
         for _ in range(EXCHANGES):
-            best = next((model for model in self.beam if model.effects not in self.thinned), None)
+            best = next((model for model in self.beam if model.effects not in self.reduced), None)
             if best is None:
                 break
-            self.thinned.add(best.effects)
+            self.reduced.add(best.effects)
             for placed in best.effects:
                 rest = best.effects - {placed}
                 self._fit_without(best, [rest])
@@ -400,7 +400,7 @@ class Search:
             self.visited[model.effects] = model
             kept = True
             # What was said of the neighbors of another fit was said of another frame.
-            for done in (self.expanded, self.pruned, self.thinned, self.regrouped):
+            for done in (self.expanded, self.pruned, self.reduced, self.regrouped):
                 done.discard(model.effects)
         return kept
 
@@ -461,9 +461,9 @@ class Search:
             else:
                 kept.add(weakest)
 
-    def _thin(self, model: ModelClass) -> None:
+    def _reduce(self, model: ModelClass) -> None:
         """Visit the sets with one effect less, and expand those: what is added takes its place."""
-        self.thinned.add(model.effects)
+        self.reduced.add(model.effects)
         assert model.estimate is not None
         fewer = [model.effects - {placed} for placed in model.estimate.effects if placed in model.effects]
         self._fit_without(model, fewer)
@@ -476,8 +476,8 @@ class Search:
         assert model.estimate is not None
         assumed = set(self.fitter.assumed)
         new = [each for each in sets if each not in self.visited or self._elsewhere(self.visited[each], model)]
-        held = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
-        self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in held]))
+        effects_of = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
+        self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in effects_of]))
 
     def _elsewhere(self, fewer: ModelClass, model: ModelClass) -> bool:
         """Whether the fit of a set ended far from that of one with more effects, which hardly needs the others."""

@@ -246,8 +246,8 @@ class Eigenvalue(_Largest):
 
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         values, axes = np.linalg.eigh(covariance)
-        shares, mean = _power_mean(values)
-        return (axes * shares) @ axes.T, mean
+        weights, mean = _power_mean(values)
+        return (axes * weights) @ axes.T, mean
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
         axes = np.linalg.eigh(reduced.asked @ reduced.asked.T + reduced.left)[1][:, ::-1][:, :MOST_PARAMETERS]
@@ -272,8 +272,8 @@ class Worst(_Largest):
         return np.max(variances, axis=-1), np.eye(variances.shape[-1])[np.argmax(variances, axis=-1)]
 
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
-        shares, mean = _power_mean(np.diag(covariance))
-        return np.diag(shares), mean
+        weights, mean = _power_mean(np.diag(covariance))
+        return np.diag(weights), mean
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
         variances = np.diag(reduced.asked @ reduced.asked.T + reduced.left)
@@ -309,8 +309,8 @@ def _power_mean(variances: Floats) -> tuple[Floats, float]:
     """Shares of the variances in their largest, by (sum v^POWER)^(1/POWER), and that number."""
     largest = float(np.max(variances))
     ratio = np.maximum(variances, 0.0) / largest
-    shares = ratio ** (POWER - 1)
-    return shares / shares.sum(), largest * float(np.sum(ratio**POWER)) ** (1 / POWER)
+    weights = ratio ** (POWER - 1)
+    return weights / weights.sum(), largest * float(np.sum(ratio**POWER)) ** (1 / POWER)
 
 
 def _least(slopes: Floats, weights: Floats, number: int) -> float:

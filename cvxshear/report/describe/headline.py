@@ -246,18 +246,18 @@ def evidence_in_words(result: Closure) -> str:
     ----------
     result : Closure
     """
-    shares = carried_by(result.before.estimate, result.estimate) if result.effects else {}
-    if not shares:
+    share_of_kind = carried_by(result.before.estimate, result.estimate) if result.effects else {}
+    if not share_of_kind:
         return ""
-    first, share = next(iter(shares.items()))
+    first, share = next(iter(share_of_kind.items()))
     kind = plural_of(first)
     if _only_accuracy(result):
         return f"The evidence lies in the residuals of the {kind}, which scatter more than was declared."
-    if len(shares) == 1:
+    if len(share_of_kind) == 1:
         return f"The evidence lies in the {kind}; nothing else was measured."
     if share > CARRIES:
         return f"The evidence lies in the {kind}: {percent(share, 0)} of the fall in chi-square is theirs."
-    said = [f"{plural_of(each)} ({percent(part, 0)})" for each, part in shares.items()]
+    said = [f"{plural_of(each)} ({percent(part, 0)})" for each, part in share_of_kind.items()]
     return f"The evidence lies in {listed(said)} of the fall in chi-square."
 
 
@@ -273,8 +273,8 @@ def change_in_words(before: Estimate, after: Estimate) -> str:
     ----------
     before, after : Estimate
     """
-    shares = carried_by(before, after)
-    carrying = [kind for name, kind in before.misfit.noises.items() if shares.get(name, 0.0) > 0.5]
+    share_of_kind = carried_by(before, after)
+    carrying = [kind for name, kind in before.misfit.noises.items() if share_of_kind.get(name, 0.0) > 0.5]
     for kind in (*carrying, Frequencies.noise):
         if kind.leading is None or not (old := before.quality.errors[kind.leading.key]):
             continue

@@ -124,9 +124,9 @@ def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
     fast = ~np.isnan(values) & ~(stds > NEGLIGIBLE_STD * np.abs(values))
     # A fixed value has no deviation; all fixed values have one format.
     shown = _short(significants((values[fast] / factor).tolist(), 5))
-    held = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
+    fast_ones = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
     return [
-        UNKNOWN if np.isnan(value) else held[place] if place in held else with_std(value, std, factor=factor)
+        UNKNOWN if np.isnan(value) else fast_ones[place] if place in fast_ones else with_std(value, std, factor=factor)
         for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
     ]
 
@@ -239,12 +239,12 @@ def part_section(result: Identification, part: SingleIdentification, place: int,
 
 def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
     """Warn of what would have gone on but for a bound."""
-    held = part.frame.at_bounds
-    if held:
-        are, them = ("is", "it") if len(held) == 1 else ("are", "them")
+    at_bounds = part.frame.at_bounds
+    if at_bounds:
+        are, them = ("is", "it") if len(at_bounds) == 1 else ("are", "them")
         yield Sentence(
-            f"{capital(in_words(held))} {are} at a bound, a declared one or the least that counts as positive; the "
-            f"data alone would have {them} beyond it. That is no measurement, and the other standard deviations "
+            f"{capital(in_words(at_bounds))} {are} at a bound, a declared one or the least that counts as positive; "
+            f"the data alone would have {them} beyond it. That is no measurement, and the other standard deviations "
             "hold only as far as the bound is true.",
             "warning",
         )
