@@ -21,7 +21,7 @@ class Frequencies(Datum):
     Parameters
     ----------
     tested : Configuration
-    kept : ndarray of bool, shape (m,)
+    used : ndarray of bool, shape (m,)
         Which of its modes count.
     """
 
@@ -38,7 +38,7 @@ class Frequencies(Datum):
         negligible=1e-5,
     )  # fmt: skip
     tested: Configuration
-    kept: Bools
+    used: Bools
 
     @classmethod
     def of(cls, experiment: Experiment) -> Sequence[Frequencies]:
@@ -48,36 +48,36 @@ class Frequencies(Datum):
     @property
     def count(self) -> int:
         """Number of modes that count."""
-        return int(np.sum(self.kept))
+        return int(np.sum(self.used))
 
     def residual(self, model: Model) -> Residual:
         """Differences of logarithms over the standard deviation of the logarithm."""
         weights, logs = self._declared
-        values = model.modes.eigenvalues[model.paired][self.kept]
+        values = model.modes.eigenvalues[model.paired][self.used]
         r = weights * (0.5 * np.log(values) - logs)
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
-        return Residual(r, (model.mode_derivatives[0][:, self.kept] * (0.5 * weights / values)).T)
+        return Residual(r, (model.mode_derivatives[0][:, self.used] * (0.5 * weights / values)).T)
 
     @cached_property
     def _declared(self) -> tuple[Floats, Floats]:
         """One over the standard deviations of the logarithms, and the logarithms of the measured omega."""
-        of_modes = self.tested.log_frequency_std[self.kept], self.tested.frequencies[self.kept]
+        of_modes = self.tested.log_frequency_std[self.used], self.tested.frequencies[self.used]
         return 1.0 / of_modes[0], np.log(2 * np.pi * of_modes[1])
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """model / measured - 1 of each frequency."""
-        modelled = model.modes.frequencies[model.paired][self.kept]
-        return {"frequency_error": modelled / self.tested.frequencies[self.kept] - 1.0}
+        modelled = model.modes.frequencies[model.paired][self.used]
+        return {"frequency_error": modelled / self.tested.frequencies[self.used] - 1.0}
 
     def without(self, left_out: Bools) -> Frequencies:
         """Leave out these modes."""
-        return Frequencies(self.tested, self.kept & ~left_out)
+        return Frequencies(self.tested, self.used & ~left_out)
 
     def describe(self, model: Model) -> list[Deviation]:
         """Describe each mode."""
         errors, r = self.errors(model)["frequency_error"], self.residual(model).r
-        modes = self.tested.modes[self.kept]
+        modes = self.tested.modes[self.used]
         return [
             Deviation(self.noise.name, self.tested.name, f"mode {mode}", float(error), float(z))
             for mode, error, z in zip(modes, errors, r, strict=True)

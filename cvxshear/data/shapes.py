@@ -24,7 +24,7 @@ class Shapes(Datum):
     Parameters
     ----------
     tested : Configuration
-    kept : ndarray of bool, shape (m,)
+    used : ndarray of bool, shape (m,)
         Which of its modes count.
     """
 
@@ -38,7 +38,7 @@ class Shapes(Datum):
         negligible=1e-4,
     )  # fmt: skip
     tested: Configuration
-    kept: Bools
+    used: Bools
 
     @classmethod
     def of(cls, experiment: Experiment) -> Sequence[Shapes]:
@@ -52,36 +52,36 @@ class Shapes(Datum):
     @property
     def count(self) -> int:
         """Entries, less one a mode whose scale is free."""
-        entries = np.sum(self.tested.measured[self.kept], axis=1)
+        entries = np.sum(self.tested.measured[self.used], axis=1)
         return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
 
     def _laid_on(self, model: Model, factor: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats | None]:
         """Weights, the modelled shapes as the sensors would show them, their scales, and u where the scale is free."""
         configuration = self.tested
         floors = configuration.measured_floors - 1
-        weights = configuration.entry_weights[self.kept]
+        weights = configuration.entry_weights[self.used]
         if factor is not None:
             weights = weights / factor.reshape(weights.shape)
-        psi = model.state.observation.shown(model.modes.shapes[model.paired[self.kept]], floors)
-        scale, unit = scaled(configuration.known_shapes[self.kept], psi, weights)
+        psi = model.state.observation.shown(model.modes.shapes[model.paired[self.used]], floors)
+        scale, unit = scaled(configuration.known_shapes[self.used], psi, weights)
         if configuration.mass_normalized:
             return weights, psi, np.where(scale < 0, -1.0, 1.0), None
         return weights, psi, scale, unit
 
     def seen(self, model: Model) -> Floats:
-        """Return the modelled shapes as sensors would show them, on the measured ones' scale, shape (kept, n)."""
+        """Return the modelled shapes as sensors would show them, on the measured ones' scale, shape (used, n)."""
         _, psi, scale, _ = self._laid_on(model)
         return scale[:, None] * psi
 
     @property
     def floors(self) -> Ints:
         """Floor of each entry, mode by mode."""
-        return np.tile(self.tested.measured_floors, int(self.kept.sum()))
+        return np.tile(self.tested.measured_floors, int(self.used.sum()))
 
     @property
     def known(self) -> Bools:
         """Entries that are not nan, mode by mode."""
-        return self.tested.measured[self.kept].ravel()
+        return self.tested.measured[self.used].ravel()
 
     def residual(self, model: Model) -> Residual:
         """Differences of entries over their standard deviations; zero where nothing was measured."""
@@ -90,12 +90,12 @@ class Shapes(Datum):
     def widened_residual(self, model: Model, factor: Floats) -> Residual:
         """Compute `residual`, the scale of each shape following the entries that have become less certain."""
         weights, psi, scale, unit = self._laid_on(model, factor)
-        r = (weights * (scale[:, None] * psi - self.tested.known_shapes[self.kept])).ravel()
+        r = (weights * (scale[:, None] * psi - self.tested.known_shapes[self.used])).ravel()
         if not model.derivatives:
             return Residual(r, np.zeros((0, 0)))
         floors = self.tested.measured_floors - 1
-        shapes = model.modes.shapes[model.paired[self.kept]]
-        slopes = model.mode_derivatives[1][:, self.kept]
+        shapes = model.modes.shapes[model.paired[self.used]]
+        slopes = model.mode_derivatives[1][:, self.used]
         dpsi = model.state.observation.shown_slopes(shapes, slopes, model.by, floors)
         J = weights * scale[:, None] * dpsi
         if unit is not None:
@@ -106,22 +106,22 @@ class Shapes(Datum):
         """MAC of each shape known at two floors, and the largest difference of an entry of each."""
         measured, modelled = self._known_entries(model)
         lengths = np.sum(measured**2, axis=1) * np.sum(modelled**2, axis=1)
-        several = np.sum(self.tested.measured[self.kept], axis=1) > 1
+        several = np.sum(self.tested.measured[self.used], axis=1) > 1
         criteria = np.sum(measured * modelled, axis=1)[several] ** 2 / lengths[several]
         return {"mac": criteria, "shape_error": shape_errors(measured, modelled)}
 
     def _known_entries(self, model: Model) -> tuple[Floats, Floats]:
         """Measured and modelled shapes, zero where nothing was measured."""
-        return self.tested.known_shapes[self.kept], np.where(self.tested.measured[self.kept], self.seen(model), 0.0)
+        return self.tested.known_shapes[self.used], np.where(self.tested.measured[self.used], self.seen(model), 0.0)
 
     def without(self, left_out: Bools) -> Shapes:
         """Leave out these modes."""
-        return Shapes(self.tested, self.kept & ~left_out)
+        return Shapes(self.tested, self.used & ~left_out)
 
     def describe(self, model: Model) -> list[Deviation]:
         """Describe each mode."""
-        z = self.residual(model).r.reshape(int(self.kept.sum()), -1)
-        known = self.tested.measured[self.kept]
+        z = self.residual(model).r.reshape(int(self.used.sum()), -1)
+        known = self.tested.measured[self.used]
         errors = shape_errors(*self._known_entries(model))
         return [
             Deviation(
@@ -132,7 +132,7 @@ class Shapes(Datum):
                 float(np.sqrt(np.mean(row[there] ** 2))),
                 int(there.sum()),
             )
-            for mode, row, error, there in zip(self.tested.modes[self.kept], z, errors, known, strict=True)
+            for mode, row, error, there in zip(self.tested.modes[self.used], z, errors, known, strict=True)
         ]
 
 

@@ -14,18 +14,18 @@ logger = logging.getLogger(__name__)
 
 MEGABYTE = 1_000_000
 
-_kept: ContextVar[dict[str, bytes] | None] = ContextVar("kept", default=None)
+_read_before: ContextVar[dict[str, bytes] | None] = ContextVar("read_before", default=None)
 """What pipes and devices gave, by their names, while one command runs."""
 
 
 @contextmanager
 def streams_read_once() -> Iterator[None]:
     """Keep what a pipe gives while this lasts: who looks at it a second time sees the same, and does not wait."""
-    token = _kept.set({})
+    token = _read_before.set({})
     try:
         yield
     finally:
-        _kept.reset(token)
+        _read_before.reset(token)
 
 
 def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", named: bool = False) -> bytes:
@@ -54,7 +54,7 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
             raise InputError(f"{where} is a folder; name a file in it")
         if named and path.exists() and not path.is_file():
             raise InputError(f"{where} is a device or a pipe; save what it gives in a file")
-        kept = None if path.is_file() else _kept.get()
+        kept = None if path.is_file() else _read_before.get()
         if kept is not None and where in kept:
             return kept[where]
         with path.open("rb") as file:

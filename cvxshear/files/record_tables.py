@@ -221,22 +221,22 @@ def pieces_of(
         if 0 < jumps.size <= MOST_GAPS * len(time) and np.all(steps > 0):
             breaks = np.flatnonzero(sound)[jumps + 1].tolist()
     first, last = _asked(columns, declared, run)
-    kept = sound_pieces(sound, breaks, slice(first, last))
-    whole = kept == [slice(first, last)]
+    sound_rows = sound_pieces(sound, breaks, slice(first, last))
+    whole = sound_rows == [slice(first, last)]
     for item in needed if whole else ():
         # Whatever is wrong with the whole is said by those who read it.
-        columns.rows(kept[0]).column(item.name, item.place or path.name)
+        columns.rows(sound_rows[0]).column(item.name, item.place or path.name)
     if name is not None:
-        rate = rate_of(declared, columns.rows(max(kept, key=lambda each: each.stop - each.start)))
+        rate = rate_of(declared, columns.rows(max(sound_rows, key=lambda each: each.stop - each.start)))
     if whole:
-        return kept, rate, ""
-    lost = last - first - sum(each.stop - each.start for each in kept)
+        return sound_rows, rate, ""
+    lost = last - first - sum(each.stop - each.start for each in sound_rows)
     jumped = sum(first < row < last for row in breaks)
     why = [f"{lost} of {last - first} samples are missing or stand between gaps"] if lost else []
     why += [f"the clock jumps {counted(jumped, 'time')}"] if jumped else []
     clock = since_first(columns, declared)
-    pieces = ", ".join(f"{clock[each.start]:.4g} to {clock[each.stop - 1]:.4g} s" for each in kept)
-    return kept, rate, f"{', '.join(why)}; the longest sound pieces are used as runs of their own: {pieces}"
+    pieces = ", ".join(f"{clock[each.start]:.4g} to {clock[each.stop - 1]:.4g} s" for each in sound_rows)
+    return sound_rows, rate, f"{', '.join(why)}; the longest sound pieces are used as runs of their own: {pieces}"
 
 
 def since_first(columns: Columns, declared: Mapping[str, Any]) -> Floats:

@@ -117,15 +117,15 @@ class Disagreement:
     def at(self, floors: Ints) -> float:
         """Count the standard deviations between the models with sensors at these floors, zero-based."""
         m, n = self.shapes.shape
-        kept = np.zeros((m, n), dtype=bool)
-        kept[:, floors] = self.seen[:, floors]
-        rows = np.concatenate([np.arange(m), m + np.flatnonzero(kept)])
+        measured = np.zeros((m, n), dtype=bool)
+        measured[:, floors] = self.seen[:, floors]
+        rows = np.concatenate([np.arange(m), m + np.flatnonzero(measured)])
         both = np.column_stack([self.difference, self.uncertain])[rows]
         if self.free_scale:
             for mode in range(m):
                 # What lies along a shape is its scale.
-                own = slice(m + int(kept[:mode].sum()), m + int(kept[: mode + 1].sum()))
-                along = self.shapes[mode, kept[mode]]
+                own = slice(m + int(measured[:mode].sum()), m + int(measured[: mode + 1].sum()))
+                along = self.shapes[mode, measured[mode]]
                 length = float(along @ along)
                 if length > 0:
                     both[own] -= np.outer(along, along @ both[own]) / length

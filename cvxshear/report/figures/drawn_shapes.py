@@ -81,9 +81,9 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
     full = model.state.observation.shown(model.modes.shapes[model.paired])
     factor = 1.0 / full[np.arange(len(full)), np.argmax(np.abs(full), axis=1)]
     if datum is not None:
-        at_sensors = full[datum.kept][:, configuration.measured_floors - 1]
+        at_sensors = full[datum.used][:, configuration.measured_floors - 1]
         length = np.sum(at_sensors**2, axis=1)
-        factor[datum.kept] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
+        factor[datum.used] = np.where(length > 0, np.sum(datum.seen(model) * at_sensors, axis=1) / length, 1.0)
     return np.asarray(factor[:, None] * full)
 
 
