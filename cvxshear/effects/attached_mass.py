@@ -202,7 +202,7 @@ def with_attached(state: State, floor: int, mass: float, by_mass: Floats, freque
 
 
 def _bordered(matrices: Floats) -> Floats:
-    """Give each matrix a row and a column of zeros more; `numpy.pad` takes ten times as long for small ones."""
+    """Give each matrix a row and a column of zeros more; `numpy.pad` takes many times as long for small ones."""
     *several, rows, columns = matrices.shape
     found = np.zeros((*several, rows + 1, columns + 1))
     found[..., :-1, :-1] = matrices
