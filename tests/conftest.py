@@ -20,12 +20,15 @@ from tests.docs.runner import KEPT_IN, once
 
 TESTS = Path(__file__).parent
 
-LONGEST_FIRST = (
-    "docs/test_blocks.py", "response/test_reconstruction.py", "fuzz/test_hostile_names.py", "test_numbering.py",
-    "docs/test_build.py", "response/test_predict.py", "response/test_real_records.py", "test_calibration.py", "report/",
-    "response/", "modal/", "test_nested.py", "test_loop.py", "test_hostile_files.py", "test_measured_frames.py",
-)  # fmt: skip
-"""What takes longest, in this order, before all else: begun last it would keep one process busy while others wait."""
+COSTS = TESTS / "costs.txt"
+"""Processor seconds of each test that takes half of one or more; `python -m pytest --costs` writes it anew."""
+
+COSTLY, LONG = 0.5, 2.0
+"""Processor seconds from which on a test stands in that table, and from which on it is marked `long`: one in fifty
+tests, which take half of the time of all. `python -m pytest -m "not long"` leaves them to CI."""
+
+ON_MEASURED = "docs/measured/"
+"""In the names of tests of pages on measured frames, which take as long as all others: each half has a process."""
 
 SHARING = re.compile(r"^@(functools\.)?cache$|scope=.module.", re.MULTILINE)
 """In a file whose tests look at something that is made once."""
@@ -33,6 +36,8 @@ SHARING = re.compile(r"^@(functools\.)?cache$|scope=.module.", re.MULTILINE)
 
 # Typer writes the whole command line anew for every command, which takes longer than most of them.
 typer.main.get_command = functools.cache(typer.main.get_command)
+
+BEGAN = pytest.StashKey()
 
 OBJECTS = 50_000
 """New objects after which garbage is looked for; by Python's 700 a tenth of the time of a drawing goes into that."""
@@ -46,6 +51,7 @@ def pytest_addoption(parser):
         metavar="N",
         help="mutated files that each reader is tried with; those that it takes go on to identify, loop and modes",
     )
+    parser.addoption("--costs", action="store_true", help=f"write what each test costs into {COSTS.name}")
 
 
 def pytest_configure(config):
@@ -64,13 +70,41 @@ def pytest_collection_finish():
     gc.set_threshold(OBJECTS, 20, 20)
 
 
-def pytest_collection_modifyitems(items):
-    places = [str(TESTS / each) for each in LONGEST_FIRST]
+@functools.cache
+def costs():
+    """What tests cost, by their names."""
+    lines = COSTS.read_text(encoding="utf-8").splitlines()
+    return {name: float(seconds) for seconds, _, name in (line.partition(" ") for line in lines)}
 
-    def place(item):
-        return next((at for at, path in enumerate(places) if str(item.path).startswith(path)), len(places))
 
-    items.sort(key=place)
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Mark what is long, and begin what takes longest before all else: last it would keep one process busy alone."""
+    groups = Counter()
+    for item in items:
+        cost = costs().get(item.nodeid, 0.0)
+        groups[group_of(config, item.nodeid)] += cost
+        if cost >= LONG or ON_MEASURED in item.nodeid:
+            item.add_marker(pytest.mark.long)
+    items.sort(key=lambda item: -groups[group_of(config, item.nodeid)])
+
+
+def spent():
+    """Processor seconds of this process and of those that it has waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    item.stash[BEGAN] = spent()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    if call.when == "teardown":
+        item.user_properties.append(("cost", spent() - item.stash[BEGAN]))
+    return (yield)
 
 
 @functools.cache
@@ -79,18 +113,22 @@ def shares(path):
     return bool(SHARING.search(path.read_text(encoding="utf-8")))
 
 
+def group_of(config, nodeid):
+    """Name what runs in one process: the tests that look at something that their file makes once, or a test alone."""
+    file = nodeid.partition("::")[0]
+    if not shares(config.rootpath / file):
+        return nodeid
+    return f"{file}, measured" if ON_MEASURED in nodeid else file
+
+
 class Sharing(LoadScopeScheduling):
-    """Tests that look at something that their file makes once stay in one process; others go to whichever is free.
+    """Tests of a group stay in one process; others go to whichever is free.
 
     `--dist loadgroup` would do the same, but xdist 3.8 finds no group in the names that pytest 9.2 gives its tests.
     """
 
     def _split_scope(self, nodeid):
-        file = nodeid.partition("::")[0]
-        if not shares(self.config.rootpath / file):
-            return nodeid
-        # Pages on measured frames take as long as all others: each half has a process.
-        return f"{file}, measured" if "docs/measured/" in nodeid else file
+        return group_of(self.config, nodeid)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -154,9 +192,19 @@ def needed(reason):
     return f"the package {missing[1]}" if missing else reason.partition(": ")[0]
 
 
-def pytest_terminal_summary(terminalreporter):
+def pytest_terminal_summary(terminalreporter, config):
     """One line for all that was skipped: what is not here, and how many tests need it."""
+    if config.getoption("--costs"):
+        write_costs(each for kind in ("passed", "failed", "error", "") for each in terminalreporter.stats.get(kind, []))
     skipped = Counter(needed(report.longrepr[2]) for report in terminalreporter.stats.get("skipped", []))
     if skipped:
         what = "; ".join(f"{reason} ({count})" for reason, count in sorted(skipped.items()))
         terminalreporter.write_line(f"skipped: {skipped.total()} tests, for want of what they name: {what}")
+
+
+def write_costs(reports):
+    """Write what each test cost that was run, with what is known of the others."""
+    found = {each.nodeid: dict(each.user_properties).get("cost") for each in reports if each.when == "teardown"}
+    known = {name: seconds for name, seconds in {**costs(), **found}.items() if seconds >= COSTLY}
+    order = sorted(known, key=lambda name: -known[name])
+    COSTS.write_text("".join(f"{known[name]:.1f} {name}\n" for name in order), encoding="utf-8")
