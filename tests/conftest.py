@@ -30,6 +30,9 @@ tests, which take half of the time of all. `python -m pytest -m "not long"` leav
 ON_MEASURED = "docs/measured/"
 """In the names of tests of pages on measured frames, which take as long as all others: each half has a process."""
 
+PAGES = "tests/docs/test_blocks.py"
+"""One process runs all pages, and whichever test asks first pays for it: of these only measured frames are long."""
+
 SHARING = re.compile(r"^@(functools\.)?cache$|scope=.module.", re.MULTILINE)
 """In a file whose tests look at something that is made once."""
 
@@ -84,7 +87,7 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         cost = costs().get(item.nodeid, 0.0)
         groups[group_of(config, item.nodeid)] += cost
-        if cost >= LONG or ON_MEASURED in item.nodeid:
+        if ON_MEASURED in item.nodeid or (cost >= LONG and not item.nodeid.startswith(PAGES)):
             item.add_marker(pytest.mark.long)
     items.sort(key=lambda item: -groups[group_of(config, item.nodeid)])
 
