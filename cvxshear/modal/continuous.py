@@ -239,8 +239,8 @@ SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
 """Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
 
 SILENCE = 1e-4
-"""Of the largest variance, added to every channel's before the future is weighted: 40 dB below the motion a record holds
-resolution and hum, which make poles where they are weighted up to the motion's size."""
+"""Of the largest variance, added to every channel's before the future is weighted: 40 dB below the motion a record
+holds resolution and hum, which make poles where they are weighted up to the motion's size."""
 
 
 class SubspaceSource(Source):
@@ -299,7 +299,7 @@ class SubspaceSource(Source):
         return left_factor(self._future(None)[0])
 
     def _future(self, keep: Bools | None) -> tuple[Floats, Floats]:
-        """What the past explains of the future outputs once the future inputs are projected out, and what is left."""
+        """Split the future outputs, the future inputs projected out, into what the past explains and what is left."""
         triangle = self._triangles.together(keep).T
         future_inputs = self.rows * self.inputs
         past = future_inputs + self.rows * (self.inputs + self.outputs)
