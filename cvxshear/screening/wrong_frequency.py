@@ -10,7 +10,7 @@ logarithm of its likelihood, and J its residuals' derivatives, minus twice the l
 for one of K frequencies in a share q of all files. A frequency is named only where everything else then fits as its
 deviations say, on more data than the frame takes up, and where no single effect of the catalogue, and no change between
 the tests, accounts for the data nearly as well. A mass on a spring does where its own mode, or the other of the two
-that it makes of one, was taken for the frame's: both are said, and the finding is a doubt unless the mass is improbable.
+that it makes of one, was taken for the frame's: both are said, a doubt unless the mass is improbable.
 """
 
 import dataclasses
@@ -224,8 +224,8 @@ def _beside_a_mass(found: Finding, test: str, rivals: Sequence[tuple[ModelClass,
         "frequency/attached", floor=placed.place.floor, mass=mass, frequency=frequency, percent=100 * share,
         where="" if placed.place.state is None else f' of "{test}"',
     )[1:]  # fmt: skip
-    words = {"found": f"{found.found}; {said}", "change": f"{found.change}; {change}"}
-    return dataclasses.replace(found, **words, refuses=share < 1.0 - WRONG_FOR_SURE)
+    said, change = f"{found.found}; {said}", f"{found.change}; {change}"
+    return dataclasses.replace(found, found=said, change=change, refuses=share < 1.0 - WRONG_FOR_SURE)
 
 
 def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> Finding:
