@@ -237,7 +237,7 @@ def test_few_sensors_on_a_tall_frame_bend_no_mode():
 
 
 def test_noise_of_the_sensors_bends_no_weak_mode():
-    """Unweighted, the noise of the strong modes' singular vectors put the sixth 0.9 of its deviations low on average."""
+    """Unweighted, noise in the strong modes' singular vectors put the sixth 0.9 of its deviations low on average."""
     frame = KnownFrame(np.full(7, 1000.0), np.full(7, 2.5e6), 0.01)
     truth, off = frame.modes()[0][5], []
     for seed in range(5):
