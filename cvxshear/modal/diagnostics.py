@@ -155,10 +155,14 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
             if not straight(segments, place, beside, float(late_by[place] - late_by[beside])):
                 continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
+        # Beside a damper the clock that all are compared with may be the one that is off.
+        third = np.delete(full.clocks.before, [names.index(name), full.clocks.reference])
+        told = bool(np.any(third <= STRAIGHT * before))
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
             late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
+            which="" if told else "; which of the two is off no third clock tells",
         )  # fmt: skip
 
 
