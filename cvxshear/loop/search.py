@@ -134,7 +134,7 @@ class Search:
             partial(self._follow, self._expand, self.expanded, REACH),
             partial(self._follow, self._regroup, self.regrouped, WITHIN),
             partial(self._follow, self._reduce, self.reduced, WITHIN),
-            self._add_motions,
+            self.add_motions,
             self._add_companions,
         )
         while not self.spent and any(way() for way in ways):
@@ -153,7 +153,7 @@ class Search:
         """Where nothing simple explains the data, or an open class has to, look far from the best set first."""
         if not (self._unsatisfied() or holds_open(self.best.effects)):
             return False
-        return self._add_motions() or self._descend_among_causes() or self._add_companions()
+        return self.add_motions() or self._descend_among_causes() or self._add_companions()
 
     def _descend_among_causes(self) -> bool:
         """Visit, where the best set holds an open class, what causes alone lead to; tell whether one of them is better.
@@ -190,7 +190,7 @@ class Search:
                 self._fit_without(best, [rest])
                 self._with_one_of(self.lacking(self.visited[rest]), self.visited[rest], frozenset([placed]))
 
-    def _add_motions(self) -> bool:
+    def add_motions(self) -> bool:
         """Visit sets with an effect that brings a motion of its own, unless the shear model wins as it should."""
         if self.moved or (self.best is self.base and not self.base.improbable):
             return False

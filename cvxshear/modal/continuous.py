@@ -12,7 +12,11 @@ Input-output subspace identification with past inputs and outputs as instruments
 of past (p) and future (f) data, the extended observability matrix spans the columns of the future outputs from which
 the future inputs have been projected out, correlated with the past data (Verhaegen 1994, "Identification of the
 deterministic part of MIMO state space models", Automatica 30(1)): in the triangle of [U_f | U_p Y_p | Y_f], the block
-of Y_f against the past.
+L32 of Y_f against the past, and L33 what is left of Y_f. It is weighted by the inverse square root of the future's
+covariance L32 L32' + L33 L33', so that its singular values are the canonical correlations of past and future (Larimore
+1990, "Canonical variate analysis in identification, filtering, and adaptive control", IEEE CDC): unweighted, the noise
+of a strong mode's channels stands before a weak mode, and bends its pole by the square of noise over motion, which no
+scatter over the record's pieces shows.
 
 Covariance-driven stochastic subspace identification: the covariances R_k = E[y_{t+k} y_t'] of the response to white
 noise are Markov parameters, R_k = C A^{k-1} G (Peeters and De Roeck 1999, "Reference-based stochastic subspace
@@ -234,6 +238,10 @@ def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
 SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
 """Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
 
+SILENCE = 1e-4
+"""Of the largest variance, added to every channel's before the future is weighted: 40 dB below the motion a record
+holds resolution and hum, which make poles where they are weighted up to the motion's size."""
+
 
 class SubspaceSource(Source):
     """A record with measured input, in blocks, for PO-MOESP.
@@ -280,11 +288,22 @@ class SubspaceSource(Source):
         return other
 
     def factor(self, keep: Bools | None = None) -> Floats:
+        """Left factor of the future outputs as the past explains them, weighted by their covariance, weight undone."""
+        explained, rest = self._future(keep)
+        weight = _root(explained @ explained.T + rest @ rest.T, SILENCE)
+        weighted = linalg.solve_triangular(weight, explained, lower=True, check_finite=False)
+        return np.asarray(weight @ left_factor(weighted))
+
+    def data(self) -> Floats:
         """Left factor of the future outputs as the past explains them."""
+        return left_factor(self._future(None)[0])
+
+    def _future(self, keep: Bools | None) -> tuple[Floats, Floats]:
+        """Split the future outputs, the future inputs projected out, into what the past explains and what is left."""
         triangle = self._triangles.together(keep).T
         future_inputs = self.rows * self.inputs
         past = future_inputs + self.rows * (self.inputs + self.outputs)
-        return left_factor(triangle[past:, future_inputs:past])
+        return triangle[past:, future_inputs:past], triangle[past:, past:]
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
         """Return the observer's Markov parameters, from the first that rings no more."""
@@ -372,8 +391,8 @@ def _toeplitz(covariances: Floats, count: int) -> Floats:
     return np.asarray(blocks.transpose(0, 2, 1, 3).reshape(count * outputs, count * outputs))
 
 
-def _root(matrix: Floats) -> Floats:
+def _root(matrix: Floats, least: float = LEAST_NOISE) -> Floats:
     """Lower triangular square root of a covariance that sampling may have left slightly indefinite."""
     scale = float(np.max(np.diag(matrix)))
-    lift = LEAST_NOISE * scale - min(0.0, float(linalg.eigvalsh(matrix, subset_by_index=[0, 0])[0]))
+    lift = least * scale - min(0.0, float(linalg.eigvalsh(matrix, subset_by_index=[0, 0])[0]))
     return np.asarray(linalg.cholesky(matrix + lift * np.eye(len(matrix)), lower=True))

@@ -147,14 +147,22 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
         if left > STRAIGHT * before:
             continue
         if segments is not None:
-            first, second = names.index(name), full.clocks.reference
-            if not straight(segments, first, second, late):
+            place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
+            floors = [floor for floor in range(len(record.channels)) if floor != place]
+            if beside == len(record.channels) and floors:
+                # Every resonance turns the phases between the input and a floor; those between two floors it does not.
+                beside = min(floors, key=lambda floor: abs(late_by[floor]))
+            if not straight(segments, place, beside, float(late_by[place] - late_by[beside])):
                 continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
+        # Beside a damper the clock that all are compared with may be the one that is off.
+        third = np.delete(full.clocks.before, [names.index(name), full.clocks.reference])
+        told = bool(np.any(third <= STRAIGHT * before))
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
             late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
+            which="" if told else "; which of the two is off no third clock tells",
         )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from cvxshear.modal.releases import without_drifts
 from cvxshear.modal.result import ModalResult
 from cvxshear.modal.stabilization import Criteria
 from cvxshear.records.examination import Examined, examined
-from cvxshear.records.late_clocks import CERTAIN_DELAY, clock_offset
+from cvxshear.records.late_clocks import CERTAIN_DELAY, clock_drift, clock_offset
 from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.placement import SURE, findings_of, weighed
 from cvxshear.records.record import Finding, FrfRecord, Record
@@ -321,8 +321,10 @@ def _besides(looked: Examined) -> str:
 def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
     """Add what was found before; clocks that were set right count together with what was left."""
     seen, offsets = [], dict(result.clock_offsets)
+    counted: set[tuple[str, str]] = set()
+    late = {finding.numbers["channel"] for finding in result.findings if finding.kind == "clock offset"}
     for finding in looked.findings:
-        name = finding.numbers.get("channel")
+        name = finding.numbers.get("channel", "")
         if finding.kind == "clock offset" and name in offsets:
             against = finding.numbers["reference"]
             (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
@@ -331,9 +333,16 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
                 rest, zero, std, spread = 0.0, 0.0, finding.numbers["std"], 0.0
             offsets[name] = finding.numbers["seconds"] + rest - zero, float(np.hypot(std, spread))
             seen.append(clock_offset(name, against, *offsets[name]))
+        elif finding.kind == "clock drift" and "reference" in finding.numbers and name in late:
+            # A drift is taken out with a start that the modes tell finer.
+            numbers, zero = finding.numbers, result.clock_offsets.get(finding.numbers["reference"], (0.0, 0.0))[0]
+            start = numbers["seconds"] + offsets[name][0] - zero
+            seen.append(clock_drift(name, numbers["reference"], start, numbers["drift"], numbers["drift_std"]))
+            offsets[name] = start, offsets[name][1]
+            counted.add(("clock offset", name))
         else:
             seen.append(finding)
     # What the modes leave of a clock that was set right by the whole band is counted above, or a part of its drift.
-    twice = {(finding.kind, finding.numbers["channel"]) for finding in seen if finding.kind in CLOCKS}
+    twice = counted | {(finding.kind, finding.numbers["channel"]) for finding in seen if finding.kind in CLOCKS}
     left = [item for item in result.findings if (item.kind, item.numbers.get("channel")) not in twice]
     return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)

@@ -109,7 +109,7 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
         start = late - slope * heard[i if i != reference else right].time
         wrong[clocks[i]] = (start, slope)
         if slope:
-            findings.append(_drifting(clocks[i], clocks[right], start, slope, slope_std))
+            findings.append(clock_drift(clocks[i], clocks[right], start, slope, slope_std))
         else:
             findings.append(clock_offset(clocks[i], clocks[right], late, std))
     if silent:
@@ -205,11 +205,13 @@ def _silent(channel: Channel, clock: BandClock) -> Finding:
     return finding("dead channel/silent", numbers, where=channel, chance=clock.chance)
 
 
-def _drifting(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
-    numbers = {"channel": name, "seconds": start, "drift": slope, "drift_std": std, "corrected": True}
+def clock_drift(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
+    """Report a clock that drifted, and has been set right."""
+    numbers = {"channel": name, "reference": reference, "seconds": start, "drift": slope, "drift_std": std}
+    numbers["corrected"] = True
     return finding(
         "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope), std=significant(1e6 * std, 2),
-        start=abs(start), late="late" if start > 0 else "early", reference=reference,
+        start=abs(start), late="late" if start > 0 else "early",
     )  # fmt: skip
 
 

@@ -132,7 +132,7 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
             if others.shape[1]:
                 now[:, hit] &= others.max(axis=1) < SPIKE_DEVIATIONS / 2
         for place, hit in np.argwhere(now).tolist():
-            now[place, hit] = not _begins(cleaned[:, hit], place)
+            now[place, hit] = not _begins(cleaned, place, hit)
         if not now.any():
             break
         found |= now
@@ -143,16 +143,20 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
     return found, cleaned
 
 
-def _begins(values: Floats, place: int) -> bool:
-    """Whether motion begins at a sample, and goes on as strongly after it."""
+def _begins(values: Floats, place: int, hit: int) -> bool:
+    """Whether motion of a channel begins at a sample and goes on as strongly, or begins in all within reach of it."""
     # The model looks so many samples ahead: it errs before the first sample that moves. A knock on the sensor's own
     # floor dies away as fast as its highest modes, so what follows at once counts; a filter smears one sample to two.
     before = np.abs(values[max(0, place - 2 - BEGINNING) : max(0, place - 2)])
     after = np.abs(values[place + 3 : place + AR_ORDER + 1 + BEGINNING])
     if not len(before) or not len(after):
         return True
-    rises = np.quantile(after, 0.75) > 3.0 * np.quantile(before, 0.75)
-    return bool(rises and abs(values[place]) < 4.0 * after.max())
+    loud = np.quantile(after, 0.75, axis=0)
+    rises = loud[hit] > 3.0 * np.quantile(before[:, hit], 0.75)
+    # It looks as many back: a release is still in what it makes of the samples after it.
+    quiet = np.abs(values[max(0, place - AR_ORDER - BEGINNING) : max(1, place - AR_ORDER)])
+    released = values.shape[1] > 1 and bool(np.all(loud > 3.0 * np.quantile(quiet, 0.75, axis=0)))
+    return released or bool(rises and abs(values[place, hit]) < 4.0 * after[:, hit].max())
 
 
 def _interpolation_errors(values: Floats) -> Floats:

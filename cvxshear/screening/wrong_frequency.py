@@ -9,7 +9,8 @@ logarithm of its likelihood, and J its residuals' derivatives, minus twice the l
 
 for one of K frequencies in a share q of all files. A frequency is named only where everything else then fits as its
 deviations say, on more data than the frame takes up, and where no single effect of the catalogue, and no change between
-the tests, accounts for the data nearly as well.
+the tests, accounts for the data nearly as well. A mass on a spring does where its own mode, or the other of the two
+that it makes of one, was taken for the frame's: both are said, a doubt unless the mass is improbable.
 """
 
 import dataclasses
@@ -23,6 +24,7 @@ from scipy import special
 from cvxshear.effects import Placed
 from cvxshear.effects.stories import StoryChange
 from cvxshear.loop.close import begun
+from cvxshear.loop.fitter import ModelClass
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
 from cvxshear.screening.compared_tests import by_state
@@ -38,6 +40,9 @@ MISTYPED = 0.3
 
 AS_STATED = 0.01
 """Probability of the other data's chi-square below which they do not fit as their deviations say."""
+
+WRONG_FOR_SURE = 0.95
+"""Least probability of a wrong frequency, against a mass on a spring, that refuses a file: the other is said beside."""
 
 FEWEST_SPARE = 2.0
 """Data beyond those that the frame takes up, from which on that the others fit means anything."""
@@ -109,9 +114,13 @@ def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Findi
         return None
     named = [item for item in freed if item.cost - best.cost < RIVAL_COST and _as_stated(item, spare)]
     off = [abs(np.log(tests[item.test].frequencies[item.row]) - item.expected) for item in named]
-    if min(off) < FREQUENCY_TOLERANCE or not _beyond_effects(experiment, tests, best, count):
+    if min(off) < FREQUENCY_TOLERANCE:
         return None
-    return _said(tests, named, given)
+    rivals = _rivals(experiment, tests, best, count)
+    if rivals is None or any(not placed.effect.adds_motion for model, _ in rivals for placed in model.effects):
+        return None
+    found = _said(tests, named, given)
+    return _beside_a_mass(found, tests[best.test].name, rivals) if rivals else found
 
 
 def _problem(experiment: Experiment, tests: Sequence[Configuration], readings: Sequence[Reading]) -> ShearFrames:
@@ -162,8 +171,13 @@ def _as_stated(freed: Freed, data: int) -> bool:
     return spare >= FEWEST_SPARE and float(special.chdtrc(spare, chi2)) > AS_STATED
 
 
-def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best: Freed, count: int) -> bool:
-    """Whether no single effect, of the frame or of one of the tests, makes the data as given nearly as probable."""
+def _rivals(
+    experiment: Experiment, tests: Sequence[Configuration], best: Freed, count: int
+) -> list[tuple[ModelClass, float]] | None:
+    """Find the single effects, of the frame or of one test, that make the data as given nearly as probable.
+
+    With each the logarithm of its odds against a wrong frequency; None where no fit says.
+    """
     wrong = tests[best.test]
     std = wrong.log_frequency_std.copy()
     std[best.row] = MISTYPED
@@ -189,11 +203,29 @@ def _beyond_effects(experiment: Experiment, tests: Sequence[Configuration], best
     others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)
     try:
         with_effect, without = begun(given, others), begun(freed, others)
+        # Before any set that explains the data: beside one fewer of a mass's starts are followed.
+        with_effect.add_motions()
         with_effect.probe()
     except CvxshearError:
-        return False
+        return None
     paid = float(np.log(MISTYPED / wrong.log_frequency_std[best.row])) + prior_cost(count) / 2
-    return bool(without.base.score - paid - with_effect.best.score > -np.log(LEFT_TO_GIVEN))
+    odds = [(model, model.score - without.base.score + paid) for model in with_effect.visited.values()]
+    return [(model, each) for model, each in odds if each >= np.log(LEFT_TO_GIVEN)]
+
+
+def _beside_a_mass(found: Finding, test: str, rivals: Sequence[tuple[ModelClass, float]]) -> Finding:
+    """Say what mass on a spring explains the data as well; unless it is improbable the finding is a doubt."""
+    model, _ = max(rivals, key=lambda item: item[1])
+    assert model.estimate is not None, "a set that was weighed has a fit"
+    (placed,) = model.effects
+    mass, frequency = (significant(value, 2) for value in model.estimate.theta[-2:].tolist())
+    share = float(special.expit(special.logsumexp([odds for _, odds in rivals])))
+    said, change = in_words(
+        "frequency/attached", floor=placed.place.floor, mass=mass, frequency=frequency, percent=100 * share,
+        where="" if placed.place.state is None else f' of "{test}"',
+    )[1:]  # fmt: skip
+    said, change = f"{found.found}; {said}", f"{found.change}; {change}"
+    return dataclasses.replace(found, found=said, change=change, refuses=share < 1.0 - WRONG_FOR_SURE)
 
 
 def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> Finding:

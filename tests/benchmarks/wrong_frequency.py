@@ -52,11 +52,11 @@ def main() -> None:
         for number in range(given.frames):
             declared, name = file_of(number, given.seed, shapes=shapes)
             experiment = Experiment.from_dict(declared)
-            found = [item for item in screen(experiment) if item.refuses]
+            found = [item for item in screen(experiment) if item.refuses or item.name == "frequency"]
             said = " ".join(item.change for item in found)
             alone = name in said and not said.startswith("One of")
             what = "alone" if alone else "among others" if name in said else "another" if found else "passed over"
-            counts[what] += 1
+            counts[what if not found or found[0].refuses else f"{what}, a doubt beside a mass on a spring"] += 1
             if what == "passed over" and given.loop:
                 counts[concluded(number, experiment)] += 1
         print("with shapes" if shapes else "frequencies alone", dict(counts), flush=True)

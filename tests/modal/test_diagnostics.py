@@ -18,6 +18,7 @@ from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
 from cvxshear.records.signals import in_step, struck
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
+from tests.benchmarks.record_faults import only
 from tests.modal.shared import TWO_STORY_FREQUENCIES, two_story_frf
 
 QUIET = {"clock offset", "sign", "swapped channels", "amplitude", "reciprocity", "dead channel", "clipped channel"}
@@ -88,6 +89,26 @@ def test_clock_offset_is_found_and_corrected(record):
     again = identify_modes(late, correct_clocks=True)
     assert [f.message.endswith("; corrected") for f in found(again, "clock offset")] == [True]
     np.testing.assert_allclose(again.mode_shapes, identify_modes(record).mode_shapes, atol=2e-3)
+
+
+@pytest.mark.parametrize(("kept", "both"), [([0, 2], True), ([0, 1, 2], False)])
+def test_of_two_clocks_alone_nobody_tells_which_is_off(kept, both):
+    record = in_step(ambient_record(PAPER_FRAME, 3, noise=0.01, duration=600.0), {"floor3": (-0.01, 0.0)})
+    [finding] = found(identify_modes(only(record, np.array(kept))), "clock offset")
+    assert finding.numbers["channel"] == "floor3"
+    assert ("which of the two is off no third clock tells" in finding.message) is both
+
+
+def test_what_the_modes_leave_of_a_drift_s_start_is_counted_with_it():
+    """The clock agrees with all others when the record begins."""
+    frame = KnownFrame(np.full(4, 1000.0), np.full(4, 2.5e6), 0.012)
+    record = base_record(frame, 1, noise=0.02, duration=240.0, sampling_rate=40.0)
+    result = identify_modes(in_step(record, {"floor3": (0.0, 150e-6)}))
+    [finding] = [item for item in result.findings if item.kind.startswith("clock")]
+    assert finding.kind == "clock drift"
+    start, std = result.clock_offsets["floor3"]
+    assert finding.numbers["seconds"] == start
+    assert abs(start) < 3.0 * std
 
 
 @pytest.mark.parametrize("late", [0, 1, 2])

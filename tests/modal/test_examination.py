@@ -24,7 +24,7 @@ from cvxshear.response.sensor_faults import SensorRecord
 from cvxshear.response.sources import load_unscaled
 from cvxshear.screening import Screening
 from cvxshear.util.errors import InputError
-from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged, only
+from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged, only, sound_record
 from tests.frames import modes_of
 
 
@@ -691,3 +691,8 @@ def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole(
     assert finding.message.startswith(expected)
     assert "The record is taken as declared: nothing reaches 95 %" in finding.message
     assert finding.numbers["corrected"] is False
+
+
+def test_what_a_release_leaves_in_the_model_is_no_spike():
+    """The model of spikes looks 24 samples back: nine after this release it errs by ten of its deviations."""
+    assert "spikes" not in {finding.kind for finding in examined(sound_record(120002, "free_decay")).findings}

@@ -1,9 +1,12 @@
 """One frequency that all other data contradict is named; no sound file is accused."""
 
+import re
+
 import numpy as np
 import pytest
 
 from cvxshear import Experiment
+from cvxshear.model.shear import modes, stiffness_matrix
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
 
@@ -67,3 +70,38 @@ def test_what_nothing_contradicts_or_nobody_weighs_is_left_alone():
         del table["frequency_std"]
     assert not named(alone)
     assert not named(unstated)
+
+
+def test_a_tuned_mass_in_one_state_is_a_doubt_that_says_both():
+    """The lower of the two modes that a damper of 4 % of the frame makes of the first has the first one's shape."""
+    rng, N = np.random.default_rng(5), 5
+    mass, stiffness = 100 * rng.uniform(0.8, 1.2, N), 1e6 * rng.uniform(0.8, 1.2, N)
+    bare = modes(np.diag(mass), stiffness_matrix(stiffness))
+    own, at = 0.04 * mass.sum(), np.array([0.0, 0.0, 1.0, 0.0, 0.0, -1.0])
+    tied = np.pad(stiffness_matrix(stiffness), ((0, 1), (0, 1)))
+    tied += own * (2 * np.pi * 0.9 * bare.frequencies[0]) ** 2 * np.outer(at, at)
+    damped = modes(np.diag([*mass, own]), tied)
+    tables = [
+        {
+            "name": name, "frequency_std": 1e-3, "mode_shape_std": 1e-2,
+            "frequencies": (found.frequencies[rows] * np.exp(1e-3 * rng.standard_normal(N))).tolist(),
+            "mode_shapes": (
+                found.shapes[rows][:, :N] / np.abs(found.shapes[rows][:, :N]).max(axis=1, keepdims=True)
+                + 1e-2 * rng.standard_normal((N, N))
+            ).tolist(),
+        }
+        for name, found, rows in (("before", bare, range(N)), ("with", damped, [0, 2, 3, 4, 5]))
+    ]  # fmt: skip
+    declared = {"frame": {"total_mass": float(mass.sum())}, "configuration": tables}
+    (item,) = named(declared)
+    assert not item.refuses
+    assert item.found.startswith('mode 1 of "with" has ')
+    said = re.search(r'a mass of (.*) kg on floor 3 of "with" swings by itself at (.*) Hz', item.found)
+    weight, frequency = said.groups()
+    assert float(weight) == pytest.approx(own, rel=0.8)
+    assert float(frequency) == pytest.approx(0.9 * bare.frequencies[0], rel=0.05)
+    tables[1]["frequencies"] = (bare.frequencies * np.where(np.arange(N) == 2, 1.08, 1.0)).tolist()
+    tables[1]["mode_shapes"] = bare.shapes.tolist()
+    (item,) = named(declared)
+    assert item.refuses
+    assert item.found.startswith('mode 3 of "with" has ')
