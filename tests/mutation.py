@@ -242,9 +242,20 @@ def imported(tree):
     return {each for each in found if each.startswith("cvxshear.")}
 
 
+FARTHEST = 4
+"""Calls between a test and a change up to which the nearer is run first; beyond, nearly everything calls everything."""
+
+
 def names_of(mutant):
-    """The names of the functions and classes in which a change is run."""
-    return {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+    """The names of the functions and classes in which a change is run, of those that name them, and so on; each with
+    the number of calls between."""
+    new = {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+    found = dict.fromkeys(new, 0)
+    for calls in range(1, FARTHEST):
+        around = (name for some in every_function().values() for name, _, _, words in some if new & words)
+        new = {each for name in around for each in name.split(".") if len(each) > 3} - found.keys()
+        found |= dict.fromkeys(new, calls)
+    return found
 
 
 def tests_of(mutant):
@@ -258,7 +269,7 @@ def tests_of(mutant):
     names = names_of(mutant)
     near = {}
     for file, (modules, words) in asked().items():
-        own = 4 * any(each.startswith(module) for each in modules) + 3 * bool(names & words)
+        own = 4 * any(each.startswith(module) for each in modules) + 3 * any(names.get(word) == 0 for word in words)
         place = 2 * (f"tests/{room}/" in file or f"test_{stem}" in file or f"test_{room}" in file)
         near[file] = own + place + any(each.startswith(f"cvxshear.{room}") for each in modules)
     return tuple(sorted((file for file in near if near[file]), key=lambda file: (-near[file], file)))
@@ -284,8 +295,10 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 
 
 class Watcher:
-    """A plugin of pytest that runs first the tests that name one of some functions, then files in the order given,
-    writes down the first test that fails, and skips what is left after so many seconds of running tests."""
+    """A plugin of pytest that runs tests by the calls between them and a change, then by file in the order given.
+
+    It writes down the first test that fails, and skips what is left after so many seconds of running tests.
+    """
 
     def __init__(self, path, tests, names, seconds):
         self._path, self._tests, self._names, self._seconds = path, tests, names, seconds
@@ -295,9 +308,12 @@ class Watcher:
     def pytest_collection_modifyitems(self, items):
         """Put the nearest first again, after `conftest` has put first what takes longest."""
         order = {test.partition("::")[0]: place for place, test in enumerate(self._tests)}
-        items.sort(
-            key=lambda item: (self._names.isdisjoint(said_in(item.function)), order[item.nodeid.partition("::")[0]])
-        )
+
+        def place(item):
+            calls = min((self._names[each] for each in said_in(item) & self._names.keys()), default=FARTHEST)
+            return calls, order[item.nodeid.partition("::")[0]]
+
+        items.sort(key=place)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item):
@@ -313,10 +329,19 @@ class Watcher:
     pytest_collectreport = pytest_runtest_logreport
 
 
+def said_in(item):
+    """The words in the source of a test, and in that of the fixtures and functions of its file that it names."""
+    given = item._fixtureinfo.name2fixturedefs.values()
+    return frozenset().union(*(words_of(each) for each in (item.function, *(some[-1].func for some in given))))
+
+
 @functools.cache
-def said_in(function):
-    """The words in the source of a test."""
-    return frozenset(re.findall(r"\w+", inspect.getsource(function)))
+def words_of(function):
+    """The words in the source of a function, and in that of the functions of its file that it names."""
+    words = set(re.findall(r"\w+", inspect.getsource(function)))
+    beside = (function.__globals__.get(each) for each in words - {function.__name__})
+    near = [each for each in beside if inspect.isfunction(each) and each.__module__ == function.__module__]
+    return words.union(*(re.findall(r"\w+", inspect.getsource(each)) for each in near))
 
 
 def warm_up():
