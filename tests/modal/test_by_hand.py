@@ -1,18 +1,26 @@
 """Steps between poles and findings, each by itself: against sums written out, closed forms and drawn numbers."""
 
+import dataclasses
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from cvxshear.modal import amplitude, releases
+from cvxshear.modal import agreement, amplitude, estimate, from_arrays, picking, prepare, releases
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.clock_offsets import Offsets
 from cvxshear.modal.deviations import DRAWN, frequency_std, independent_std
+from cvxshear.modal.diagnostics import clock_findings, resolution_findings
 from cvxshear.modal.estimate import Details
-from cvxshear.modal.picking import Values
+from cvxshear.modal.functions import Functions
+from cvxshear.modal.picking import PoleCandidate, Sweep, Values
+from cvxshear.modal.realization import Poles
+from cvxshear.modal.stabilization import Criteria, clusters, energies, stable_poles, undivided
+from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.record import Channel, Finding
+from cvxshear.util.errors import InputError
 
 STARS = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.7]])
 """Real shapes of two modes at three floors."""
@@ -24,11 +32,11 @@ def details(scales):
     return Details(eigenvalues, STARS + 0.01j, STARS, scales, clocks, None, np.zeros(0, dtype=int))
 
 
-def result_of(scales, covariance, numbers=(0, 0), stories=3):
+def result_of(scales, covariance, numbers=(0, 0), stories=3, real=STARS):
     channels = tuple(Channel(name, floor) for floor, name in enumerate("abc", 1))
     record = SimpleNamespace(channels=channels, name="r", stories=stories, floors=np.array([1, 2, 3]))
     sweep = SimpleNamespace(chosen=[SimpleNamespace(number=number) for number in numbers])
-    full = details(scales)
+    full = dataclasses.replace(details(scales), real=real)
     return full, assembled(record, SimpleNamespace(sweep=sweep), full, covariance, method="era", uncertainty="drawn")
 
 
@@ -75,10 +83,14 @@ def test_the_result_has_the_deviations_of_all_parameters(between):
 
 
 @pytest.mark.parametrize(
-    ("numbers", "stories", "expected"), [((2, 3), 3, [2, 3]), ((0, 3), 3, [1, 2]), ((0, 0), 4, [1, 2])]
-)
-def test_modes_have_the_numbers_chosen_or_those_of_their_signs(numbers, stories, expected):
-    assert result_of(None, 1e-6 * np.eye(14), numbers, stories)[1].modes.tolist() == expected
+    ("numbers", "stories", "order", "expected"),
+    [((2, 3), 3, (0, 1), [2, 3]), ((0, 3), 3, (0, 1), [2, 3]), ((0, 0), 4, (0, 1), [1, 2]), ((0, 0), 3, (1, 0), [1, 2]),
+     ((0, 0), 3, (0, 0), [1, 2])],
+)  # fmt: skip
+def test_modes_have_the_numbers_chosen_or_those_of_their_signs(numbers, stories, order, expected):
+    """Shapes that change sign once and twice are those of modes 2 and 3, where all floors are measured."""
+    real = np.array([[-0.5, -0.3, 1.0], [0.7, -1.0, 0.4]])[list(order)]
+    assert result_of(None, 1e-6 * np.eye(14), numbers, stories, real)[1].modes.tolist() == expected
 
 
 def test_entries_err_by_themselves_as_much_as_the_shape_does():
@@ -254,3 +266,323 @@ def test_a_slope_has_the_deviation_that_draws_of_all_channels_have():
     # Against two others noise has 3/2 of its variance, against one twice; one line is of the first kind, two the other.
     expected = np.std(slopes) * np.sqrt((3 / 2 + 2 + 2) / 3 / (3 / 2))
     assert np.sqrt(np.mean(std**2)) == pytest.approx(expected, rel=0.08)
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_deviations_of_few_pieces_are_those_of_students_t(monkeypatch, lost):
+    """Modes that are means over pieces scatter as means do; what is not found without a piece is made up for."""
+    data = np.random.default_rng(6).standard_normal((9, 3)) * [1.0, 2.0, 3.0] + 5.0
+
+    def values(keep):
+        return None if lost and not keep[4] else data[keep].mean(axis=0)
+
+    def details_of(setting, values, keep, full):
+        return SimpleNamespace(scales=None, vector=lambda: values)
+
+    monkeypatch.setattr(estimate, "details", details_of)
+    source = SimpleNamespace(
+        groups=np.zeros(9, dtype=int), weights=np.ones(9), unit="block", impulse=lambda: None, rougher=lambda: None
+    )
+    full = SimpleNamespace(scales=None, clocks=SimpleNamespace(seconds=np.zeros(1)))
+    setting = SimpleNamespace(source=source, values=values)
+    found, how, passed = estimate.covariance(setting, full, 0)
+    used = np.delete(data, 4, axis=0) if lost else data
+    # Leaving piece j out moves the mean by the (n - 1)th part of its distance from the mean.
+    expected = np.cov(used, rowvar=False) * (len(used) - 1) / 8 * (8 / 9) * 9 / len(used) / 8
+    factor = stats.t.ppf(0.025, 8 * (1 if not lost else 7 / 8)) / stats.norm.ppf(0.025)
+    np.testing.assert_allclose(found, factor**2 * expected)
+    assert (how, passed) == ("jackknife over 9 blocks", lost)
+    bias = np.array([0.1, -0.2, 0.3])
+    monkeypatch.setattr(estimate, "_bias", lambda setting, full: bias)
+    found, how, _ = estimate.covariance(setting, full, 0)
+    np.testing.assert_allclose(found, factor**2 * expected + np.outer(bias, bias))
+    assert how.endswith("and a third of what half the observer's lags change")
+    # A bias of the clocks alone, the last parameters, is nobody's concern.
+    bias = np.array([0.0, 0.0, 0.3])
+    assert estimate.covariance(setting, full, 0)[1] == "jackknife over 9 blocks"
+    monkeypatch.setattr(estimate, "disturbed", lambda *_: np.diag([100.0, 0.0, 0.0]))
+    source.groups, source.weights, source.impulse = np.zeros(5, dtype=int), np.ones(5), lambda: True
+    bias = np.zeros(3)
+    setting = SimpleNamespace(source=source, values=lambda keep: data[:5][keep].mean(axis=0))
+    found, how, _ = estimate.covariance(setting, full, 0)
+    expected = np.cov(data[:5], rowvar=False) / 5
+    scale = np.diag([10 / np.sqrt(expected[0, 0]), 1.0, 1.0])
+    np.testing.assert_allclose(found, scale @ expected @ scale)
+    assert how == "jackknife over 5 blocks, at least 20 surrogates'"
+
+
+def test_a_deviation_that_chance_makes_small_is_raised_to_the_other():
+    spread = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    found = estimate._widened(spread, np.diag([1.0, 9.0, 25.0]))
+    np.testing.assert_allclose(found, [[4.0, 3.0, 0.0], [3.0, 9.0, 0.0], [0.0, 0.0, 25.0]])
+
+
+@pytest.mark.parametrize("samples", [40, 41])
+def test_surrogates_have_the_spectra_of_what_they_are_made_of(samples):
+    residual = np.random.default_rng(7).standard_normal((samples, 2)).cumsum(axis=0)
+    noise = estimate.surrogate(residual, np.random.default_rng(8))
+    before, after = (np.fft.rfft(each, axis=0) for each in (residual, noise))
+    np.testing.assert_allclose(np.abs(after), np.abs(before))
+    np.testing.assert_allclose(after[:, 0] * after[:, 1].conj(), before[:, 0] * before[:, 1].conj())
+    assert np.std(np.angle(after[1:-1] / before[1:-1])) > 1.0
+    np.testing.assert_allclose(noise.mean(axis=0), residual.mean(axis=0))
+
+
+def test_phases_of_products_count_by_their_size_and_by_what_is_left(monkeypatch):
+    """Two modes off by 10 and 20 degrees: their squares by the squares of what is left, sizes within a mode alone."""
+    products = np.array([[[2.0], [0.0]], [[3.0], [4.0]]]) * np.exp(1j * np.radians([10.0, 20.0]))[:, None, None]
+    monkeypatch.setattr(estimate, "details", lambda *_: SimpleNamespace(products=products))
+    found = estimate._phase_off(None, None, np.array([0.5, 0.1]))
+    assert found == pytest.approx(np.sqrt((0.25 * 10**2 + 0.01 * 20**2) / 0.26))
+    monkeypatch.setattr(estimate, "details", lambda *_: SimpleNamespace(products=None))
+    assert estimate._phase_off(None, None, np.array([0.5, 0.1])) == 0.0
+
+
+def candidate(frequency, shape, energy=0.1, place=None, **more):
+    shape = np.asarray(shape, dtype=complex)
+    place = round(1000 * frequency) if place is None else place
+    members = (place, 0), (place + 1, 0)
+    return PoleCandidate(members, 2 * np.pi * frequency * np.exp(1.59j), shape, 1.0, energy, **more)
+
+
+def test_of_candidates_the_most_whose_signs_make_a_frame_are_chosen():
+    """Against all subsets: most modes, then signs that fit as they stand, then the largest product of energies."""
+    rng = np.random.default_rng(9)
+    for trial in range(12):
+        shapes = rng.standard_normal((5, 4)) * rng.choice([1.0, 0.03], (5, 4))
+        items = [candidate(2.0 + k, shape, energy) for k, (shape, energy) in enumerate(zip(shapes, rng.random(5),
+                 strict=True))]  # fmt: skip
+        best = (0, 0, 0.0), ()
+        for size in range(1, 4):
+            for chosen in itertools.combinations(range(5), size):
+                for numbers in itertools.combinations(range(1, 4), size):
+                    ranges = [possible_changes(shapes[at], 0.05) for at in chosen]
+                    if all(low < number <= high + 1 for number, (low, high) in zip(numbers, ranges, strict=True)):
+                        fits = sum(sign_changes(shapes[at]) == number - 1 for at, number in zip(chosen, numbers,
+                                   strict=True))  # fmt: skip
+                        rank = size, fits, float(sum(np.log(items[at].energy) for at in chosen))
+                        best = max(best, (rank, tuple(zip(chosen, numbers, strict=True))))
+        found = picking._by_signs(items, 3)
+        assert tuple((round(item.frequency - 2.0), item.number) for item in found) == best[1], trial
+    assert picking._by_signs([], 3) == []
+
+
+def test_numbers_are_as_low_as_signs_allow_and_the_weakest_gives_way():
+    """At two of four floors: a shape of one change cannot be the first mode."""
+    items = [candidate(2.0, [0.5, 1.0], 0.3), candidate(3.0, [1.0, 0.8], 0.01), candidate(7.0, [1.0, -0.6], 0.2),
+             candidate(9.0, [-1.0, 0.9], 0.1), candidate(11.0, [1.0, 1.0], 0.05)]  # fmt: skip
+    assert [item.number for item in picking._as_low(items[2:4], 4)] == [2, 3]
+    assert [(item.frequency, item.number) for item in picking._as_low(items, 4)] == [
+        (pytest.approx(frequency), number) for frequency, number in ((2.0, 1), (7.0, 2), (9.0, 3), (11.0, 4))
+    ]
+    assert picking._as_low(items[2:3], 1) == []
+
+
+def test_a_mode_found_twice_keeps_the_one_that_lasts_or_came_first():
+    same, other = [1.0, 0.5], [0.5, -1.0]
+    items = [
+        candidate(5.0, same, place=7), candidate(5.2, same, place=3), candidate(5.1, other, place=9),
+        candidate(5.5, same, place=1), candidate(5.15, same, place=0, physical=False),
+    ]  # fmt: skip
+    found = picking._distinct(items, Criteria())
+    assert [(round(item.frequency, 2), item.physical) for item in found] == [
+        (5.0, False), (5.1, True), (5.2, True), (5.5, True)
+    ]  # fmt: skip
+    assert found[0].twin == items[1].members
+    assert found[0].reason == "a mode found twice: it has the shape of 5.2000 Hz, MAC 1.000"
+
+
+def test_poles_picked_by_hand_are_the_nearest_and_each_is_taken_once():
+    items = [candidate(frequency, [1.0]) for frequency in (4.0, 4.1, 7.0)]
+    found = picking._by_hand(items, (7.2, 4.04, 4.03, 9.0))
+    assert [round(item.frequency, 3) for item in found] == [4.0, 4.1, 7.0]
+    assert [round(item.frequency, 3) for item in picking._by_hand(items, (7.23, 3.89))] == [4.0]
+
+
+def test_the_loudest_resonances_come_without_what_is_faint_or_beside_them():
+    given = (1.0, 9e-4), (2.0, 0.3), (2.15, 1.0), (2.45, 0.2), (3.0, 0.5), (4.0, 0.0011)
+    items = [candidate(at, [1.0, k], energy, physical=at != 3.0) for k, (at, energy) in enumerate(given)]
+    sweep = Sweep([], [], tuple(items), (), None)
+    frequencies, shapes = picking.strongest(sweep, 2)
+    np.testing.assert_allclose(frequencies, [2.15, 2.45])
+    np.testing.assert_allclose(np.abs(shapes[:, 1] / shapes[:, 0]), [2.0, 3.0])
+    assert picking.strongest(sweep, 9)[0][-1] == pytest.approx(4.0)
+    assert len(picking.strongest(Sweep([], [], (items[4],), (), None), 2)[0]) == 0
+
+
+def poles(order, *modes):
+    values = [2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2)) for f, z, _ in modes]
+    return Poles(order, np.array(values), np.array([shape for *_, shape in modes], dtype=complex))
+
+
+def test_poles_are_stable_that_come_back_and_chains_follow_the_nearest():
+    """One order after the other: within 1 % of frequency, half of the damping or of 0.01, MAC 0.95."""
+    up, turned, off = [1.0, 1.0], [1.0, 0.7], [1.0, 0.5]
+    sweep = [
+        poles(2, (5.0, 0.02, up), (9.0, 0.004, up), (20.0, 0.01, up), (49.5, 0.01, up), (30.0, 0.11, up)),
+        poles(4, (5.049, 0.029, turned), (9.0, 0.0088, up), (20.0, 0.01, off), (49.5, 0.01, up), (30.0, 0.11, up)),
+        poles(6, (5.098, 0.029, turned), (9.0, 0.0142, up), (20.3, 0.01, off), (5.02, 0.028, turned), (30.0, -0.1, up)),
+    ]
+    stable = stable_poles(sweep, 100.0, Criteria())
+    assert stable == [[], [0, 1], [0, 3]]
+    assert clusters(sweep, stable, Criteria()) == [[(1, 0), (2, 3)], [(1, 1)], [(2, 0)]]
+    # The second pole of one shape nearby divides the mode in the third order, not in the second.
+    assert undivided([(1, 0), (2, 3)], sweep, Criteria()) == [(1, 0)]
+    assert undivided([(2, 3)], sweep, Criteria()) == [(2, 3)]
+    # An exponential window's decay of 0.4 /s is taken from the ratios: 0.013 at 5 Hz, and too much at 9 Hz.
+    assert stable_poles(sweep[:2], 100.0, Criteria(highest_damping=0.02), shift=0.4) == [[], [0]]
+    assert stable_poles(sweep[:2], 100.0, Criteria(highest_damping=0.008))[1] == []
+
+
+def test_a_mode_has_the_energy_of_its_own_decay():
+    """Of two modes that hardly overlap, each has its share of the squares; what none of them makes is nobody's."""
+    rate, time = 50.0, np.arange(400) / 50.0
+    values = 2 * np.pi * np.array([3.0, 11.0, 20.0]) * np.exp(1.6j)
+    shapes = np.array([[1.0, 2.0], [1.0, -1.0], [0.5, 1.0]])
+    sizes = 3.0, 1.0, 2.0
+    parts = [size * np.real(np.exp(value * time)[:, None] * shape) for size, value, shape in zip(sizes, values, shapes,
+             strict=True)]  # fmt: skip
+    factor = np.sum(parts, axis=0).reshape(-1, 1)
+    found = energies(factor, list(zip(values[:2], shapes[:2] + 0j, strict=True)), rate)
+    np.testing.assert_allclose(found, [np.sum(part**2) / np.sum(factor**2) for part in parts[:2]], rtol=0.1)
+    assert energies(factor, [], rate).shape == (0,)
+
+
+def test_peaks_of_functions_are_the_most_prominent_ones_between_the_lines():
+    """Parabolas of the logarithm have their tops where they were put; a ripple stands out of its valley by less."""
+    lines = np.arange(1, 200) * 0.1
+    tops, shape = np.array([4.03, 8.98, 14.0]), np.array([[0.4, 1.0], [1.0, -0.6], [0.2, 1.0]])
+    hills = 5.0 - 3.0 * (lines[:, None] - tops) ** 2 - np.array([0.0, 1.0, 2.2])
+    height = np.max(np.column_stack([hills, np.zeros(len(lines))]), axis=1) + 1e-6 * np.sin(40 * lines)
+    which = np.argmax(hills, axis=1)
+    values = (np.exp(height)[:, None] * shape[which] / np.linalg.norm(shape[which], axis=1)[:, None])[:, :, None]
+    functions = Functions(lines, values + 0j, np.array([1, 2]), np.array([2]), True, None, "acceleration")
+    for count in (2, 3):
+        found = agreement.frequency_domain_decomposition(functions, count, 3)
+        np.testing.assert_allclose(found.frequencies, tops[:count], atol=1e-5)
+        np.testing.assert_allclose(found.frequency_std, 0.1 / np.sqrt(12) / tops[:count], rtol=1e-5)
+        ratios = found.mode_shapes[:, 0] / found.mode_shapes[:, 1]
+        np.testing.assert_allclose(ratios, (shape[:, 0] / shape[:, 1])[:count])
+    assert agreement._saddle(np.array([0.0, 2.0, 1.0, 5.0, 3.0, 4.0, 0.5, 6.0]), 5) == 3.0
+    assert agreement._saddle(np.array([0.0, 2.0, 1.0, 5.0, 3.0, 4.0, 0.5, 6.0]), 3) == 0.5
+
+
+def test_another_opinion_is_of_the_nearest_mode_of_that_shape():
+    own = from_arrays([2.0, 5.0, 9.0], [[0.5, 1.0], [1.0, -0.5], [1.0, 0.1]], floors=[1, 2], stories=3, name="own")
+    shapes = [[0.45, 1.0], [0.5, 1.0], [1.0, -0.5], [0.1, -1.0]]
+    other = from_arrays([1.98, 2.05, 5.26, 9.1], shapes, floors=[1, 2], stories=4, name="other")
+    first, second, third, *more = agreement.second_opinion(own, other)
+    mac = (0.5 * 0.45 + 1.0) ** 2 / (0.5**2 + 1.0) / (0.45**2 + 1.0)
+    assert first.numbers == {
+        "mode": 1, "method": "other", "agrees": True, "frequency": pytest.approx(1.98), "change": pytest.approx(-0.01),
+        "mac": pytest.approx(mac),
+    }  # fmt: skip
+    # One is 5.2 % away, the other of another shape.
+    assert [(each.numbers["mode"], each.numbers["agrees"]) for each in (second, third)] == [(2, False), (3, False)]
+    assert [each.numbers["frequency"] for each in more] == [2.05, 5.26, 9.1]
+
+
+def attempt_of(found):
+    """Attempts that find, at each sampling rate, modes up to a frequency, so many of them."""
+
+    def attempt(record):
+        rate = 100.0 if record.band is None else 2.5 * record.band[1]
+        if rate not in found:
+            raise InputError("too short")
+        highest, count = found[rate]
+        chosen = [SimpleNamespace(frequency=highest * (k + 1) / count) for k in range(count)]
+        return SimpleNamespace(sampling_rate=rate), SimpleNamespace(chosen=chosen)
+
+    return attempt
+
+
+@dataclasses.dataclass
+class Band:
+    band: tuple | None = None
+    sampling_rate: float = 100.0
+
+
+@pytest.mark.parametrize(
+    ("found", "wanted", "highest", "rate"),
+    [
+        ({100.0: (10.1, 3), 50.0: (10.1, 3)}, 3, 0.0, 100.0),
+        ({100.0: (9.9, 3), 50.0: (9.9, 3), 25.0: (9.9, 3)}, 3, 0.0, 50.0),
+        ({100.0: (10.1, 2), 50.0: (10.1, 3), 25.0: (10.1, 4)}, 3, 0.0, 50.0),
+        ({100.0: (10.1, 2), 50.0: (10.1, 2), 25.0: (10.1, 3)}, 3, 0.0, 25.0),
+        ({100.0: (3.0, 2), 50.0: (3.0, 1), 25.0: (3.0, 3)}, 3, 0.0, 100.0),
+        ({100.0: (3.0, 2), 50.0: (3.0, 2)}, 3, 0.0, 50.0),
+        ({100.0: (3.0, 3), 50.0: (3.0, 3), 25.0: (3.0, 3)}, 3, 19.0, 50.0),
+        ({100.0: (3.0, 3), 50.0: (3.0, 3), 25.0: (3.0, 3)}, 3, 21.0, 100.0),
+        ({100.0: (10.1, 0), 50.0: (10.1, 0), 25.0: (10.1, 0)}, 3, 0.0, 25.0),
+    ],
+)
+def test_the_rate_is_lowered_until_the_highest_mode_is_a_tenth_of_it(found, wanted, highest, rate):
+    """As long as no mode is lost, and the modes picked by hand stay in sight."""
+    source, _ = prepare.settled(Band(), wanted, attempt_of(found), highest)
+    assert source.sampling_rate == rate
+    narrow = attempt_of({50.0: (1.0, 1), 25.0: (1.0, 1)})
+    assert prepare.settled(Band((0.0, 20.0)), 3, narrow)[0].sampling_rate == 50.0
+
+
+def test_blocks_share_the_runs_by_their_length_behind_what_the_lags_need():
+    runs = [SimpleNamespace(samples=samples) for samples in (520, 1020, 11, 30)]
+    record = SimpleNamespace(runs=runs, sampling_rate=10.0)
+    found = [(runs.index(run), start, stop) for run, start, stop in prepare._cuts(record, 15, 6, 4)]
+    assert [place for place, *_ in found] == [0] * 5 + [1] * 10 + [3]
+    assert [each[1:] for each in found[:5]] == [(6 + 102 * k, 6 + 102 * (k + 1)) for k in range(5)]
+    assert found[-1] == (3, 6, 26)
+    assert len(list(prepare._cuts(SimpleNamespace(runs=[SimpleNamespace(samples=50)]), 4, 6, 4))) == 4
+    with pytest.raises(InputError, match="has 49 samples at 10 Hz; the method needs at least 50"):
+        list(prepare._cuts(SimpleNamespace(runs=[SimpleNamespace(samples=49)], sampling_rate=10.0), 4, 6, 4))
+
+
+def test_decays_begin_at_the_last_large_response_and_are_as_long_as_the_shortest():
+    """Each channel counts by its own deviation."""
+    time = np.arange(300)
+    runs = []
+    for begun in (40, 90):
+        decay = np.where(time < begun, 0.0, np.exp(-0.02 * (time - begun)))
+        runs.append(SimpleNamespace(responses=np.column_stack([decay, 1e3 * decay]), samples=300))
+    record = SimpleNamespace(runs=runs)
+    plain = prepare.without_offset
+    try:
+        prepare.without_offset = lambda record: record
+        decays, starts = prepare.releases_of(record)
+    finally:
+        prepare.without_offset = plain
+    # exp(-0.02 n) > 0.9 up to n = 5.
+    assert starts.tolist() == [45, 95]
+    assert decays.shape == (205, 2, 2)
+    np.testing.assert_allclose(decays[:, 0, 1], np.exp(-0.02 * np.arange(5, 210)))
+
+
+@pytest.mark.parametrize(
+    ("late", "std", "left", "frequencies", "told"),
+    [
+        (2e-3, 4e-4, 4.9, [2.0, 8.0], True), (2e-3, 4.5e-4, 4.9, [2.0, 8.0], False),
+        (-2e-3, 4e-4, 5.1, [2.0, 8.0], False), (3.4e-4, 1e-5, 1.0, [2.0, 8.0], False),
+        (-3.5e-4, 1e-5, 1.0, [2.0, 8.0], True), (2e-3, 4e-4, 1.0, [8.0], False),
+    ],
+)  # fmt: skip
+def test_a_clock_is_said_that_turns_modes_along_a_line_by_more_than_chance(late, std, left, frequencies, told):
+    clocks = SimpleNamespace(unexplained=[0.0, left], before=[0.0, 10.0], reference=0)
+    full = SimpleNamespace(frequencies=np.array(frequencies), clocks=clocks)
+    result = SimpleNamespace(clock_offsets={"a": (0.0, 0.0), "b": (late, std)})
+    found = list(clock_findings(None, result, full))
+    assert [each.numbers["channel"] for each in found] == ["b"] * told
+    for each in found:
+        assert each.numbers["turn_degrees"] == pytest.approx(360 * 8.0 * abs(late))
+        assert (" late" in each.message, " early" in each.message) == (late > 0, late < 0)
+
+
+def test_a_resonance_narrower_than_a_line_is_said_and_so_is_a_short_ambient_record():
+    runs = [SimpleNamespace(samples=samples) for samples in (400, 1000)]
+    record = SimpleNamespace(runs=runs, sampling_rate=50.0, duration=28.0, input="none")
+    result = SimpleNamespace(
+        modes=np.array([1, 2]), frequencies=np.array([2.0, 6.0]), damping_ratios=np.array([0.012, 0.0045])
+    )
+    first, ambient = resolution_findings(record, result)
+    assert (first.numbers["mode"], first.numbers["resolution"]) == (1, pytest.approx(0.05))
+    assert first.numbers["bandwidth"] == pytest.approx(0.048)
+    assert ambient.numbers["periods"] == pytest.approx(56.0)
+    assert not list(resolution_findings(SimpleNamespace(**vars(record) | {"duration": 251.0}), result))[1:]
