@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cvxshear.response.frame_fit import FittedFrame, _log_evidence, _mixed, refitted
+from cvxshear.response.frame_fit import FittedFrame, _log_evidence, _mixed, _Posterior, refitted
 from cvxshear.response.frame_prior import (
     FORM_STDS,
     GAIN_STDS,
@@ -261,3 +261,25 @@ def test_a_frame_that_is_not_fitted_again_without_a_sensor_stays_as_it_was():
     np.testing.assert_array_equal(found.covariance, frame.covariance[np.ix_(left, left)])
     assert (found.errors, found.prior.others, found.inflation, found.converged) == ("errors", 2, 1.0, True)
     assert (found.answers, found.log_evidence) == (frame.answers, -7.0)
+
+
+def test_gauss_newton_sees_the_posterior_of_tempered_innovations():
+    """|r|^2 is -2 log of likelihood over its inflation times prior where the likelihood is linear, J its derivative."""
+    at, p = drawn(5)
+    prior = gaussian((1,), 0.03)
+    errors = SimpleNamespace(
+        objective=lambda q: float(np.sum((at.U @ (q - p) + at.c) ** 2)),
+        linearised=lambda q, along: Likelihood(at.U, at.U @ (q - p) + at.c, 1.0),
+    )
+    posterior, q = _Posterior(errors, None, prior, 2.5), p + 0.3
+
+    def expected(q):
+        return errors.objective(q) / 2.5 + (q - prior.mean) @ np.linalg.solve(prior.covariance, q - prior.mean)
+
+    point = posterior.evaluate(q)
+    assert point.objective == pytest.approx(expected(q))
+    assert point.r @ point.r == pytest.approx(expected(q))
+    slope = [(expected(q + step) - expected(q - step)) / 2e-4 for step in 1e-4 * np.eye(5)]
+    np.testing.assert_allclose(2 * point.J.T @ point.r, slope, rtol=1e-6, atol=1e-5)
+    normal = at.U.T @ at.U / 2.5 + np.linalg.inv(prior.covariance)
+    np.testing.assert_allclose(point.J.T @ point.J, normal)

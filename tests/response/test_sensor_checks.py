@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cvxshear.records.data_frames import FEWEST_SAMPLES
+from cvxshear.records.record import Channel, Finding
 from cvxshear.response.recording import ENVELOPE_PERIODS, QUIETEST, RecordedRun, Recording
 from cvxshear.response.sensor_checks import whiteness, widening
+from cvxshear.response.sensor_faults import SensorRecord, earlier
 from cvxshear.response.uncertain import UncertainFrame
 
 
@@ -120,3 +123,103 @@ def test_a_known_total_takes_a_direction_of_the_masses_away(uncertain):
 def test_a_record_is_as_long_as_its_runs_together():
     runs = [RecordedRun(np.random.default_rng(n).standard_normal((n, 1)), np.zeros(n), f"{n}") for n in (300, 500)]
     assert Recording(tuple(runs), 200.0, np.array([2]), "base").seconds == pytest.approx(4.0)
+
+
+def sensors(samples=600, **more):
+    """Three channels of slow sines at 100 Hz; a run and a shorter one."""
+    time = np.arange(samples) / 100
+    runs = [np.column_stack([np.sin(7 * time + k) for k in range(3)]) for k in (0.0, 1.0)]
+    channels = Channel("a", 1), Channel("b", 2), Channel("d", 3)
+    return SensorRecord(channels, (runs[0], runs[1][:300]), (np.ones(samples), 2 * np.ones(300)), 100.0, "base", **more)
+
+
+def told(kind, message, **numbers):
+    return Finding(kind, message, numbers)
+
+
+def test_what_is_found_for_sure_is_taken_out_and_all_of_it_is_said():
+    record = sensors(remarks=("before",))
+    pieces = [(0, slice(0, 600)), (1, slice(0, 300))]
+    found = record._less(
+        [
+            told("dead channel", "a is dead", channel="a"),
+            told("sign", "b is reversed", channel="b + c", corrected=True),
+            told("unit", "d in g", channel="d", factor=9.8, corrected=True),
+            told("unit", "perhaps", channel="d", factor=3.0, corrected=False),
+            told("sign", "the ground is reversed", channel="input", corrected=True),
+            told("direction", "askew", channels=["d"]),
+            told("spikes", "never said", channel="d"),
+        ],
+        pieces,
+    )
+    assert [each.name for each in found.channels] == ["b", "d"]
+    said = "before", "a is dead", "b is reversed", "d in g", "perhaps", "the ground is reversed", "askew"
+    assert found.remarks == said
+    for before, after in zip(record.measured, found.measured, strict=True):
+        np.testing.assert_allclose(after, before[:, 1:] * [-1.0, 9.8])
+    np.testing.assert_allclose(found.excitations[1], -2.0)
+    np.testing.assert_array_equal(found.late, np.zeros((2, 2)))
+    assert found.late_remarks == ("", "")
+
+
+@pytest.mark.parametrize(("seconds", "taken"), [(0.0026, True), (0.0024, False), (-0.0026, True)])
+def test_a_delay_of_a_quarter_of_a_sample_is_taken_out(seconds, taken):
+    found = sensors()._less([told("clock offset", "d is late; taken out", channel="d", seconds=seconds)], [])
+    assert found.late.tolist() == [[0.0, 0.0], [0.0, 0.0], [seconds * taken, 0.0]]
+    assert found.late_remarks == ("", "", "d is late; taken out" if taken else "")
+    assert found.remarks[0].endswith("; taken out" if taken else "so short a delay may be chance and is left in")
+    time = np.arange(600) / 100
+    inner = slice(100, 500)
+    np.testing.assert_allclose(found.measured[0][inner, 2], np.sin(7 * (time + taken * seconds) + 2)[inner], atol=1e-4)
+
+
+def test_clocks_that_drift_do_so_over_all_runs_and_a_late_input_is_early_sensors():
+    record = sensors()
+    drift = told("clock drift", "a drifts", channel="a", seconds=0.01, drift=0.002)
+    late = told("clock offset", "the ground is late", channel="input", seconds=0.02, corrected=True)
+    not_sure = told("clock drift", "perhaps", channel="b", seconds=0.5, drift=1.0, corrected=False)
+    found = record._less([drift, late, not_sure], [])
+    np.testing.assert_allclose(found.late, [[-0.01, 0.002], [-0.02, 0.0], [-0.02, 0.0]])
+    assert found.late_remarks == ("a drifts; taken out", *["the ground is late; taken out"] * 2)
+    assert found.remarks[2] == "perhaps"
+    # The second run begins six seconds after the first.
+    time = np.arange(300) / 100
+    inner = slice(100, 200)
+    moved = np.sin(7 * (time - 0.01 + 0.002 * (6.0 + time)))
+    np.testing.assert_allclose(found.measured[1][inner, 0], moved[inner], atol=1e-4)
+    same = earlier(record.measured[0][:, 0], np.zeros(2), 100.0, 0)
+    np.testing.assert_allclose(same[inner], record.measured[0][inner, 0], atol=1e-9)
+
+
+def test_floors_have_the_motion_of_their_sensors_along_the_test():
+    """Two sensors on floor 2, one at 30 degrees, whose projections are averaged; one across is left out."""
+    channels = Channel("a", 1, direction=90.0), Channel("b", 2), Channel("c", 2, direction=30.0), Channel("d", 5)
+    measured = np.array([[9.0, 2.0, 3.0, 7.0], [9.0, np.nan, 3.0, 7.0]])
+    record = SensorRecord(channels, (measured,), (np.zeros(2),), 100.0, "base")
+    floors, motions, late, said = record.by_floor()
+    assert floors.tolist() == [2, 5]
+    np.testing.assert_allclose(motions[0], [[1.0 + 1.5 / np.cos(np.pi / 6), 7.0], [np.nan, 7.0]])
+    assert (late.tolist(), said) == ([[0.0, 0.0], [0.0, 0.0]], ("", ""))
+    delays = np.arange(8.0).reshape(4, 2)
+    record = SensorRecord(channels, (measured,), (np.zeros(2),), 100.0, "base", late=delays, late_remarks=tuple("wxyz"))
+    assert (record.by_floor()[2].tolist(), record.by_floor()[3]) == ([[2.0, 3.0], [6.0, 7.0]], ("x", "z"))
+
+
+def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
+    samples = 4 * FEWEST_SAMPLES
+    values = np.random.default_rng(1).standard_normal((samples, 2))
+    values[FEWEST_SAMPLES, 0] = np.nan
+    values[2 * FEWEST_SAMPLES + 5, 1] = np.nan
+    excitation = np.ones(samples)
+    channels = Channel("a", 1), Channel("b", 2)
+
+    def pieces(driven, excitation):
+        found = SensorRecord(channels, (values, values[:5]), (excitation, excitation[:5]), 100.0, driven)._pieces()
+        return [(place, part.start, part.stop) for place, part in found]
+
+    expected = [(0, 0, FEWEST_SAMPLES), (0, FEWEST_SAMPLES + 1, 2 * FEWEST_SAMPLES + 5),
+                (0, 2 * FEWEST_SAMPLES + 6, samples)]  # fmt: skip
+    assert pieces("base", excitation) == expected
+    still = np.where(np.arange(samples) < FEWEST_SAMPLES, 0.0, 1.0)
+    assert pieces("base", still) == expected[1:]
+    assert pieces("none", still) == expected
