@@ -11,10 +11,20 @@ from scipy import optimize, stats
 from cvxshear.modal import agreement, amplitude, estimate, from_arrays, picking, prepare, releases
 from cvxshear.modal.assemble import assembled
 from cvxshear.modal.clock_offsets import Offsets
-from cvxshear.modal.deviations import DRAWN, frequency_std, independent_std
-from cvxshear.modal.diagnostics import clock_findings, resolution_findings
+from cvxshear.modal.deviations import frequency_std, independent_std
+from cvxshear.modal.diagnostics import (
+    _mode_findings,
+    cables_changed,
+    clock_findings,
+    driving_point_findings,
+    hit_findings,
+    reciprocity_findings,
+    resolution_findings,
+)
 from cvxshear.modal.estimate import Details
-from cvxshear.modal.functions import Functions
+from cvxshear.modal.frf import FrfSource, _quiet_after_blow, hit_start, hit_times, reach, residues, table_spectra
+from cvxshear.modal.functions import Functions, _segment
+from cvxshear.modal.identify import Options, _about_unknown_centers, _out_of_reach, _wanted
 from cvxshear.modal.picking import PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import Poles
 from cvxshear.modal.stabilization import Criteria, clusters, energies, stable_poles, undivided
@@ -103,8 +113,8 @@ def test_entries_err_by_themselves_as_much_as_the_shape_does():
         seen = np.diag(off @ root @ root.T @ off)
         typical = seen.sum() / (n - 1)
         columns = [np.diag(off @ np.diag(one) @ off) for one in np.eye(n)]
-        rows = np.vstack([np.transpose(columns), DRAWN * np.eye(n)])
-        sides = np.append(seen / typical, np.full(n, DRAWN))
+        rows = np.vstack([np.transpose(columns), 0.3 * np.eye(n)])
+        sides = np.append(seen / typical, np.full(n, 0.3))
         expected = typical * np.maximum(0.1, optimize.lsq_linear(rows, sides, (0, np.inf), tol=1e-14).x)
         np.testing.assert_allclose(independent_std(root @ root.T, shape), np.sqrt(expected), rtol=1e-5)
     np.testing.assert_array_equal(independent_std(np.outer(shape, shape), shape), 0.0)
@@ -586,3 +596,236 @@ def test_a_resonance_narrower_than_a_line_is_said_and_so_is_a_short_ambient_reco
     assert first.numbers["bandwidth"] == pytest.approx(0.048)
     assert ambient.numbers["periods"] == pytest.approx(56.0)
     assert not list(resolution_findings(SimpleNamespace(**vars(record) | {"duration": 251.0}), result))[1:]
+
+
+def driven(products, real, floors, at, base=False, scales=None):
+    setting = SimpleNamespace(base=base, floors=np.array(floors))
+    products = np.array(products, dtype=complex)
+    return SimpleNamespace(products=products, driven=np.array(at), real=np.array(real), scales=scales), setting
+
+
+def test_transfers_that_differ_with_their_direction_are_told_off_the_nodes():
+    """Two modes of three floors, floors 1 and 3 driven; at its node the second mode says nothing."""
+    real = np.array([[0.5, 0.8, 1.0], [1.0, 0.2, -0.004]])
+    products = np.einsum("ri,rj->rij", real, real[:, [0, 2]])
+    full, setting = driven(products, real, [1, 2, 3], [1, 3])
+    assert list(reciprocity_findings(full, setting)) == []
+    full.products[0, 2, 0] *= 1.05
+    full.products[1, 2, 0] *= 3.0
+    (found,) = reciprocity_findings(full, setting)
+    up, down = np.array([0.525, -0.012]), np.array([0.5, -0.004])
+    difference = np.linalg.norm(up - down) / np.mean([np.linalg.norm(up), np.linalg.norm(down)])
+    assert (found.numbers["floors"], found.numbers["largest"]) == ([1, 3], pytest.approx(0.025 / 0.5125))
+    assert found.numbers["over_all"] == pytest.approx(difference)
+    np.testing.assert_allclose(found.numbers["by_mode"], [0.025 / 0.5125, 1.0])
+    full.products[0, 2, 0] = 0.509
+    assert list(reciprocity_findings(full, setting)) == []
+    full.products[0, 2, 0] = 0.511
+    assert len(list(reciprocity_findings(full, setting))) == 1
+    setting.base = True
+    assert list(reciprocity_findings(full, setting)) == []
+
+
+@pytest.mark.parametrize(
+    ("hit", "sign", "declared", "positive", "said"),
+    [
+        (2, 1.0, 3, [2], "only it fits"), (2, 1.0, 2, None, None), (3, -1.0, 3, [], "give that channel sign = -1"),
+        (2, 1.0, 5, None, None),
+    ],
+)  # fmt: skip
+def test_a_force_that_acts_elsewhere_is_told_by_the_signs_of_residues(hit, sign, declared, positive, said):
+    real = np.array([[0.5, 0.8, 1.0], [1.0, 0.6, -0.7], [-0.8, 1.0, -0.5]])
+    products = sign * np.einsum("ri,r->ri", real, real[:, hit - 1])[:, :, None]
+    found = list(driving_point_findings(*driven(products, real, [1, 2, 3], [declared])))
+    assert [each.numbers["positive_at"] for each in found] == ([] if positive is None else [positive])
+    assert all(said in each.message for each in found)
+    full, setting = driven(products, real, [1, 2, 3], [declared], scales=np.ones(3))
+    assert list(driving_point_findings(full, setting)) == []
+
+
+def test_a_force_at_no_floor_with_a_sensor_is_told():
+    real = np.array([[0.5, 0.8], [1.0, 0.6], [-0.8, 1.0]])
+    signs = np.array([1.0, -1.0, -1.0])
+    products = (real * signs[:, None])[:, :, None]
+    (found,) = driving_point_findings(*driven(products, real, [1, 2], [2]))
+    assert found.numbers["positive_at"] == []
+    assert "at no other floor with a sensor" in found.message
+
+
+def test_what_modes_are_missing_or_more_is_said():
+    def said(channels, stories, chosen, candidates=(), wanted=None, lost=()):
+        sweep = SimpleNamespace(chosen=chosen, candidates=[*chosen, *candidates])
+        record = SimpleNamespace(channels=[None] * channels, stories=stories)
+        modes = np.array([item.number for item in chosen])
+        result = SimpleNamespace(modes=modes, lost_phase=np.array(lost or [0.0] * len(chosen)))
+        wanted = stories if wanted is None else wanted
+        return list(_mode_findings(record, result, SimpleNamespace(sweep=sweep), wanted))
+
+    items = [candidate(frequency, [1.0], 0.5, number=number) for frequency, number in ((2.0, 1), (5.0, 3))]
+    (found,) = said(3, 3, items)
+    assert (found.kind, found.numbers["modes"]) == ("missing mode", [2])
+    assert "not found in the record" in found.message
+    assert "not asked for" in said(3, 3, items, wanted=2)[0].message
+    assert said(2, 2, items) == []
+    (found,) = said(2, 3, items)
+    assert (found.numbers["measured"], found.numbers["stories"]) == (2, 3)
+    assert "2 were found" in found.message or "were found" in found.message
+    more = candidate(9.0, [1.0], 0.1)
+    found = said(2, 2, items, [more])
+    assert (found[0].numbers["frequency"], found[0].numbers["energy"]) == (pytest.approx(9.0), 0.1)
+    assert "the frame has more" in found[0].message
+    assert "not among the modes asked for" in said(3, 3, items, [more], wanted=2)[-1].message
+    assert "a floor or a sign is not as declared" in said(3, 3, items, [more])[-1].message
+    turning = [candidate(8.0, [1.0], energy, physical=False, reason="mostly rotation: 60 %") for energy in (6e-4, 4e-4)]
+    assert [each.kind for each in said(2, 2, items, turning)] == ["rotation"]
+    lost = said(2, 2, items, lost=[5.1, 4.9])
+    assert [(each.kind, each.numbers["mode"]) for each in lost] == [("complex mode", 1)]
+
+
+def test_hits_that_are_answered_otherwise_than_most_are_named():
+    rng = np.random.default_rng(2)
+    first, second = (rng.standard_normal(40) + 1j * rng.standard_normal(40) for _ in range(2))
+    both = [first, 2.0 * first, second, first + 0.7 * second, first + 0.8 * second, second]
+    source = object.__new__(FrfSource)
+    source.floors = np.array([1, 3])
+    source.spectra = [SimpleNamespace(floor=floor, response_force=each[:, None]) for floor, each in
+                      zip([1, 1, 1, 1, 1, 3], both, strict=True)]  # fmt: skip
+    record = SimpleNamespace(runs=[SimpleNamespace(name=f"hit {k}") for k in range(6)])
+    unit = [each / np.linalg.norm(each) for each in both]
+    alike = np.array([[np.vdot(a, b).real for b in unit[:5]] for a in unit[:5]]) > 0.8
+    expected = [f"hit {k}" for k in np.flatnonzero(~alike[np.argmax(alike.sum(axis=1))])]
+    (found,) = hit_findings(record, SimpleNamespace(source=source))
+    assert (found.numbers["floor"], found.numbers["runs"]) == (1, expected)
+    assert 0 < len(expected) < 4
+
+
+@pytest.mark.parametrize(("left", "told"), [(0.99, True), (1.01, False)])
+def test_a_cable_explains_what_one_gain_leaves_by_chance(left, told):
+    """Two modes at three floors: chi-square of three degrees of freedom, which chance passes once in a thousand."""
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.7]])
+    std = np.full((2, 3), 0.01)
+    off = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+    def result(shapes):
+        modes, floors = np.array([1, 2]), np.array([1, 2, 3])
+        return SimpleNamespace(floors=floors, modes=modes, mode_shapes=shapes, mode_shape_std=std, name="r")
+
+    gain = np.array([1.0, 1.0, 1.3])
+    weight = 1 / (2 * 0.01**2 + 2 * 0.003**2)
+
+    def misfit(size):
+        changed = shapes * gain + size * off
+        scaled = changed / np.abs(changed).max(axis=1, keepdims=True)
+
+        def chi2(unknown):
+            expected = shapes * [1.0, 1.0, unknown[0]] * np.array(unknown[1:])[:, None]
+            return weight * np.sum((scaled - expected) ** 2)
+
+        return optimize.minimize(chi2, [1.3, 0.8, 1.0], method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-8,
+                                 "maxiter": 4000}).fun  # fmt: skip
+
+    limit = stats.chi2.isf(1e-3, 3)
+    size = optimize.brentq(lambda size: misfit(size) - left * limit, 0.0, 0.3, xtol=1e-6)
+    found = cables_changed(result(shapes), result(shapes * gain + size * off))
+    assert bool(found) is told
+
+
+def test_residues_are_the_amplitudes_of_decays_and_unit_forces():
+    values = np.array([-0.5 + 20j, -1.0 + 55j])
+    amplitudes = np.random.default_rng(3).standard_normal((2, 3, 2)) + 1j
+    k = np.arange(5, 80)
+    sequence = np.zeros((80, 3, 2))
+    for value, size in zip(values, amplitudes, strict=True):
+        sequence[5:] += 2 * np.real(np.exp(value * k / 50.0)[:, None, None] * size)
+    np.testing.assert_allclose(residues(sequence, values, 50.0, 5), amplitudes)
+
+
+def struck_run(at=(50, 52), samples=400, noise=0.0):
+    force = noise * np.ones(samples)
+    force[at[0] : at[1]] = 10.0
+    return SimpleNamespace(excitation=force, samples=samples, responses=np.zeros((samples, 1)), name="r", floor=1)
+
+
+def test_a_blow_begins_with_what_leads_to_it():
+    run = struck_run()
+    assert hit_start(run) == 50 - 12
+    run.excitation[[47, 44, 40]] = 0.21, 0.21, 0.21
+    assert hit_start(run) == 44 - 12
+    run.excitation[[47, 44]] = 0.19
+    assert hit_start(run) == 50 - 12
+    assert hit_start(struck_run((5, 6))) == 0
+    run = struck_run((50, 51))
+    run.excitation[[60, 300, 301]] = 2.6
+    assert hit_times(run, 20.0) == pytest.approx([2.4, 14.9])
+    assert hit_times(run, 19.0) == pytest.approx([50 / 19 - 0.1, 60 / 19 - 0.1, 300 / 19 - 0.1])
+    assert hit_times(struck_run((1, 2)), 20.0) == [0.0]
+
+
+def test_outside_a_blow_the_force_is_nought():
+    """By twelve samples to either side at least, or three times its own length."""
+    for at, margin in (((50, 52), 12), ((50, 56), 18)):
+        quiet = _quiet_after_blow(struck_run(at, noise=0.1).excitation)
+        assert np.flatnonzero(quiet)[[0, -1]].tolist() == [at[0] - margin, at[1] - 1 + margin]
+        assert quiet[at[0]] == 10.0
+    assert np.flatnonzero(_quiet_after_blow(struck_run((5, 6), noise=0.1).excitation))[[0, -1]].tolist() == [0, 17]
+
+
+def test_a_blow_reaches_to_the_first_line_that_has_a_hundredth_of_its_power():
+    """Of four samples: |sin(4 x) / sin(x)|^2 over 16, x = pi f / rate, is nil at a quarter of the rate."""
+    record = SimpleNamespace(runs=[struck_run((50, 54))], sampling_rate=80.0)
+    lines = np.arange(1, 2 * (400 - 38) // 2 + 1) * 80.0 / (2 * (400 - 38))
+    power = (np.sin(4 * np.pi * lines / 80) / np.sin(np.pi * lines / 80)) ** 2 / 16
+    assert reach(record) == pytest.approx(lines[np.flatnonzero(power < 0.01)[0]])
+
+
+def test_tables_of_functions_are_filled_below_their_first_line():
+    run = SimpleNamespace(responses=np.arange(1.0, 41.0).reshape(20, 2) * 1j, floor=2)
+    record = SimpleNamespace(frequencies=0.5 * np.arange(3, 23), step=0.5, runs=[run])
+    (found,), samples = table_spectra(record, 6.2)
+    assert samples == 2 * 13
+    np.testing.assert_array_equal(found.response_force[:3], 0.0)
+    np.testing.assert_array_equal(found.response_force[3:], run.responses[:11])
+    np.testing.assert_allclose(found.response_response, np.abs(found.response_force) ** 2)
+    assert table_spectra(record)[1] == 2 * 22
+
+
+@pytest.mark.parametrize(
+    ("samples", "highest", "expected"),
+    [(100_000, 10.0, 5120), (100_000, 80.0, 1024), (2001, 1.0, 500), (100, 10.0, 64)],
+)
+def test_segments_have_512_lines_up_to_the_highest_or_an_eighth_of_the_record(samples, highest, expected):
+    runs = [SimpleNamespace(samples=each) for each in (samples, 10**6)]
+    record = SimpleNamespace(runs=runs, sampling_rate=100.0)
+    assert _segment(record, highest) == expected
+
+
+def test_as_many_modes_are_wanted_as_there_are_stories_or_were_asked_for():
+    record = SimpleNamespace(stories=3)
+    assert [_wanted(record, Options(**more)) for more in ({}, {"count": 2}, {"pick": (1.0, 2.0, 3.0)})] == [3, 2, 3]
+    with pytest.raises(InputError, match="pick names 4 modes; a frame of 3 stories"):
+        _wanted(record, Options(pick=(1.0, 2.0, 3.0, 4.0)))
+    with pytest.raises(InputError, match="count"):
+        _wanted(record, Options(count=4))
+    items = (candidate(2.0, [1.0]), candidate(4.0, [1.0]))
+    said = _out_of_reach(SimpleNamespace(chosen=items[:1], candidates=items), (2.05, 7.0))
+    assert said == "pick: no stable pole of its own within 3 % of 7 Hz; there are 2, 4 Hz"
+    said = _out_of_reach(SimpleNamespace(chosen=items[:1], candidates=items), (2.05, 2.01))
+    assert "of 2.05, 2.01 Hz" in said
+
+
+def test_entries_of_a_floor_whose_center_nobody_knows_are_off_by_a_uniform_part():
+    """Half the sensors' difference over their mean is the root of rotation's share over sway's."""
+    findings = [Finding("floors", "", {"floor": 2, "placed": False, "arm": 0.5}), Finding("floors", "", {"floor": 3}),
+                Finding("floors", "", {"floor": 3, "placed": False})]  # fmt: skip
+    looked = SimpleNamespace(turning=lambda frequency: 0.2 * frequency, findings=findings)
+    plain = result_of(None, 1e-6 * np.eye(14))[1]
+    found = _about_unknown_centers(looked, plain)
+    share = np.minimum(0.2 * np.array([2.0, 7.0]), 1.4)
+    off = np.sqrt(share / np.maximum(1 - share, 1e-9) / 3)
+    added = off[:, None] * np.abs(STARS) * [0.0, 0.5, 1.0]
+    np.testing.assert_allclose(found.mode_shape_std[0], np.hypot(plain.mode_shape_std, added)[0])
+    np.testing.assert_allclose(found.entry_std[0], np.hypot(plain.entry_std, added)[0])
+    np.testing.assert_allclose(np.diag(found.covariance)[2:5], np.diag(plain.covariance)[2:5] + added[0] ** 2)
+    np.testing.assert_allclose(np.diag(found.covariance)[:2], np.diag(plain.covariance)[:2])
+    looked.turning = None
+    assert _about_unknown_centers(looked, plain) is plain

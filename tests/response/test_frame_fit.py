@@ -176,7 +176,7 @@ def test_factors_of_stories_are_as_uncertain_as_all_that_moves_them():
     np.testing.assert_allclose(frame.factors, expected)
     spread = J @ frame.covariance[:16, :16] @ J.T + 0.002 + J[:, 8:15] @ J[:, 8:15].T
     # Half of what may be is that floors changed; a total of three floors varies by the root of three less than one.
-    scale = MASS_STDS[-1] * np.sqrt(0.5 / 3)
+    scale = 0.05 * np.sqrt(0.5 / 3)
     assert frame.scale_std == pytest.approx(scale)
     np.testing.assert_allclose(frame.factors_std, np.sqrt(np.diag(spread) + scale**2))
     mean, std = frame.mean_factor

@@ -5,11 +5,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cvxshear.effects import StoryChange
 from cvxshear.measurement.declaration import Limits
-from cvxshear.response import DampedModel, Reconstruction, frame_motion, reconstruction
+from cvxshear.records.motion import Drive, Motion
+from cvxshear.response import (
+    DampedModel,
+    Reconstruction,
+    frame_motion,
+    frame_prior,
+    predicted,
+    reconstruction,
+    response,
+    sources,
+    uncertain,
+)
 from cvxshear.response import compare as comparing
 from cvxshear.response.compare import Transfer, contradiction, moved_against
 from cvxshear.response.frame_motion import FrameMotion
+from cvxshear.response.peaks import floor_spectra, largest_spectra
 from cvxshear.response.predicted import _between_samples, _missed
 from cvxshear.response.recording import RecordedRun, Recording, sensor_line
 from cvxshear.response.sensor_checks import Whiteness
@@ -282,7 +295,7 @@ def test_errors_of_functions_are_rms_around_each_mode_where_something_drives_it(
     measured, natural = resonances([2.0, 7.0]), np.array([2.0, 7.0])
     predicted = Transfer(LINES, measured.functions * np.array([1.1, 0.8]), measured.coherence)
     np.testing.assert_allclose(comparing.errors(measured, predicted, natural), [[0.1, 0.1], [0.2, 0.2]])
-    coherence = np.where((LINES > 4.5)[:, None], [comparing.COHERENT - 0.01, comparing.COHERENT + 0.01], 1.0)
+    coherence = np.where((LINES > 4.5)[:, None], [0.59, 0.61], 1.0)
     part = Transfer(LINES, measured.functions, coherence)
     np.testing.assert_allclose(comparing.errors(part, predicted, natural), [[0.1, np.nan], [0.2, 0.2]])
 
@@ -370,3 +383,219 @@ def test_lines_are_taken_off_that_chance_does_not_make():
     np.testing.assert_allclose(found[:, 0], line, atol=1e-9)
     np.testing.assert_array_equal(found[:, 1], 0.0)
     np.testing.assert_allclose(recording.less([found]).runs[0].measured[:, 0], motion, atol=1e-9)
+
+
+def estimated(p_value, chi2=30.0, dof=10, shape=0.04):
+    quality = SimpleNamespace(max_shape_error=shape)
+    return SimpleNamespace(p_value=p_value, chi2=chi2, dof=dof, quality=quality)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expected"),
+    [
+        (estimated(0.009), (3.0, 0.04)), (estimated(0.011), (1.0, 0.0)), (estimated(None), (1.0, 0.0)),
+        (estimated(0.009, dof=0), (1.0, 0.0)), (estimated(0.009, chi2=7.0), (1.0, 0.04)),
+        (estimated(0.009, shape=None), (3.0, 0.0)),
+    ],
+)  # fmt: skip
+def test_a_model_that_its_tests_speak_against_is_widened_by_what_they_leave(estimate, expected):
+    assert sources._misfit(estimate) == expected
+    plain = sources.Fitted(None, (), None, None)
+    assert (plain.undetermined, plain.misfit, plain.lacking) == ((), 1.0, 0.0)
+
+
+def test_the_state_of_a_record_is_said_where_it_was_taken_for_granted():
+    tests = [SimpleNamespace(state=state) for state in ("a", "b", "b")]
+    two, one = SimpleNamespace(configurations=tests), SimpleNamespace(configurations=tests[1:])
+
+    def said(experiment, state, *, named=False):
+        remarks = sources.state_remarks(experiment, SimpleNamespace(state=state), tests[1], named=named)
+        return [each.split(":")[0] for each in remarks]
+
+    assert said(two, "b") == said(two, None, named=True) == said(one, None) == []
+    assert said(two, "c", named=True) == ['the record is of state "c", the model that of "b", as asked']
+    assert said(two, "c") == ['the record is of state "c", of which nothing was measured']
+    assert said(two, None) == ["the record names no state"]
+    assert sources.line_remarks(0.0099, "x") == []
+    assert sources.line_remarks(0.0101, "x")[0].startswith("a straight line of up to 1.0 % of x was taken")
+
+
+def test_the_largest_line_taken_off_is_said_with_its_channel():
+    time = np.linspace(-1.0, 1.0, 200)
+    moved = np.sin(50 * time)
+    size = np.sqrt(np.mean(moved**2))
+
+    def motion(ground, first, second):
+        drive = SimpleNamespace(excitation=moved + ground * time, responses=np.column_stack(
+            [moved + first * time, np.where(time > 0.9, np.nan, moved + second * time)]))  # fmt: skip
+        return SimpleNamespace(input="base", drives=[drive], floors=np.array([1, 3]))
+
+    plain = motion(0.0, 0.0, 0.0)
+    cases = ((0.1, 0.02, 0.0), "the base motion"), ((0.05, 0.1, 0.0), "floor 1"), ((0, 0.05, 0.2), "floor 3")
+    for lines, where in cases:
+        (said,) = predicted._taken_off(motion(*lines), plain)
+        assert f"of the rms ({where}) was taken" in said
+        assert f"up to {100 * max(lines) / size:.0f}" in said
+    assert predicted._taken_off(plain, plain) == []
+    forced = motion(0.1, 0.0, 0.0)
+    forced.input = "force"
+    assert predicted._taken_off(forced, plain) == []
+
+
+def test_remarks_of_a_prediction_are_made_where_they_apply():
+    responses = np.ones((5, 2))
+    responses[2, 1] = np.nan
+
+    def said(**more):
+        fitted = {"undetermined": (), "covariance": 1, "mass_known": True} | more
+        after = SimpleNamespace(fitted=SimpleNamespace(**fitted), comparison=more.get("comparison"))
+        drives = [SimpleNamespace(responses=more.get("responses", np.ones((5, 2))))]
+        motion = SimpleNamespace(floors=more.get("floors", np.array([2, 5])), drives=drives)
+        return [each.split(":")[0] for each in predicted._remarks(after, motion)]
+
+    assert said() == []
+    assert said(undetermined=(("a", "b"),)) == ["not determined by the measurement"]
+    assert said(covariance=None) == ["no standard deviations"]
+    assert said(mass_known=False) == ["the masses have no scale (give total_mass)"]
+    (alone,) = said(floors=np.array([], dtype=int), responses=None)
+    assert alone == "the record has no accelerations of floors to compare with"
+    assert said(responses=responses) == ["samples of floor 5 are missing"]
+    plain = SimpleNamespace(contradiction="", shifts=())
+    assert said(comparison=plain) == []
+    shift = comparing.Shift(2, 3.0, 4.0)
+    (first, second) = said(comparison=SimpleNamespace(contradiction="reversed", shifts=(shift,)))
+    assert first == "reversed"
+    assert second == "mode 2 resonates at 3.000 Hz in this record, the model at 4.000 Hz (-25.0 %)"
+
+
+def test_floor_spectra_reach_from_a_fifth_of_the_first_to_three_times_the_last():
+    def lines(step, frequencies):
+        model = SimpleNamespace(modes=SimpleNamespace(frequencies=np.array(frequencies)))
+        return largest_spectra(model, [np.eye(40, 1), 3.0 * np.eye(40, 1)], step)
+
+    for step, ends in ((0.001, (0.4, 24.0)), (0.02, (0.4, 12.5)), (0.2, (0.4, 2.0))):
+        found = lines(step, [2.0, 5.0, 8.0])
+        np.testing.assert_allclose(found.frequencies[[0, -1]], ends)
+        steps = np.diff(np.log(found.frequencies))
+        assert len(found.frequencies) == 60
+        np.testing.assert_allclose(steps, steps[0])
+        alone = floor_spectra(3.0 * np.eye(40, 1), step, found.frequencies)
+        np.testing.assert_allclose(found.acceleration, alone.acceleration)
+        assert found.damping == 0.05
+
+
+def test_directions_are_followed_half_of_a_mass_or_stiffness_at_most():
+    root = np.array([[0.1, 3.0], [0.2, 0.1], [1.0, 5.0], [2.0, 9.0], [99.0, 99.0]])
+    theta, experiment = np.array([1.0, 2.0, 10.0, 10.0, 1.0]), SimpleNamespace(stories=2)
+    fitted = SimpleNamespace(root=root, theta=theta, experiment=experiment)
+    frame = SimpleNamespace(fitted=fitted, size=5)
+    np.testing.assert_allclose(uncertain._lengths(frame), [1.0, 0.5 / 3.0, 1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(("off", "said"), [(1.9, False), (2.1, True), (-2.1, True)])
+def test_a_ratio_is_missed_beyond_two_deviations(off, said):
+    """The third is of a thousandth of critical, below which deviations are as of one."""
+    ratios = SimpleNamespace(values=np.array([0.02, 0.05, 1e-4]), std=np.full(3, 0.1))
+    frame = SimpleNamespace(ratios=ratios, kind="rayleigh")
+    own = np.array([0.02 * (1 + 0.1 * off), 0.09, 1e-4 + off * 1e-4])
+    damped = SimpleNamespace(model=SimpleNamespace(ratios=np.maximum(own, 0.0)))
+    measured = np.array([0.02, np.nan, 1e-4])
+    found = uncertain._missed(frame, damped, measured)
+    assert bool(found) is said
+    if said:
+        assert "of mode 1" in found[0]
+        assert "Rayleigh damping cannot give" in found[0]
+
+
+def test_what_a_file_expects_of_an_effect_is_taken_at_each_of_its_places():
+    usual = StoryChange()
+    item = {"name": "story_change", "story": None, "floor": None, "size": 0.3, "probability": 0.2}
+    for more, size, probability in (({}, 0.3, 0.2), ({"story": 1}, None, None), ({"floor": 2}, None, None),
+                                    ({"name": "sensor_gain"}, None, None)):  # fmt: skip
+        experiment = SimpleNamespace(expected=[SimpleNamespace(**item | more)])
+        found = frame_prior._expected(usual, experiment, 4)
+        assert found[0] == (size or usual.usual)
+        assert (1 - found[1]) ** 4 == pytest.approx(1 - (probability or usual.probability))
+
+
+@pytest.mark.parametrize(
+    ("samples", "ratio", "expected"), [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16)]
+)
+def test_pieces_show_a_bandwidth_by_eight_lines_or_are_a_fifth_of_the_record_twice(samples, ratio, expected):
+    assert comparing.segment(samples, 50.0, 10.0, ratio) == expected
+
+
+def welch(a, b, length):
+    """The mean over pieces, half overlapping, less their means, under a raised cosine, of conj(a) b."""
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    parts = [np.fft.rfft(window * (each[at : at + length] - each[at : at + length].mean())) for each in (a, b)
+             for at in range(0, len(a) - length + 1, length // 2)]  # fmt: skip
+    half = len(parts) // 2
+    return np.mean(np.conj(parts[:half]) * parts[half:], axis=0)
+
+
+def test_functions_are_of_all_runs_by_their_lengths():
+    rng = np.random.default_rng(11)
+    forces = [rng.standard_normal(count) for count in (200, 320)]
+    heard = [np.convolve(f, [1.0, 0.5, 0.2])[: len(f)] for f in forces]
+    answers = [np.column_stack([own, rng.standard_normal(len(own))]) for own in heard]
+    found = comparing.transfer(forces, answers, 40.0, 40)
+    lines = slice(1, 20)
+    np.testing.assert_allclose(found.frequencies, np.arange(21.0))
+    for floor in range(2):
+        cross, force, power = (
+            sum(len(f) * welch(*pair(f, y[:, floor]), 40) for f, y in zip(forces, answers, strict=True))
+            for pair in (lambda f, y: (f, y), lambda f, y: (f, f), lambda f, y: (y, y))
+        )
+        np.testing.assert_allclose(found.functions[lines, floor], (cross / force)[lines])
+        np.testing.assert_allclose(found.coherence[lines, floor], (np.abs(cross) ** 2 / force / power).real[lines])
+
+
+def test_resonances_peak_between_lines_where_the_floors_answer():
+    """The logarithm of a bell is a parabola."""
+    natural = np.array([3.0, 7.0])
+    bell = np.exp(-((LINES - 3.13) ** 2))[:, None] * [1.0, 2.0j]
+
+    def at(frequencies, functions, coherence):
+        return comparing.peak(Transfer(frequencies, functions, np.full(functions.shape, coherence)), natural, 0)
+
+    assert at(LINES, bell, 0.61) == pytest.approx(3.13)
+    assert at(LINES, bell, 0.59) is None
+    assert at(LINES, np.exp(LINES)[:, None] * [1.0, 2.0], 1.0) is None
+    assert at(LINES, np.exp(-LINES)[:, None] * [1.0, 2.0], 1.0) is None
+    few = np.array([2.4, 3.1, 3.7, 4.5])
+    assert at(few[[0, 1, 3]], np.array([[1.0], [2.0], [1.0]]), 1.0) is None
+    assert at(few, np.array([[1.0], [2.0], [1.0], [0.5]]), 1.0) is not None
+
+
+@pytest.mark.parametrize("samples", [400, 4000])
+def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode(samples):
+    """A record that reads a tenth more on one floor, and that has noise of a fifth of it on the other."""
+    model = DampedModel(*matrices(*damped_frame(3)), np.array([1.0, 1.0, 0.9]))
+    excitation = np.random.default_rng(9).standard_normal(samples)
+    plain = response(model, Drive(excitation), 0.01)
+    shown = plain.acceleration[:, [0, 2]] * [1.0, 0.9]
+    record = shown * [1.1, 1.0]
+    motion = Motion((Drive(excitation, responses=np.column_stack([record, np.full(samples, np.nan)])),), 100.0,
+                    floors=np.array([1, 3, 9]))  # fmt: skip
+    found = comparing.compared(model, [plain], motion)
+    assert found.floors.tolist() == [1, 3]
+    np.testing.assert_allclose(found.nrmse, [0.1 / 1.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found.rms_ratio, [1 / 1.1, 1.0])
+    np.testing.assert_allclose(found.peak_ratio, [1 / 1.1, 1.0])
+    np.testing.assert_allclose(found.frf_error, [[0.1 / 1.1] * 3, [0.0] * 3], atol=1e-9)
+    assert (found.shifts, found.contradiction) == ((), "")
+    bare = Motion((Drive(excitation),), 100.0)
+    assert comparing.compared(model, [plain], bare) is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(9.80665, "base motion in g"), (0.10197, "floors in g"), (1000.0, "floors in mm/s2"),
+     (1e-3, "base motion in mm/s2"), (100.0, "floors in cm/s2"), (0.01, "base motion in cm/s2"),
+     (386.1, "floors in in/s2")],
+)  # fmt: skip
+def test_each_unit_is_told_to_a_fifth(factor, said):
+    p = np.random.default_rng(3).standard_normal((100, 2))
+    for times in (0.8, 1.25):
+        assert said in contradiction([p * factor * times], [p], np.array([1, 2]))

@@ -8,7 +8,7 @@ from scipy import stats
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES
 from cvxshear.records.record import Channel, Finding
-from cvxshear.response.recording import ENVELOPE_PERIODS, QUIETEST, RecordedRun, Recording
+from cvxshear.response.recording import RecordedRun, Recording
 from cvxshear.response.sensor_checks import whiteness, widening
 from cvxshear.response.sensor_faults import SensorRecord, earlier
 from cvxshear.response.uncertain import UncertainFrame
@@ -62,7 +62,7 @@ def test_bands_are_widened_by_what_sensors_missed():
 def test_the_envelope_is_the_strength_around_a_sample_in_powers_of_two():
     """A motion that is four times as strong in its second half, with a gap that takes the strength around it."""
     period, rate = 0.5, 100.0
-    half = 10 * round(ENVELOPE_PERIODS * period * rate)
+    half = 10 * round(4.0 * period * rate)
     motion = np.repeat([1.0, 4.0], half) * np.tile([1.0, -1.0], half)
     measured = np.column_stack([motion, 3.0 * motion])
     measured[half // 2 : half // 2 + 5] = np.nan
@@ -78,7 +78,7 @@ def test_the_envelope_is_the_strength_around_a_sample_in_powers_of_two():
     whole = (half + 16 * half) / (2 * half + 1000)
     for place, level in ((half // 2, 1.0), (half // 4, 1.0), (half + half // 2, 4.0)):
         assert strong[place] == 2.0 ** np.round(np.log2(level / np.sqrt(whole)))
-    assert np.all(weak == 2.0 ** np.round(np.log2(QUIETEST)))
+    assert np.all(weak == 1 / 16)
 
 
 @pytest.fixture
@@ -188,6 +188,7 @@ def test_clocks_that_drift_do_so_over_all_runs_and_a_late_input_is_early_sensors
     moved = np.sin(7 * (time - 0.01 + 0.002 * (6.0 + time)))
     np.testing.assert_allclose(found.measured[1][inner, 0], moved[inner], atol=1e-4)
     same = earlier(record.measured[0][:, 0], np.zeros(2), 100.0, 0)
+    assert np.isnan(same).sum() == 48
     np.testing.assert_allclose(same[inner], record.measured[0][inner, 0], atol=1e-9)
 
 
