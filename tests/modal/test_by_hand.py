@@ -29,7 +29,7 @@ from cvxshear.modal.picking import PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import Poles
 from cvxshear.modal.stabilization import Criteria, clusters, energies, stable_poles, undivided
 from cvxshear.records.mode_shapes import possible_changes, sign_changes
-from cvxshear.records.record import Channel, Finding
+from cvxshear.records.record import Channel, Finding, FrfRecord
 from cvxshear.util.errors import InputError
 
 STARS = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.7]])
@@ -829,3 +829,24 @@ def test_entries_of_a_floor_whose_center_nobody_knows_are_off_by_a_uniform_part(
     np.testing.assert_allclose(np.diag(found.covariance)[:2], np.diag(plain.covariance)[:2])
     looked.turning = None
     assert _about_unknown_centers(looked, plain) is plain
+
+
+@pytest.mark.parametrize(("decay", "declared", "told"), [(3.0, None, True), (5.0, None, False), (3.0, True, True)])
+def test_whether_a_table_was_cut_off_is_told_by_phases_where_something_is_left(monkeypatch, decay, declared, told):
+    """exp(-3) of the first mode is left after a second, of the second less; exp(-5) is not worth a word."""
+    source, record = object.__new__(FrfSource), object.__new__(FrfRecord)
+    source.samples, source.sampling_rate, source.wrapped = 200, 200.0, None
+    object.__setattr__(record, "truncated", declared)
+    setting = SimpleNamespace(source=source)
+    values = Values(np.array([-decay + 20j, -9.0 + 50j]), np.ones((2, 1)))
+    for off in ({True: 3.0, False: 2.0}, {True: 2.0, False: 3.0}):
+        monkeypatch.setattr(estimate, "_phase_off", lambda setting, values, left, off=off: off[setting.source.wrapped])
+        found = estimate.settle_truncation(record, setting, values)
+        assert len(found) == told
+        for each in found:
+            truncated = off[False] < off[True] if declared is None else declared
+            left = pytest.approx(np.exp(-3.0))
+            assert each.numbers == {"mode": 1, "left": left, "length": 1.0, "truncated": truncated}
+            assert ("as declared" in each.message) is (declared is not None)
+            assert declared is not None or source.wrapped is not truncated
+    assert estimate.settle_truncation(record, SimpleNamespace(source=None), values) == []

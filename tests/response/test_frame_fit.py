@@ -283,3 +283,19 @@ def test_gauss_newton_sees_the_posterior_of_tempered_innovations():
     np.testing.assert_allclose(2 * point.J.T @ point.r, slope, rtol=1e-6, atol=1e-5)
     normal = at.U.T @ at.U / 2.5 + np.linalg.inv(prior.covariance)
     np.testing.assert_allclose(point.J.T @ point.J, normal)
+
+
+def test_what_may_have_changed_by_itself_has_the_odds_of_its_kind():
+    """Three stories, three dashpots, five gains; of dashpots the probability of any is shared by the stories."""
+    frame = fitted()
+    prior = FramePrior(frame.errors.varied, 3, frame.prior.identified, 0.4, 0.05, 0.1, 0.02, None)
+    np.testing.assert_array_equal(prior.single, [0, 1, 2, 5, 6, 7, 10, 11, 12, 13, 14])
+    chance = 1 / (1 + np.exp(-prior.log_odds))
+    np.testing.assert_allclose(chance[:3], 0.1)
+    np.testing.assert_allclose((1 - chance[3:6]) ** 3, 0.9)
+    np.testing.assert_allclose(chance[6:], 0.02)
+    assert prior.one_sided.tolist() == [False] * 3 + [True] * 3 + [False] * 5
+    np.testing.assert_array_equal(prior.idle_dashpots((1, 4)), [5, 7])
+    np.testing.assert_allclose(prior.single_std[:3], 0.4)
+    alone = dataclasses.replace(prior, gain_stds=(0.001,))
+    np.testing.assert_array_equal(alone.single, [0, 1, 2, 5, 6, 7])
