@@ -26,7 +26,7 @@ from cvxshear.modal.frf import FrfSource, _quiet_after_blow, hit_start, hit_time
 from cvxshear.modal.functions import Functions, _segment
 from cvxshear.modal.identify import Options, _about_unknown_centers, _out_of_reach, _wanted
 from cvxshear.modal.picking import PoleCandidate, Sweep, Values
-from cvxshear.modal.realization import Poles
+from cvxshear.modal.realization import Impulse, Poles
 from cvxshear.modal.stabilization import Criteria, clusters, energies, stable_poles, undivided
 from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.record import Channel, Finding, FrfRecord
@@ -850,3 +850,29 @@ def test_whether_a_table_was_cut_off_is_told_by_phases_where_something_is_left(m
             assert ("as declared" in each.message) is (declared is not None)
             assert declared is not None or source.wrapped is not truncated
     assert estimate.settle_truncation(record, SimpleNamespace(source=None), values) == []
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_products_are_those_of_decays_folded_back_or_not(wrapped):
+    """Receptance phi_i phi_d / (2 i omega_d) a mode; folded after n samples it repeats as a geometric series."""
+    rate, value = 40.0, np.array([-0.3 + 22j])
+    phi = np.array([0.4, -0.9])
+    z = np.exp(value[0] / rate)
+    shown = phi * 0.7 / (2j * 22) * z ** np.arange(60)[:, None] / rate
+    sequence = 2 * np.real(shown / (1 - z**60) if wrapped else shown)[:, :, None]
+    source = SimpleNamespace(impulse=lambda keep: Impulse(sequence, 3, np.array([2]), wrapped), sampling_rate=rate)
+    setting = SimpleNamespace(source=source, base=False, quantity="displacement")
+    products, at = estimate._products(setting, Values(value, phi[None] + 0j), None)
+    np.testing.assert_allclose(products[0, :, 0], 0.7 * phi)
+    assert at.tolist() == [2]
+    source.impulse = lambda keep: Impulse(sequence, 3, np.array([0]), wrapped)
+    assert estimate._products(setting, Values(value, phi[None] + 0j), None)[0] is None
+    source.impulse = lambda keep: None
+    assert estimate._products(setting, Values(value, phi[None] + 0j), None)[0] is None
+
+
+def test_the_motion_is_taken_back_by_the_clocks_of_channel_and_force():
+    clocks = Offsets(np.array([1e-3, -2e-3, 5e-4]), np.zeros(3), np.zeros(3), 0)
+    late = np.array([1e-3, -2e-3]) - 5e-4
+    products = np.exp(-30j * late)[:, None] * [[2.0], [3.0]]
+    np.testing.assert_allclose(estimate._turned_back(products, -1.0 + 30j, clocks), [[2.0], [3.0]])

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from cvxshear.effects import StoryChange
 from cvxshear.measurement.declaration import Limits
@@ -22,7 +23,7 @@ from cvxshear.response import (
 from cvxshear.response import compare as comparing
 from cvxshear.response.compare import Transfer, contradiction, moved_against
 from cvxshear.response.frame_motion import FrameMotion
-from cvxshear.response.peaks import floor_spectra, largest_spectra
+from cvxshear.response.peaks import Peaks, floor_spectra, largest_spectra
 from cvxshear.response.predicted import _between_samples, _missed
 from cvxshear.response.recording import RecordedRun, Recording, sensor_line
 from cvxshear.response.sensor_checks import Whiteness
@@ -599,3 +600,38 @@ def test_each_unit_is_told_to_a_fifth(factor, said):
     p = np.random.default_rng(3).standard_normal((100, 2))
     for times in (0.8, 1.25):
         assert said in contradiction([p * factor * times], [p], np.array([1, 2]))
+
+
+def drifting(ratios):
+    """A response whose drift ratios peak at these values."""
+    others = "acceleration", "displacement", "drift", "story_shear", "base_shear", "overturning_moment"
+    return SimpleNamespace(**dict.fromkeys(others), drift_ratio=np.array([0.0, 1.0, 0.0])[:, None] * ratios)
+
+
+def test_limits_are_passed_with_the_probability_of_a_normal_peak_and_of_yielding_stories_only_for_sure():
+    limits = Limits([0.01, 0.02], ("a", "b"))
+    peaks = Peaks({"story_drift_ratio": np.array([0.012, 0.009])}, {"story_drift_ratio": np.array([0.001, 0.001])})
+    z = np.array([[2.0, -1.0], [-8.0, -11.0]])
+    np.testing.assert_allclose(reconstruction._passed(limits, peaks, None, nonlinear=False), stats.norm.cdf(z))
+    sure = np.array([[stats.norm.cdf(2.0), np.nan], [np.nan, np.nan]])
+    found = reconstruction._passed(limits, peaks, None, nonlinear=True)
+    np.testing.assert_allclose(found, sure)
+    for alone, told in ((0.0101, sure), (0.0099, np.full((2, 2), np.nan))):
+        predicted = [drifting(np.array([alone, 1.0])), drifting(np.array([0.005, 0.0]))]
+        np.testing.assert_allclose(reconstruction._passed(limits, peaks, predicted, nonlinear=True), told)
+    none = Peaks({}, {})
+    assert reconstruction._passed(limits, none, None, nonlinear=False) is None
+
+
+def test_the_most_probable_fit_is_kept_with_the_evidence_of_each():
+    fits = [(None, SimpleNamespace(log_evidence=value), []) for value in (-3.0, -1.0, -2.0)]
+    best, evidences = reconstruction._most_probable(iter(fits))
+    assert (best, evidences) == (fits[1], [-3.0, -1.0, -2.0])
+
+
+def test_floor_spectra_are_relatively_as_uncertain_as_the_floors_peaks():
+    found = object.__new__(Reconstruction)
+    object.__setattr__(found, "peaks", Peaks({"floor_acceleration": np.array([2.0, 0.0])},
+                                             {"floor_acceleration": np.array([0.1, 0.3])}))  # fmt: skip
+    object.__setattr__(found, "spectra", SimpleNamespace(acceleration=np.array([[4.0, 8.0], [1.0, 2.0]])))
+    np.testing.assert_allclose(found.spectra_std, [[0.2, 0.4], [0.3, 0.6]])

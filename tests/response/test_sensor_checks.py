@@ -1,5 +1,6 @@
 """What is said of sensors and of a record's strength, by plain sums; and what is given when something else is."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,10 +9,12 @@ from scipy import stats
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES
 from cvxshear.records.record import Channel, Finding
+from cvxshear.response import sensor_faults
 from cvxshear.response.recording import RecordedRun, Recording
 from cvxshear.response.sensor_checks import whiteness, widening
 from cvxshear.response.sensor_faults import SensorRecord, earlier
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.util.errors import NoSolutionError
 
 
 def test_whiteness_is_ljung_and_boxs_statistic_over_all_runs():
@@ -224,3 +227,29 @@ def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
     still = np.where(np.arange(samples) < FEWEST_SAMPLES, 0.0, 1.0)
     assert pieces("base", still) == expected[1:]
     assert pieces("none", still) == expected
+
+
+@pytest.mark.parametrize("pieces", [[(0, slice(0, 600))], [(0, slice(10, 200)), (1, slice(0, 300))]])
+@pytest.mark.parametrize("driven", ["base", "none"])
+def test_sensors_are_looked_at_as_records_are_piece_by_piece(monkeypatch, pieces, driven):
+    seen = []
+
+    def looked(record, **options):
+        seen.append((record, options))
+        if len(seen) == 2:
+            raise NoSolutionError("okid", "nothing")
+        kinds = ("sign", "spikes", "complex mode", "clock offset")
+        return SimpleNamespace(findings=[told(kind, kind) for kind in kinds])
+
+    monkeypatch.setattr(sensor_faults, "identify_modes", looked)
+    monkeypatch.setattr(sensor_faults, "examined", lambda record: SimpleNamespace(findings=[told("unit", "u")]))
+    record = dataclasses.replace(sensors(), input=driven)
+    assert [each.kind for each in record._findings(pieces, 2)] == ["sign", "spikes", "clock offset"]
+    assert [each.kind for each in record._findings(pieces, 5)] == ["unit"]
+    (first, options), (second, _) = seen
+    assert (first.stories, second.stories, options) == (3, 5, {"accept_swapped": True})
+    assert [run.name for run in first.runs] == (["the record"] if len(pieces) == 1 else ["run 1", "run 2"])
+    for run, (place, piece) in zip(first.runs, pieces, strict=True):
+        np.testing.assert_array_equal(run.responses, record.measured[place][piece])
+        assert (run.excitation is None) is (driven == "none")
+        assert run.excitation is None or np.all(run.excitation == 1.0 + place)
