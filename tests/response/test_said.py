@@ -26,7 +26,7 @@ from cvxshear.response.frame_motion import FrameMotion
 from cvxshear.response.peaks import Peaks, floor_spectra, largest_spectra
 from cvxshear.response.predicted import _between_samples, _missed
 from cvxshear.response.recording import RecordedRun, Recording, sensor_line
-from cvxshear.response.sensor_checks import Whiteness
+from cvxshear.response.sensor_checks import Whiteness, _with_delays
 from tests.response.common import damped_frame, matrices
 
 FLOORS = np.array([2, 4])
@@ -635,3 +635,36 @@ def test_floor_spectra_are_relatively_as_uncertain_as_the_floors_peaks():
                                              {"floor_acceleration": np.array([0.1, 0.3])}))  # fmt: skip
     object.__setattr__(found, "spectra", SimpleNamespace(acceleration=np.array([[4.0, 8.0], [1.0, 2.0]])))
     np.testing.assert_allclose(found.spectra_std, [[0.2, 0.4], [0.3, 0.6]])
+
+
+@pytest.mark.parametrize(("alike", "told"), [(0.92, True), (0.935, False)])
+def test_an_exchange_must_bring_a_tenth_of_squared_correlation(alike, told):
+    """A record's correlation is 0.6 with the other floor's prediction, and 0.6 of that of both with its own."""
+    e = np.linalg.qr(np.random.default_rng(0).standard_normal((60, 4)))[0].T
+    p = np.column_stack([e[0], 2 * (alike * e[0] + np.sqrt(1 - alike**2) * e[1])])
+    y = np.column_stack([0.6 * p[:, 1] + 2 * 0.8 * e[2], 0.6 * p[:, 0] + 0.8 * e[3]])
+    assert bool(contradiction([y], [p], np.array([1, 2]))) is told
+    # Both must be like each other's prediction.
+    y[:, 1] = 0.49 * p[:, 0] + np.sqrt(1 - 0.49**2) * e[3]
+    assert contradiction([y], [p], np.array([1, 2])) == ""
+
+
+@pytest.mark.parametrize(("late", "kept"), [(0.0, False), (0.03, True)])
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_delay_is_put_back_without_which_a_sensor_is_farther_from_its_prediction(late, kept, shared):
+    """The delay of 0.03 s that was taken out of floor 3 is the prediction's own, or it is not."""
+    time = np.arange(500) / 100
+
+    def at(shift):
+        return np.column_stack([np.sin(9 * time), np.sin(9 * (time + shift) + 1.0)])
+
+    said = ("x" if shared else "", "x")
+    runs = tuple(RecordedRun(at(0.03), np.zeros(500), name) for name in "ab")
+    recording = Recording(runs, 100.0, np.array([1, 3]), "base", remarks=("x", "y"),
+                          late=np.array([[0.0, 0.0], [0.03, 0.0]]), late_remarks=said)  # fmt: skip
+    found = _with_delays(recording, [at(late)] * 2)
+    inner = slice(100, 400)
+    for run in found.runs:
+        np.testing.assert_allclose(run.measured[inner], at(0.03 if kept else 0.0)[inner], atol=1e-4)
+    left_in = ["x; left in for floor 3"] if shared else []
+    assert list(found.remarks) == (["x", "y"] if kept else ["y", *left_in])
