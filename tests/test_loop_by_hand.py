@@ -1,5 +1,6 @@
 """Decisions of the loop by themselves: which sets are tried and kept, what is said, with numbers put in by hand."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,7 @@ from cvxshear.loop.neighbors import _pairs, groups, promising
 from cvxshear.loop.posterior import replacement
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.loop.twins import Invariances, dual_fits_as_well, dual_frame, few_floors_seen
+from cvxshear.loop.verdicts import FIELDS, VERDICTS
 
 
 def put(name, **place):
@@ -493,3 +495,18 @@ def test_multipliers_of_active_rows_balance_the_gradient():
     np.testing.assert_allclose(found, [3.0, 2.0, 0.0, 0.0])
     found = _multipliers(rows, np.array([False, True, True, False]), np.array([-3.0, -4.0]))
     np.testing.assert_allclose(found, [0.0, 2.0, 0.0, 0.0])
+
+
+def test_a_headline_has_the_parts_for_which_there_are_words():
+    """Parts are set off by semicolons; one that names nothing in braces always stands."""
+    plain = dict.fromkeys(FIELDS, "")
+    ambiguous = VERDICTS["ambiguous"]
+    said = ambiguous.says(added=True, **plain | {"found": "a spring", "doubt": "a mass would do", "change": ""})
+    assert said == "a spring; but a mass would do"
+    assert ambiguous.says(added=False, **plain | {"model": "the frame", "change": "less"}) == (
+        "the frame explains the data; less"
+    )
+    located = VERDICTS["located"]
+    assert located.says(added=True, **plain) == "no cause in the catalogue accounts for it"
+    with pytest.raises(ValueError, match="may name"):
+        dataclasses.replace(located, headline="{nobody} knows")

@@ -876,3 +876,102 @@ def test_the_motion_is_taken_back_by_the_clocks_of_channel_and_force():
     late = np.array([1e-3, -2e-3]) - 5e-4
     products = np.exp(-30j * late)[:, None] * [[2.0], [3.0]]
     np.testing.assert_allclose(estimate._turned_back(products, -1.0 + 30j, clocks), [[2.0], [3.0]])
+
+
+def late_modes(seconds, energies=(0.5, 0.3, 0.2)):
+    """Candidates whose real shapes are turned by clocks that are late."""
+    rows = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.7], [-0.8, 1.0, -0.5]])
+    items = [candidate(frequency, row, energy) for frequency, row, energy in zip((2.0, 5.0, 9.0), rows, energies,
+             strict=True)]  # fmt: skip
+    return [dataclasses.replace(each, shape=each.shape * np.exp(-1j * abs(each.eigenvalue.imag) * seconds))
+            for each in items]  # fmt: skip
+
+
+def test_clocks_are_told_by_two_strong_candidates_of_several_channels():
+    late = np.array([0.0, 1e-3, 0.0])
+    items = late_modes(late)
+    np.testing.assert_allclose(picking._clocks(items), late, atol=1e-6)
+    assert picking._clocks(items[:1]) is None
+    assert picking._clocks([*items[:1], dataclasses.replace(items[1], physical=False)]) is None
+    assert picking._clocks([dataclasses.replace(each, shape=each.shape[:1]) for each in items]) is None
+    # What is faint, or the ninth by strength, says nothing, whatever its phases are.
+    wrong = dataclasses.replace(items[2], shape=items[2].shape * np.array([1.0, 1j, 1.0]), energy=4e-4)
+    np.testing.assert_allclose(picking._clocks([*items[:2], wrong]), late, atol=1e-6)
+    louder = dataclasses.replace(wrong, energy=6e-4)
+    assert np.max(np.abs(picking._clocks([*items[:2], louder]) - late)) > 1e-5
+    np.testing.assert_allclose(picking._clocks([louder, *items[:2] * 4]), late, atol=1e-6)
+    # With the turns of the clocks taken back the shapes are real again, in the order that is said.
+    real = picking._straight(items, (2, 0, 1))
+    np.testing.assert_allclose(np.abs(real[0] / real[0, 0]), [1.0, 0.4, 0.8], atol=1e-4)
+
+
+def test_candidates_are_judged_by_their_phases_without_those_of_clocks():
+    """A channel is late, which no candidate is set aside for; one of three has a phase of its own besides."""
+    items = late_modes(np.array([0.0, 2e-3, 0.0]), (0.5, 1e-4, 0.2))
+    twisted = dataclasses.replace(items[1], shape=items[1].shape * np.exp([0.0, 0.0, 0.8j]))
+    found = picking._collinear([items[0], twisted, items[2]], Criteria(least_collinearity=0.95))
+    assert [each.physical for each in found] == [True, False, True]
+    assert found[1].reason.startswith("modal phase collinearity 0.")
+
+
+@pytest.mark.parametrize(("share", "physical"), [(0.49, True), (0.51, False)])
+def test_a_mode_that_is_mostly_rotation_is_none_of_sway(share, physical):
+    (found,) = picking._swaying([candidate(3.0, [1.0])], lambda frequency: share * frequency / 3.0)
+    assert found.physical is physical
+    assert (f"{100 * share:.0f} % of the motion" in found.reason) is not physical
+    assert picking._swaying([found], None) == [found]
+
+
+def test_a_mode_on_a_part_of_the_data_is_the_middle_of_what_its_orders_show(monkeypatch):
+    """Found again in half of the orders at least; the poles of one part are computed once."""
+    up, off = [1.0, 0.5], [0.5, -1.0]
+    whole = [poles(2, (5.0, 0.02, up)), poles(4, (5.0, 0.02, up)), poles(6, (5.0, 0.02, up)), poles(8, (5.0, 0.02, up))]
+    part = [poles(2, (5.1, 0.02, up)), poles(4, (5.2, 0.03, up), (5.01, 0.02, off)), poles(6, (5.4, 0.02, up)),
+            poles(8, (9.0, 0.02, up))]  # fmt: skip
+    asked = []
+
+    def realized(factor, outputs, rate, orders):
+        asked.append((factor, outputs, rate, orders))
+        return part
+
+    monkeypatch.setattr(picking, "realize", realized)
+    source = SimpleNamespace(factor=lambda keep: "f", outputs=2, sampling_rate=50.0)
+    parts = picking.Parts(source, whole)
+    item = dataclasses.replace(candidate(5.0, up), members=((0, 0), (1, 0), (2, 0), (3, 0)))
+    keep = np.array([True, False])
+    value, shape = parts.found_again(item, keep)
+    assert abs(value.imag) == pytest.approx(2 * np.pi * np.mean([5.1 * np.sqrt(1 - 4e-4), 5.2 * np.sqrt(1 - 9e-4)]))
+    np.testing.assert_allclose(shape[1] / shape[0], 0.5)
+    gone = dataclasses.replace(item, members=((1, 0), (2, 0), (3, 0)))
+    assert parts.found_again(gone, keep) is None
+    assert parts.values([item, gone], keep) is None
+    assert parts.values([item, item], keep).eigenvalues.shape == (2,)
+    assert asked == [("f", 2, 50.0, [2, 4, 6, 8])]
+    assert parts.found_again(item, ~keep) is not None
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(
+    ("of_shape", "of_frequency", "shaky"), [(0.29, 0.019, None), (0.31, 0.019, True), (0.29, 0.021, False)]
+)
+def test_a_mode_that_scatters_from_piece_to_piece_is_doubted(of_shape, of_frequency, shaky):
+    """Six pieces, left out one at a time; in turn larger and smaller by as much as makes these deviations."""
+    item = candidate(5.0, [1.0, 0.5])
+    up_and_down = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]) / np.sqrt(5)
+
+    def found_again(item, keep):
+        at = int(np.flatnonzero(~keep)[0])
+        value = item.eigenvalue * np.exp(up_and_down[at] * of_frequency)
+        return value, 3.0j * (item.shape + up_and_down[at] * of_shape * np.array([-0.5, 1.0]))
+
+    source = SimpleNamespace(groups=np.zeros(6, dtype=int), weights=np.ones(6), unit="block")
+    parts = SimpleNamespace(source=source, found_again=found_again)
+    doubts = estimate.scattering(parts, [item])
+    assert list(doubts) == ([] if shaky is None else [item.members])
+    assert all(each[1] is shaky for each in doubts.values())
+
+    def lost(item, keep):
+        return None if not keep[:4].all() else found_again(item, keep)
+
+    parts.found_again = lost
+    assert estimate.scattering(parts, [item])[item.members] == ("without any of 4 of 6 blocks it is not found", False)

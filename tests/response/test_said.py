@@ -668,3 +668,31 @@ def test_a_delay_is_put_back_without_which_a_sensor_is_farther_from_its_predicti
         np.testing.assert_allclose(run.measured[inner], at(0.03 if kept else 0.0)[inner], atol=1e-4)
     left_in = ["x; left in for floor 3"] if shared else []
     assert list(found.remarks) == (["x", "y"] if kept else ["y", *left_in])
+
+
+@pytest.mark.parametrize("driven", ["base", "none"])
+def test_a_reconstruction_begins_with_noise_of_the_size_of_what_was_recorded(monkeypatch, driven):
+    """Sensors, story forces and the ground err by a fiftieth; an unknown ground moves as the weakest sensor does."""
+    model = DampedModel(*matrices(*damped_frame(3)), np.ones(3))
+    seen = []
+
+    def around(frame, floors, *, excited):
+        seen.append((floors.tolist(), excited))
+        return SimpleNamespace(centre=SimpleNamespace(model=model))
+
+    monkeypatch.setattr(frame_motion.VariedFrame, "around", around)
+    monkeypatch.setattr(frame_motion, "_drift_rms", lambda model, recording: np.array([1e-3, 2e-3, 3e-3]))
+    runs = [SimpleNamespace(excitation=np.full(30, size), floor=0) for size in (3.0, 4.0)]
+    recording = SimpleNamespace(input=driven, rms=lambda: np.array([2.0, 0.5]), floors=np.array([1, 3]), step=0.01,
+                                force_floor=0, runs=runs)  # fmt: skip
+    frame = SimpleNamespace(story_stiffness=np.array([1e3, 2e3, 4e3]))
+    found = FrameMotion.around(frame, recording, "backend", free=True)
+    assert seen == [([1, 3], driven == "base")]
+    assert (found.free, found.setting.base_measured) == ((driven == "base"),) * 2
+    np.testing.assert_allclose(found.noise.sensors, [0.04, 0.01])
+    assert found.noise.force == 0.02
+    assert found.noise.excitation == pytest.approx(0.02 * np.sqrt(12.5) if driven == "base" else 0.5)
+    omega = np.sqrt(model.modes.eigenvalues)
+    assert (found.setting.corner, found.setting.ground_corner) == (pytest.approx(omega[0]), pytest.approx(omega[-1]))
+    np.testing.assert_allclose(found.setting.story_force, [1.0, 4.0, 12.0])
+    assert not FrameMotion.around(frame, recording, "backend", free=False).free
