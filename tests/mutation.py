@@ -21,6 +21,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -258,6 +259,18 @@ def names_of(mutant):
     return found
 
 
+def said_around(mutant):
+    """The words, parts of names among them, in the innermost function around a change, else in its line."""
+    around = [each for each in every_function().get(mutant.module, ()) if each[1] <= mutant.line <= each[2]]
+    _, first, last, _ = max(around, key=lambda each: each[1], default=(None, mutant.line, mutant.line, None))
+    return parts_of("\n".join((ROOT / "cvxshear" / mutant.module).read_text().splitlines()[first - 1 : last]))
+
+
+def parts_of(text):
+    """The words of a text in small letters, names taken apart."""
+    return frozenset(re.findall(r"[a-z]{4,}", text.lower()))
+
+
 def tests_of(mutant):
     """The files of tests that concern a change, the nearest first.
 
@@ -295,23 +308,25 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 
 
 class Watcher:
-    """A plugin of pytest that runs tests by the calls between them and a change, then by file in the order given.
+    """A plugin of pytest that runs tests by the calls between them and a change, then by the words that they share
+    with it, those that few tests have before others.
 
     It writes down the first test that fails, and skips what is left after so many seconds of running tests.
     """
 
-    def __init__(self, path, tests, names, seconds):
-        self._path, self._tests, self._names, self._seconds = path, tests, names, seconds
+    def __init__(self, path, names, said, seconds):
+        self._path, self._names, self._said, self._seconds = path, names, said, seconds
         self._began = None
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
         """Put the nearest first again, after `conftest` has put first what takes longest."""
-        order = {test.partition("::")[0]: place for place, test in enumerate(self._tests)}
+        shared = {item: self._said & parts_of(" ".join(said_in(item))) for item in items}
+        often = Counter(word for words in shared.values() for word in words)
 
         def place(item):
             calls = min((self._names[each] for each in said_in(item) & self._names.keys()), default=FARTHEST)
-            return calls, order[item.nodeid.partition("::")[0]]
+            return calls, -sum(1.0 / often[word] for word in shared[item])
 
         items.sort(key=place)
 
@@ -352,7 +367,7 @@ def warm_up():
             del sys.modules[name]
 
 
-def first_failure(folder, tests, names, given, broken=()):
+def first_failure(folder, tests, names, said, given, broken=()):
     """Name the first of these tests that fails in a copy of the project; empty where the process ends before, or takes
     longer than the limit, None where all pass."""
     told = folder / "failed.txt"
@@ -371,7 +386,7 @@ def first_failure(folder, tests, names, given, broken=()):
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET]
         options += [f"--deselect={each}" for each in broken]
         try:
-            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, tests, names, given.seconds)])))
+            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, names, said, given.seconds)])))
         except BaseException:
             os._exit(99)
     until = time.monotonic() + WAITED * given.limit
@@ -399,15 +414,15 @@ def survivors(some, given, say=print):
         for mutant in some:
             path, began = folder / "cvxshear" / mutant.module, time.monotonic()
             before, failed, tests = path.read_text(), None, tests_of(mutant)
-            names = names_of(mutant)
+            names, said = names_of(mutant), said_around(mutant)
             while tests:
                 path.write_text(mutated(before, mutant))
-                failed = first_failure(folder, tests, names, given, broken)
+                failed = first_failure(folder, tests, names, said, given, broken)
                 path.write_text(before)
                 if failed is None or failed in sound:
                     break
                 # A process that ends without a word has found the change only where it does not end so without it.
-                if first_failure(folder, (failed,) if failed else tests, names, given, broken) is None:
+                if first_failure(folder, (failed,) if failed else tests, names, said, given, broken) is None:
                     break
                 if failed:
                     say(f"left out, since it fails without any change: {failed}")

@@ -691,7 +691,7 @@ def test_a_reconstruction_begins_with_noise_of_the_size_of_what_was_recorded(mon
     assert (found.free, found.setting.base_measured) == ((driven == "base"),) * 2
     np.testing.assert_allclose(found.noise.sensors, [0.04, 0.01])
     assert found.noise.force == 0.02
-    assert found.noise.excitation == pytest.approx(0.02 * np.sqrt(12.5) if driven == "base" else 0.5)
+    assert found.noise.ground == pytest.approx(0.02 * np.sqrt(12.5) if driven == "base" else 0.5)
     omega = np.sqrt(model.modes.eigenvalues)
     assert (found.setting.corner, found.setting.ground_corner) == (pytest.approx(omega[0]), pytest.approx(omega[-1]))
     np.testing.assert_allclose(found.setting.story_force, [1.0, 4.0, 12.0])
