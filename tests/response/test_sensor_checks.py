@@ -253,3 +253,14 @@ def test_sensors_are_looked_at_as_records_are_piece_by_piece(monkeypatch, pieces
         np.testing.assert_array_equal(run.responses, record.measured[place][piece])
         assert (run.excitation is None) is (driven == "none")
         assert run.excitation is None or np.all(run.excitation == 1.0 + place)
+
+
+def test_every_channel_counts_as_much_for_the_envelope_however_large_it_is():
+    """Three whose motion grows sixteenfold, and a much larger steady one: mean squares of 0.26 and 1.74 of the rms."""
+    half = 2000
+    sign = np.tile([1.0, -1.0], half)
+    growing = np.repeat([1.0, 16.0], half) * sign
+    measured = np.column_stack([growing, growing, 0.1 * growing, 300.0 * sign])
+    recording = Recording((RecordedRun(measured, np.zeros(2 * half), "a"),), 100.0, np.array([1, 2, 3, 4]), "base")
+    (found,) = recording.envelopes(0.5)
+    assert (found[half // 2], found[half + half // 2]) == (0.5, 1.0)
