@@ -1,20 +1,22 @@
 """What is said of sensors and of a record's strength, by plain sums; and what is given when something else is."""
 
 import dataclasses
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import ndimage, stats
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES
-from cvxshear.records.record import Channel, Finding
+from cvxshear.records.motion import Drive, Motion, band_limited
+from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.response import sensor_faults
-from cvxshear.response.recording import RecordedRun, Recording
+from cvxshear.response.recording import RecordedRun, Recording, recording_of, sensor_line
 from cvxshear.response.sensor_checks import whiteness, widening
 from cvxshear.response.sensor_faults import SensorRecord, earlier
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.errors import NoSolutionError
+from cvxshear.util.errors import InputError, NoSolutionError
 
 
 def test_whiteness_is_ljung_and_boxs_statistic_over_all_runs():
@@ -264,3 +266,120 @@ def test_every_channel_counts_as_much_for_the_envelope_however_large_it_is():
     recording = Recording((RecordedRun(measured, np.zeros(2 * half), "a"),), 100.0, np.array([1, 2, 3, 4]), "base")
     (found,) = recording.envelopes(0.5)
     assert (found[half // 2], found[half + half // 2]) == (0.5, 1.0)
+
+
+def test_a_run_is_parted_at_its_longest_gaps():
+    """Eight of them at most, those that are long enough; parts are where what records stays the same."""
+    measured = np.ones((200, 2))
+    gaps = [(5 + 20 * k, 5 + 20 * k + 3 + k, k % 2) for k in range(9)]
+    for first, last, column in [*gaps, (190, 200, 0)]:
+        measured[first:last, column] = np.nan
+    for least, left_out in ((7, [*gaps[4:], (190, 200, 0)]), (1, [*gaps[2:], (190, 200, 0)]), (12, [])):
+        recorded = np.ones((200, 2), dtype=bool)
+        for first, last, column in left_out:
+            recorded[first:last, column] = False
+        pieces = RecordedRun(measured, np.zeros(200), "").pieces(least)
+        assert [part.start for part, _ in pieces[1:]] == [part.stop for part, _ in pieces[:-1]]
+        found = np.concatenate([np.tile(seen, (part.stop - part.start, 1)) for part, seen in pieces])
+        np.testing.assert_array_equal(found, recorded)
+        assert all((before != after).any() for (_, before), (_, after) in itertools.pairwise(pieces))
+
+
+def recorded(**more):
+    rng = np.random.default_rng(5)
+    runs = [RecordedRun(rng.standard_normal((count, 2)), rng.standard_normal(count), name, 2) for count, name in
+            ((40, "a"), (30, "b"))]  # fmt: skip
+    return Recording(tuple(runs), 50.0, np.array([1, 3]), "force", **more)
+
+
+def test_a_recording_is_cut_and_does_without_channels():
+    whole = recorded()
+    assert (whole.force_floor, whole.step) == (2, 0.02)
+    assert whole.without_base_line() is whole
+    run = whole.runs[0]
+    np.testing.assert_array_equal(run.drive, np.column_stack([run.excitation, run.excitation]))
+    limited = whole.band_limited()
+    np.testing.assert_allclose(limited.runs[1].drive[:, 0], band_limited(whole.runs[1].excitation))
+    np.testing.assert_array_equal(limited.runs[1].drive[:, 1], whole.runs[1].excitation)
+    parts = [slice(3, 20), slice(0, 30)]
+    cut = limited.without(0).cut(parts)
+    assert cut.floors.tolist() == [3]
+    for own, before, part in zip(cut.runs, limited.runs, parts, strict=True):
+        np.testing.assert_array_equal(own.measured, before.measured[part, 1:])
+        np.testing.assert_array_equal(own.drive, before.drive[part])
+        assert own.name == before.name
+    np.testing.assert_allclose(
+        whole.rms(), np.sqrt(np.mean(np.concatenate([run.measured for run in whole.runs]) ** 2, axis=0))
+    )
+
+
+def blocks_of(motion):
+    """Samples of four periods, by the rms change from sample to sample: 2 pi over a period of the rms."""
+    return round(4 * 2 * np.pi * np.sqrt(np.mean(motion**2) / np.mean(np.diff(motion) ** 2)))
+
+
+@pytest.mark.parametrize(("times", "kept"), [(3.9, False), (4.1, True)])
+def test_a_line_is_the_sensors_beyond_four_deviations_of_the_mean(times, kept):
+    """The deviation of the mean is that of sums over blocks of four periods."""
+    time = np.linspace(-1.0, 1.0, 3000)
+    motion = np.sin(0.3 * np.arange(3000)) * (1.5 + time)
+    run = RecordedRun(np.column_stack([motion, motion + 1.0]), motion, "a")
+    recording = Recording((run,), 100.0, np.array([1, 2]), "base")
+    left = motion - np.polyval(np.polyfit(time, motion, 1), time)
+    sums = np.add.reduceat(left, np.arange(0, 3000, blocks_of(left)))
+    chance = np.linalg.norm(sums) / 3000
+    size = slope_for(motion, time, times * chance)
+    (found,) = recording.less([np.column_stack([-size * time, 0.0 * time])]).lines([np.zeros((3000, 2))])
+    assert np.any(found[:, 0]) == kept
+    np.testing.assert_allclose(found[:, 1].mean(), 1.0 + motion.mean(), atol=1e-6)
+
+
+def slope_for(motion, time, largest):
+    """The slope of the line to add after which that through the motion has such a largest value."""
+    slope, level = np.polyfit(time, motion, 1)
+    return largest - abs(level) - slope
+
+
+@pytest.mark.parametrize(("start", "weighed"), [(0.45, False), (0.55, True)])
+def test_a_line_through_a_motion_that_begins_amid_is_weighed_by_what_is_quiet(start, weighed):
+    """Strong from half of its rms on at its first sample; then each sample counts by its inverse strength, squared."""
+    samples = 6000
+    time = np.linspace(-1.0, 1.0, samples)
+    strong = np.where(time < 0, start, np.sqrt(2 - start**2))
+    motion = np.sqrt(2) * strong * np.sin(0.5 * np.arange(samples) + np.pi / 4) + 0.3 + 0.1 * time
+    line = sensor_line(motion)
+    plain = np.polyval(np.polyfit(time, motion, 1), time)
+    width = blocks_of(motion - plain)
+    sizes = np.sqrt(ndimage.uniform_filter1d((motion - plain) ** 2, width, mode="nearest"))
+    weights = 1.0 / np.maximum(sizes, np.sqrt(np.mean((motion - plain) ** 2)) / 16)
+    own = np.polyval(np.polyfit(time, motion, 1, w=weights), time)
+    np.testing.assert_allclose(line, own if weighed else plain, atol=1e-9)
+    assert np.max(np.abs(own - plain)) > 1e-5
+    np.testing.assert_array_equal(sensor_line(np.zeros(50)), 0.0)
+
+
+@pytest.mark.parametrize("driven", ["base", "force", "none"])
+def test_records_and_motions_are_read_alike(monkeypatch, driven):
+    """What the sensors themselves get wrong is looked for elsewhere; here they are taken as they are."""
+    monkeypatch.setattr(SensorRecord, "set_right", lambda self, stories: self)
+    rng = np.random.default_rng(6)
+    y, drive = rng.standard_normal((200, 2)), rng.standard_normal(200)
+    floor = 2 if driven == "force" else 0
+    channels = Channel("a", 1), Channel("b", 3)
+    own = None if driven == "none" else drive
+    record = TimeRecord(channels, runs=(Run(y, own, floor, "r"),), sampling_rate=50.0, input=driven)
+    found = [recording_of(record)]
+    if driven != "none":
+        found.append(recording_of(Motion((Drive(drive, floor, y, "r"),), 50.0, driven, np.array([1, 3]))))
+    for each in found:
+        (run,) = each.runs
+        assert (each.input, each.floors.tolist(), each.sampling_rate) == (driven, [1, 3], 50.0)
+        assert (run.floor, run.name, each.force_floor) == (floor, "r", floor)
+        np.testing.assert_array_equal(run.measured, y)
+        np.testing.assert_array_equal(run.excitation, np.zeros(200) if driven == "none" else drive)
+    if driven == "force":
+        several = dataclasses.replace(record, runs=(Run(y, drive, 1, "r"), Run(y, drive, 2, "s")))
+        with pytest.raises(InputError, match="the force acts on several floors"):
+            recording_of(several)
+        with pytest.raises(InputError, match="the floors' velocitys were recorded"):
+            recording_of(dataclasses.replace(record, quantity="velocity"))
