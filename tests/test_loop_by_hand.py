@@ -7,17 +7,20 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from cvxshear import Experiment
 from cvxshear.effects import Place, Placed, catalogue, open_classes
 from cvxshear.loop import conclusion, held_out, next_test, otherwise, residual, search
 from cvxshear.loop.conclusion import Posterior
 from cvxshear.loop.evidence import _multipliers
 from cvxshear.loop.fitter import ModelClass
-from cvxshear.loop.hypotheses import Hypothesis
+from cvxshear.loop.hypotheses import Hypothesis, hypotheses
 from cvxshear.loop.neighbors import _pairs, groups, promising
 from cvxshear.loop.posterior import replacement
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.loop.twins import Invariances, dual_fits_as_well, dual_frame, few_floors_seen
 from cvxshear.loop.verdicts import FIELDS, VERDICTS
+from cvxshear.priors.base import Constraints
+from tests.frames import configuration, experiment
 
 
 def put(name, **place):
@@ -510,3 +513,144 @@ def test_a_headline_has_the_parts_for_which_there_are_words():
     assert located.says(added=True, **plain) == "no cause in the catalogue accounts for it"
     with pytest.raises(ValueError, match="may name"):
         dataclasses.replace(located, headline="{nobody} knows")
+
+
+def told_by(**more):
+    """A search, the set of its verdict and what is said besides, of which nothing is worth a word."""
+    frame = SimpleNamespace(story_heights=np.ones(2))
+    tests = [SimpleNamespace(name="a", other_modes=())]
+    experiment = SimpleNamespace(stories=2, configurations=tests, frame=frame)
+    backend = SimpleNamespace(name="osqp")
+    known = [Hypothesis(GAIN_1, 0.1), Hypothesis(MASS_1, 0.1)]
+    fitter = SimpleNamespace(experiment=experiment, stand_ins=0, fits=9, backend=backend, hypotheses=known)
+    final = SimpleNamespace(
+        noise=SimpleNamespace(settled=True), fit=SimpleNamespace(converged=True, reason="step limit"), effects=(),
+        quality=SimpleNamespace(max_frequency_error=1.2e-4), theta=np.arange(4.0),
+    )  # fmt: skip
+    posterior = SimpleNamespace(numberings=(), untold=list)
+    parts = {"search": SimpleNamespace(fitter=fitter, spent=False, visited={}), "posterior": posterior, "final": final}
+    for key, value in more.items():
+        owner = {**parts, "fitter": fitter, "experiment": experiment, "noise": final.noise, "fit": final.fit}
+        name, _, attribute = key.partition("_")
+        setattr(owner[name], attribute, value)
+    return parts
+
+
+@pytest.mark.parametrize(
+    ("more", "start"),
+    [
+        ({}, None), ({"noise_settled": False}, "the estimate of the standard deviations that nobody declared did not"),
+        ({"search_spent": True}, "the search ended after 0 sets of effects"),
+        ({"fit_converged": False}, "the final fit did not converge (step limit)"),
+        ({"posterior_untold": lambda: [GAIN_1]}, f"{GAIN_1.label}: these data tell nothing of it"),
+        ({"fitter_stand_ins": 3}, "3 of 9 fits that osqp refused were made by auto"),
+        ({"search_visited": {1: SimpleNamespace(failure="it gave up"), 2: SimpleNamespace(failure=None)}},
+         "1 of 2 sets of effects could not be fitted (it gave up)"),
+        ({"final_effects": (put("joint_rotation"),), "experiment_frame": SimpleNamespace(story_heights=None)},
+         "story heights are not declared"),
+        ({"final_effects": (put("joint_rotation"),)}, None),
+        ({"experiment_frame": SimpleNamespace(story_heights=None)}, None),
+    ],
+)  # fmt: skip
+def test_what_a_reader_should_know_besides_is_said_where_it_applies(more, start):
+    parts = told_by(**more)
+    said = list(conclusion._information(parts["search"], parts["posterior"], parts["final"], negligible=False))
+    assert len(said) == (start is not None)
+    assert start is None or said[0].startswith(start)
+    (first, *_) = conclusion._information(parts["search"], parts["posterior"], parts["final"], negligible=True)
+    assert "frequencies are off by 0.0001 at most" in first
+
+
+@pytest.mark.parametrize(("probability", "changes", "said"), [(0.5, (), True), (0.002, ("x",), False),
+                                                              (0.0005, ("x",), True)])  # fmt: skip
+def test_that_other_modes_are_hardly_probable_is_said_where_no_numbering_has_them(probability, changes, said):
+    tests = [SimpleNamespace(name="a", other_modes=("b",)), SimpleNamespace(name="c", other_modes=())]
+    numberings = (SimpleNamespace(probability=probability, changes=changes),)
+    parts = told_by(experiment_configurations=tests, posterior_numberings=numberings)
+    found = list(conclusion._information(parts["search"], parts["posterior"], parts["final"], negligible=False))
+    assert found == (['the modes of "a" are those given: that they are the other ones named is hardly probable'] if said
+                     else [])  # fmt: skip
+
+
+def test_statements_of_effects_that_are_not_there_are_granted_where_the_data_hardly_tell():
+    """Those of the frame and of the states that something was found in; each statement once, with its states."""
+    heavier, softer = put("state_mass", state="b"), put("state_stiffness", state="b")
+    elsewhere = put("state_mass", state="c")
+    asked = []
+
+    def untold(placed, others):
+        asked.append((placed, list(others)))
+        return placed is not softer
+
+    searching = SimpleNamespace(lacking=lambda found: [heavier, softer, elsewhere, GAIN_1],
+                                invariances=lambda found: SimpleNamespace(untold=untold))  # fmt: skip
+    said = list(conclusion._granted(searching, model_of(MASS_1)))
+    assert said == [heavier.effect.granted.format(state='"b"')]
+    assert [each[0] for each in asked] == [heavier, softer]
+    assert all(others == [heavier, softer] for _, others in asked)
+    assert list(conclusion._granted(searching, model_of(GAIN_2))) == []
+
+
+def test_inequalities_that_were_declared_are_granted():
+    def stated(**more):
+        return SimpleNamespace(constraints=lambda stories: Constraints(**more))
+
+    experiment = SimpleNamespace(stories=2, stated={
+        "k below 5": stated(upper=np.full(4, 5.0)), "m above 1": stated(lower=np.ones(4)),
+        "falling": stated(G=np.ones((1, 4)), h=np.zeros(1)), "a ratio": stated(A=np.ones((1, 4)), b=np.zeros(1)),
+    })  # fmt: skip
+    said = list(conclusion._granted_of_bounds(experiment))
+    assert said == [f'that "{words}" holds, as declared' for words in ("k below 5", "m above 1", "falling")]
+
+
+def test_candidates_have_the_gain_and_the_odds_of_the_linearised_model_or_of_a_fit(monkeypatch):
+    """Of three hypotheses one is there, one is judged by derivatives and one is not; chance counts them all."""
+    monkeypatch.setattr(conclusion, "_in_noise_of", lambda final, kept, fitter: SimpleNamespace(chi2=final.chi2 + 12.0))
+    monkeypatch.setattr(conclusion, "parameter_names", lambda experiment, effects: [])
+    known = [Hypothesis(placed, 0.1) for placed in (GAIN_1, GAIN_2, MASS_1)]
+    fitter = SimpleNamespace(hypotheses=known, assumed=(), log_priors=lambda lacking, beside: np.array([-3.0]))
+    final = SimpleNamespace(effects=(GAIN_1,), chi2=30.0, dof=20, experiment=None)
+    judged = ModelClass(frozenset([GAIN_1]), final, 0.0, 0.0)
+    linear = SimpleNamespace(lacking=[GAIN_2], gains=np.array([-0.5]), decrease=lambda placed: 7.0,
+                             told=lambda placed: 1.09, confounders=lambda placed, names: ("k",))  # fmt: skip
+    searching = SimpleNamespace(fitter=fitter, linearised=lambda judged: linear, visited={})
+    chance = {GAIN_1: 0.9, GAIN_2: 0.2, MASS_1: 0.0}
+    of = SimpleNamespace(of_effects=chance, keeps_odds=lambda placed: True,
+                         ranked=lambda effects, chances: sorted(effects, key=lambda each: -chances[each]))  # fmt: skip
+    first, second, third = conclusion._candidates(of, searching, judged)
+    assert (first.placed, first.probability, first.chi2, first.dof) == (GAIN_1, 0.9, 30.0, 20)
+    assert first.confounded_with == ()
+    assert first.p_value == pytest.approx(3 * stats.chi2.sf(12.0, 1))
+    unseen = 1 / (1 + np.exp(3.5))
+    assert (second.placed, second.chi2, second.dof, second.confounded_with) == (GAIN_2, 23.0, 19, ("k",))
+    assert second.probability == pytest.approx(0.2 + 0.8 * unseen)
+    assert second.p_value == pytest.approx(3 * stats.chi2.sf(7.0, 1))
+    assert (third.placed, third.probability, third.chi2, third.dof, third.p_value) == (MASS_1, 0.0, 30.0, 19, 1.0)
+    searching.visited[frozenset([GAIN_1, GAIN_2])] = None
+    linear.told = lambda placed: 1.11
+    second = conclusion._candidates(of, searching, judged)[1]
+    assert (second.probability, second.confounded_with) == (0.2, ())
+
+
+def test_probability_of_an_effect_is_shared_by_its_places_as_the_file_expects_it():
+    """Of any of three floors 2 %; one that is expected there with 30 % has that, excluded ones share nothing."""
+    mass, stiffness = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
+    frame = {"total_mass": 24.0}
+    table = experiment(mass, stiffness, configuration(mass, stiffness), frame=frame)
+    gain = next(each for each in catalogue() if each.name == "sensor_gain")
+
+    def chances(*expected):
+        of = Experiment.from_dict(table | ({"effect": list(expected)} if expected else {}))
+        return {item.placed.place.floor: item for item in hypotheses(of, [gain])}
+
+    plain = chances()
+    assert 1 - np.prod([1 - item.probability for item in plain.values()]) == pytest.approx(gain.probability)
+    assert {item.size for item in plain.values()} == {None}
+    said = chances({"name": "sensor_gain", "floor": 2, "probability": 0.3, "size": 0.2},
+                   {"name": "sensor_gain", "floor": 3, "exclude": True})  # fmt: skip
+    assert sorted(said) == [1, 2]
+    assert (said[2].probability, said[2].size) == (pytest.approx(0.3), 0.2)
+    assert 1 - said[1].probability == pytest.approx((1 - gain.probability) ** (1 / 2))
+    anywhere = chances({"name": "sensor_gain", "probability": 0.5})
+    assert 1 - np.prod([1 - item.probability for item in anywhere.values()]) == pytest.approx(0.5)
+    assert hypotheses(Experiment.from_dict(table), [gain], [plain[2].placed])[1].placed.place.floor == 3
