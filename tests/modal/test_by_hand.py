@@ -22,7 +22,16 @@ from cvxshear.modal.diagnostics import (
     resolution_findings,
 )
 from cvxshear.modal.estimate import Details
-from cvxshear.modal.frf import FrfSource, _quiet_after_blow, hit_start, hit_times, reach, residues, table_spectra
+from cvxshear.modal.frf import (
+    FrfSource,
+    Spectra,
+    _quiet_after_blow,
+    hit_start,
+    hit_times,
+    reach,
+    residues,
+    table_spectra,
+)
 from cvxshear.modal.functions import Functions, _segment
 from cvxshear.modal.identify import Options, _about_unknown_centers, _out_of_reach, _wanted
 from cvxshear.modal.picking import PoleCandidate, Sweep, Values
@@ -246,7 +255,7 @@ def test_slopes_of_clocks_are_those_of_weighted_least_squares():
     size = rng.uniform(0.5, 2.0, (2, 2, 5))
     late = 1e-3 * rng.standard_normal((2, 5)) + 2e-5 * times
     amplitudes = size * np.exp(1j * rng.uniform(0, 6, (2, 1, 5)))
-    amplitudes[:, 0] *= np.exp(-1j * omega * late) * np.exp([[0.5j], [2.0j]])
+    amplitudes[:, 0] *= np.exp(-1j * omega * late) * np.exp([[0.5j], [0.5j * np.pi]])
     slope, scatter, freedom, information = releases._line(amplitudes, omega, times, 0, [1])
     # Seen from the mean phasor of each mode, the phase between the channels.
     between = amplitudes[:, 0] * np.conj(amplitudes[:, 1])
@@ -975,3 +984,44 @@ def test_a_mode_that_scatters_from_piece_to_piece_is_doubted(of_shape, of_freque
 
     parts.found_again = lost
     assert estimate.scattering(parts, [item])[item.members] == ("without any of 4 of 6 blocks it is not found", False)
+
+
+def struck_frame(hits, samples=400, decay=0.02):
+    """Spectra of unit blows of one sample, so many at each floor, whose answers are known."""
+    answers = {floor: np.exp(-decay * np.arange(samples // 2)) * np.cos(0.3 * floor * np.arange(samples // 2)) for floor
+               in hits}  # fmt: skip
+    spectra = []
+    for floor, count in hits.items():
+        for _ in range(count):
+            H = np.fft.rfft(answers[floor], samples)
+            spectra.append(Spectra(H[:, None], np.ones(len(H)), np.abs(H[:, None]) ** 2, floor))
+    return answers, spectra
+
+
+@pytest.mark.parametrize(
+    ("hits", "unit", "groups"),
+    [({1: 2, 3: 3}, "hit", [0, 0, 1, 1, 1]), ({1: 1, 2: 1, 3: 1}, "driving point", [0, 0, 0]),
+     ({1: 1, 3: 2}, "none", []), ({1: 1, 2: 1}, "none", [])],
+)  # fmt: skip
+def test_hits_answer_to_one_pulse_and_are_left_out_where_others_are_left(hits, unit, groups):
+    """A tenth of the largest power is added to that of the force, what follows the blow is taken to near its end."""
+    answers, spectra = struck_frame(hits)
+    source = FrfSource(spectra, 50.0, 400, 200)
+    assert (source.unit, source.groups.tolist(), source.floors.tolist()) == (unit, groups, sorted(hits))
+    np.testing.assert_allclose(source.energies, [np.sum(each.response_response) for each in spectra])
+    np.testing.assert_allclose(source.weights, 201.0)
+    for keep in (None, np.arange(len(spectra)) > 0):
+        impulse = source.impulse(keep)
+        left = {floor: count - (keep is not None and floor == 1) for floor, count in hits.items()}
+        floors = [floor for floor in sorted(hits) if left[floor]]
+        assert impulse.driven.tolist() == floors
+        assert (impulse.start, len(impulse.sequence)) == (3, 200 - 3 - 12)
+        for column, floor in enumerate(floors):
+            size = left[floor] / np.sqrt(1.1 * hits[floor])
+            np.testing.assert_allclose(impulse.sequence[:, 0, column], size * answers[floor][:185], atol=1e-9)
+            np.testing.assert_allclose(impulse.pulse[:, column], [size, 0.0, 0.0], atol=1e-9)
+    whole = FrfSource(spectra, 50.0, 400)
+    assert len(whole.impulse().sequence) == 400
+    with pytest.raises(InputError, match="too few samples are left"):
+        FrfSource(spectra, 50.0, 400, 77)
+    assert len(FrfSource(spectra, 50.0, 400, 78).impulse().sequence) == 63
