@@ -1025,3 +1025,16 @@ def test_hits_answer_to_one_pulse_and_are_left_out_where_others_are_left(hits, u
     with pytest.raises(InputError, match="too few samples are left"):
         FrfSource(spectra, 50.0, 400, 77)
     assert len(FrfSource(spectra, 50.0, 400, 78).impulse().sequence) == 63
+
+
+def test_what_is_written_of_a_mode_holds_what_no_scatter_shows():
+    """Frequencies to 0.02 %, damping to a hundredth of itself where it is known, entries to half a percent."""
+    given = from_arrays([2.0, 5.0], STARS[:, :2], damping_ratios=[0.01, 0.02], frequency_std=[1e-4, 3e-4],
+                        mode_shape_std=0.012)  # fmt: skip
+    np.testing.assert_allclose(given.written_frequency_std, [2e-4, 3e-4])
+    np.testing.assert_array_equal(given.written_damping_std, [0.0, 0.0])
+    np.testing.assert_allclose(given.written_entry_std, 0.013)
+    known = dataclasses.replace(given, damping_std=np.array([5e-5, 4e-4]))
+    np.testing.assert_allclose(known.written_damping_std, [1e-4, 4e-4])
+    assert "damping_ratio_std" not in given.configuration()
+    assert known.configuration()["damping_ratio_std"] == pytest.approx([0.01, 0.02])
