@@ -36,7 +36,7 @@ from cvxshear.modal.functions import Functions, _segment
 from cvxshear.modal.identify import Options, _about_unknown_centers, _out_of_reach, _wanted
 from cvxshear.modal.picking import PoleCandidate, Sweep, Values
 from cvxshear.modal.realization import Impulse, Poles
-from cvxshear.modal.stabilization import Criteria, clusters, energies, stable_poles, undivided
+from cvxshear.modal.stabilization import Criteria, center, clusters, energies, stable_poles, undivided
 from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.record import Channel, Finding, FrfRecord
 from cvxshear.util.errors import InputError
@@ -1038,3 +1038,10 @@ def test_what_is_written_of_a_mode_holds_what_no_scatter_shows():
     np.testing.assert_allclose(known.written_damping_std, [1e-4, 4e-4])
     assert "damping_ratio_std" not in given.configuration()
     assert known.configuration()["damping_ratio_std"] == pytest.approx([0.01, 0.02])
+
+
+def test_the_middle_of_a_cluster_is_that_of_shapes_turned_to_one_phase():
+    shape = np.array([1.0 + 0.1j, -0.5j])
+    value, middle = center(np.array([1 + 4j, 2 + 3j, 9 + 8j]), np.array([shape, 3j * shape, -2.0 * shape]))
+    assert value == 2 + 4j
+    np.testing.assert_allclose(middle, 2.0 * shape)
