@@ -21,6 +21,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -242,9 +243,32 @@ def imported(tree):
     return {each for each in found if each.startswith("cvxshear.")}
 
 
+FARTHEST = 4
+"""Calls between a test and a change up to which the nearer is run first; beyond, nearly everything calls everything."""
+
+
 def names_of(mutant):
-    """The names of the functions and classes in which a change is run."""
-    return {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+    """The names of the functions and classes in which a change is run, of those that name them, and so on; each with
+    the number of calls between."""
+    new = {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
+    found = dict.fromkeys(new, 0)
+    for calls in range(1, FARTHEST):
+        around = (name for some in every_function().values() for name, _, _, words in some if new & words)
+        new = {each for name in around for each in name.split(".") if len(each) > 3} - found.keys()
+        found |= dict.fromkeys(new, calls)
+    return found
+
+
+def said_around(mutant):
+    """The words, parts of names among them, in the innermost function around a change, else in its line."""
+    around = [each for each in every_function().get(mutant.module, ()) if each[1] <= mutant.line <= each[2]]
+    _, first, last, _ = max(around, key=lambda each: each[1], default=(None, mutant.line, mutant.line, None))
+    return parts_of("\n".join((ROOT / "cvxshear" / mutant.module).read_text().splitlines()[first - 1 : last]))
+
+
+def parts_of(text):
+    """The words of a text in small letters, names taken apart."""
+    return frozenset(re.findall(r"[a-z]{4,}", text.lower()))
 
 
 def tests_of(mutant):
@@ -258,7 +282,7 @@ def tests_of(mutant):
     names = names_of(mutant)
     near = {}
     for file, (modules, words) in asked().items():
-        own = 4 * any(each.startswith(module) for each in modules) + 3 * bool(names & words)
+        own = 4 * any(each.startswith(module) for each in modules) + 3 * any(names.get(word) == 0 for word in words)
         place = 2 * (f"tests/{room}/" in file or f"test_{stem}" in file or f"test_{room}" in file)
         near[file] = own + place + any(each.startswith(f"cvxshear.{room}") for each in modules)
     return tuple(sorted((file for file in near if near[file]), key=lambda file: (-near[file], file)))
@@ -284,20 +308,27 @@ QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 
 
 class Watcher:
-    """A plugin of pytest that runs first the tests that name one of some functions, then files in the order given,
-    writes down the first test that fails, and skips what is left after so many seconds of running tests."""
+    """A plugin of pytest that runs tests by the calls between them and a change, then by the words that they share
+    with it, those that few tests have before others.
 
-    def __init__(self, path, tests, names, seconds):
-        self._path, self._tests, self._names, self._seconds = path, tests, names, seconds
+    It writes down the first test that fails, and skips what is left after so many seconds of running tests.
+    """
+
+    def __init__(self, path, names, said, seconds):
+        self._path, self._names, self._said, self._seconds = path, names, said, seconds
         self._began = None
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
         """Put the nearest first again, after `conftest` has put first what takes longest."""
-        order = {test.partition("::")[0]: place for place, test in enumerate(self._tests)}
-        items.sort(
-            key=lambda item: (self._names.isdisjoint(said_in(item.function)), order[item.nodeid.partition("::")[0]])
-        )
+        shared = {item: self._said & parts_of(" ".join(said_in(item))) for item in items}
+        often = Counter(word for words in shared.values() for word in words)
+
+        def place(item):
+            calls = min((self._names[each] for each in said_in(item) & self._names.keys()), default=FARTHEST)
+            return calls, -sum(1.0 / often[word] for word in shared[item])
+
+        items.sort(key=place)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item):
@@ -313,10 +344,19 @@ class Watcher:
     pytest_collectreport = pytest_runtest_logreport
 
 
+def said_in(item):
+    """The words in the source of a test, and in that of the fixtures and functions of its file that it names."""
+    given = item._fixtureinfo.name2fixturedefs.values()
+    return frozenset().union(*(words_of(each) for each in (item.function, *(some[-1].func for some in given))))
+
+
 @functools.cache
-def said_in(function):
-    """The words in the source of a test."""
-    return frozenset(re.findall(r"\w+", inspect.getsource(function)))
+def words_of(function):
+    """The words in the source of a function, and in that of the functions of its file that it names."""
+    words = set(re.findall(r"\w+", inspect.getsource(function)))
+    beside = (function.__globals__.get(each) for each in words - {function.__name__})
+    near = [each for each in beside if inspect.isfunction(each) and each.__module__ == function.__module__]
+    return words.union(*(re.findall(r"\w+", inspect.getsource(each)) for each in near))
 
 
 def warm_up():
@@ -327,7 +367,7 @@ def warm_up():
             del sys.modules[name]
 
 
-def first_failure(folder, tests, names, given, broken=()):
+def first_failure(folder, tests, names, said, given, broken=()):
     """Name the first of these tests that fails in a copy of the project; empty where the process ends before, or takes
     longer than the limit, None where all pass."""
     told = folder / "failed.txt"
@@ -346,7 +386,7 @@ def first_failure(folder, tests, names, given, broken=()):
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET]
         options += [f"--deselect={each}" for each in broken]
         try:
-            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, tests, names, given.seconds)])))
+            os._exit(int(pytest.main([*options, *tests], plugins=[Watcher(told, names, said, given.seconds)])))
         except BaseException:
             os._exit(99)
     until = time.monotonic() + WAITED * given.limit
@@ -374,15 +414,15 @@ def survivors(some, given, say=print):
         for mutant in some:
             path, began = folder / "cvxshear" / mutant.module, time.monotonic()
             before, failed, tests = path.read_text(), None, tests_of(mutant)
-            names = names_of(mutant)
+            names, said = names_of(mutant), said_around(mutant)
             while tests:
                 path.write_text(mutated(before, mutant))
-                failed = first_failure(folder, tests, names, given, broken)
+                failed = first_failure(folder, tests, names, said, given, broken)
                 path.write_text(before)
                 if failed is None or failed in sound:
                     break
                 # A process that ends without a word has found the change only where it does not end so without it.
-                if first_failure(folder, (failed,) if failed else tests, names, given, broken) is None:
+                if first_failure(folder, (failed,) if failed else tests, names, said, given, broken) is None:
                     break
                 if failed:
                     say(f"left out, since it fails without any change: {failed}")

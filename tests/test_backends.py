@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from cvxshear import InfeasibleError, InputError, NoSolutionError, UnsuitableError, backends
 from cvxshear.backends import Answer, Backend, cvxpy_backend
 from cvxshear.backends.canonical import canonical
+from cvxshear.backends.installed import Auto
 from cvxshear.programs import LeastSquares
 
 NAMES = backends.available()
@@ -207,3 +209,28 @@ def test_no_solver_prints():
     script = "import cvxshear\nfor name in ('highs', 'osqp', 'scs'): cvxshear.identify('paper', backend=name)"
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert ran.stdout == ""
+
+
+def test_auto_fails_with_what_the_first_general_solver_said():
+    """The closed form cannot, by an inequality or a program without one; the first failure is raised."""
+
+    class Failing:
+        def __init__(self, name, kind=NoSolutionError):
+            self.name, self.kind = name, kind
+
+        def certified(self, program, problem, start):
+            raise self.kind(f"{self.name} failed") if self.kind is UnsuitableError else NoSolutionError(self.name, "no")
+
+    singular = SimpleNamespace(F=np.ones((1, 2)), singular=True)
+    definite = SimpleNamespace(F=np.ones((1, 2)), singular=False)
+    for closed in (Failing("kkt", UnsuitableError), Failing("kkt")):
+        auto = Auto(closed, [Failing("a"), Failing("b")], [Failing("c"), Failing("d")])
+        for problem, name in ((definite, "a"), (singular, "c")):
+            with pytest.raises(NoSolutionError) as caught:
+                auto.certified(None, problem)
+            assert caught.value.backend == name
+    with pytest.raises(NoSolutionError) as caught:
+        Auto(Failing("kkt"), [Failing("a")], []).certified(None, SimpleNamespace(F=np.ones((0, 2)), singular=False))
+    assert caught.value.backend == "kkt"
+    with pytest.raises(NoSolutionError, match="there is no general solver"):
+        Auto(Failing("kkt"), [], []).certified(None, definite)

@@ -1,17 +1,27 @@
 """Evidence against brute-force integration: importance sampling of two-story frames, and quadrature."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
 from cvxshear import Experiment, backends
-from cvxshear.effects import Place, Placed, Scale, named
+from cvxshear.effects import Place, Placed, Scale, catalogue, open_classes
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import WIDTH, Misfit
 from cvxshear.loop import close_loop
-from cvxshear.loop.evidence import _log_constant, log_evidence, log_interval, log_normal_between
+from cvxshear.loop.evidence import (
+    _log_constant,
+    _tailed_priors,
+    free_basis,
+    log_evidence,
+    log_interval,
+    log_normal_between,
+)
 from tests.frames import chain, configuration, experiment
 
 MASS, STIFFNESS = np.array([11.0, 9.0]), np.array([24e3, 20e3])
@@ -24,7 +34,7 @@ FREEDOM = 5
 
 
 def put(name, **place):
-    return Placed(named([name])[0], Place(**place))
+    return Placed(next(each for each in (*catalogue(), *open_classes()) if each.name == name), Place(**place))
 
 
 SPRING = put("ground_spring", floor=2)
@@ -258,3 +268,30 @@ def test_the_constant_of_a_prior_is_that_of_its_density_between_its_bounds(place
         )
         value += np.log(scaled.pdf(item.null) / inside * np.sqrt(2 * np.pi))
     assert _log_constant(placed, said) == pytest.approx(value, abs=1e-6)
+
+
+def test_what_the_equalities_leave_free_keeps_them():
+    """The total goes with its error; the frame takes it up by the least change, in units of a floor and a story."""
+    of = measured(3, total=0.93)
+    total, estimate = of.frame.total_mass, fit(of, TOTAL)
+    B = free_basis(estimate, Expectation(SCALE))
+    assert B.shape == (5, 4)
+    np.testing.assert_allclose(B[:2].sum(axis=0), [0.0, 0.0, 0.0, total], atol=1e-9)
+    np.testing.assert_allclose(B[:, 3], [total / 2, total / 2, 0.0, 0.0, 1.0], atol=1e-9)
+    own = B[:4, :3] / np.array([10.0, 10.0, 22e3, 22e3])[:, None]
+    np.testing.assert_allclose(own.T @ own, np.eye(3), atol=1e-9)
+    np.testing.assert_array_equal(B[4, :3], 0.0)
+    # An effect that no equality speaks of changes nothing but itself.
+    free = free_basis(fit(measured(3), GAIN), Expectation(SCALE))
+    np.testing.assert_allclose(free[:, 3], [0.0, 0.0, 0.0, 0.0, 1.0], atol=1e-9)
+
+
+def test_the_prior_of_a_parameter_is_taken_as_it_is_where_it_is_students():
+    """Not where it is held, where nothing is expected of it, or where one size is common to all."""
+    held, common = put("sensor_gain", floor=2), put("other_stiffness")
+    effects = GAIN, GRAVITY, dataclasses.replace(held, fixed=(0.1,)), common
+    theta = np.concatenate([MASS, STIFFNESS, [0.03, 1.1, 0.1], np.zeros(len(common.effect.parameters))])
+    misfit = SimpleNamespace(expectation=Expectation(SCALE))
+    estimate = SimpleNamespace(effects=effects, theta=theta, misfit=misfit, experiment=SimpleNamespace(stories=2))
+    ((place, (deviation, size, tail)),) = _tailed_priors(estimate)
+    assert (place, deviation, size, tail) == (4, 0.03, 0.05, 4.0)

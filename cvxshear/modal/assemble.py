@@ -58,7 +58,7 @@ def assembled(
         damping_std=std[modes : 2 * modes],
         mode_shapes=full.real * scale[:, None],
         mode_shape_std=relative,
-        entry_std=independent if full.scales is None else np.hypot(independent, _scale_std(full, covariance)),
+        entry_std=np.hypot(independent, _scale_std(full, covariance)),
         mass_normalized=full.scales is not None,
         modes=_numbers(full.real, record, setting.sweep.chosen),
         complex_shapes=full.shapes,
@@ -99,7 +99,7 @@ def _scale_std(full: Details, covariance: Floats) -> Floats:
         return np.zeros((modes, floors))
     start = 2 * modes + modes * floors
     of_scales = covariance[start : start + modes, start : start + modes] / np.outer(full.scales, full.scales)
-    together = max(1.0, float(of_scales.sum() / np.trace(of_scales))) if np.trace(of_scales) > 0 else 1.0
+    together = max(1.0, float(of_scales.sum() / max(np.trace(of_scales), 1e-300)))
     return np.asarray(np.sqrt(floors * together * np.diag(of_scales))[:, None] * np.abs(full.real))
 
 

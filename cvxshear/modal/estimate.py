@@ -52,29 +52,28 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
         Where fewer than two pieces of some stratum can be left out.
     """
     parts, freedoms, lost = [], [], 0
-    full = estimate(np.ones(len(groups), dtype=bool))
     for group in np.unique(groups):
-        changes, rest = [], []
+        found, rest = [], []
         pieces = np.flatnonzero(groups == group)
         shares = weights[pieces] / weights[pieces].sum()
         for piece, share in zip(pieces, shares, strict=True):
             keep = np.ones(len(groups), dtype=bool)
             keep[piece] = False
             values = estimate(keep)
-            if values is None or full is None:
+            if values is None:
                 lost += 1
             else:
-                changes.append(values - full)
+                found.append(values)
                 rest.append(1 - share)
-        if len(changes) < 2:
+        if len(found) < 2:
             raise InputError(
                 "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
                 "the rest; record longer, or more hits"
             )
-        spread = (np.array(changes) - np.average(changes, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
-        parts.append(spread.T @ spread * len(pieces) / len(changes))
+        spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
+        parts.append(spread.T @ spread * len(pieces) / len(found))
         form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
-        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(changes) - 1) / (len(pieces) - 1))
+        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
     variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
     squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
     freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)

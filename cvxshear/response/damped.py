@@ -14,6 +14,7 @@ the first-order hold (for one oscillator: Nigam and Jennings, 1969): a linear fi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -141,7 +142,7 @@ def _series(x: Complexes, order: int) -> Complexes:
     for k in reversed(range(TERMS)):
         # Horner: the coefficient of x^(k+1) is that of x^k over k + 1 + order.
         result = 1.0 + x / (k + 1 + order) * result
-    return result / float(np.prod(np.arange(1, order + 1)))
+    return result / math.factorial(order)
 
 
 def driven_poles(s: Complexes, p: Floats, step: float) -> Complexes:

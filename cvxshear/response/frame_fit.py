@@ -344,7 +344,7 @@ def fit_frame(
             break
         inflation = max(inflation, at.likelihood.inflation)
     first_gain = errors.stories + len(errors.varied.dashpot)
-    asked = answer.mass_std or answer.gain_std > GAIN_STDS[0] or max(answer.changed, default=0) >= first_gain
+    asked = answer.mass_std or answer.gain_std > GAIN_STDS[0] or any(each >= first_gain for each in answer.changed)
     if asked and at.likelihood.inflation > NONLINEAR:
         # Masses and gains that leave the record as unlike a linear frame's as this take up what is none of theirs.
         return fit_frame(errors, prior.linear_alone, backend, start)

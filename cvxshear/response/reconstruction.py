@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from scipy import special
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
@@ -516,17 +516,7 @@ def reconstruct(
     rough = nonlinear or bool(frame.fitted.undetermined) or (work.free and not fitted.converged)
     runs = work.runs(fitted, widening(checks), ROUGH_DRIFT if rough else 0.0)
     peaks = peaks_of((run.response, run.std) for run in runs)
-    passed = None
-    name = "story_drift_ratio"
-    if experiment.limits is not None and name in peaks.values:
-        ratio, std = peaks.values[name], np.maximum(peaks.std[name], 1e-300)
-        passed = np.asarray(special.ndtr((ratio - experiment.limits.story_drift[:, None]) / std), dtype=np.float64)
-        if nonlinear:
-            # How far a story that yields went is not seen: that it stayed below a limit cannot be said, and that
-            # another passed one only where the frame as it was identified would have passed it, too.
-            alone = np.inf if predicted is None else peaks_of((each, {}) for each in predicted).values[name]
-            sure = (passed >= NAMED_CHANGE) & (alone > experiment.limits.story_drift[:, None])
-            passed = np.where(sure, passed, np.nan)
+    passed = None if experiment.limits is None else _passed(experiment.limits, peaks, predicted, nonlinear=nonlinear)
     found = Reconstruction(
         work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs),
         peaks,
@@ -538,6 +528,25 @@ def reconstruct(
     if len(evidences) > 1:
         said.append(reading_remark(DRIVING[recording.input], *evidences, told=found.sound))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
+
+
+def _passed(
+    limits: Limits, peaks: Peaks, predicted: Sequence[Response] | None, *, nonlinear: bool
+) -> Floats | None:
+    """Probability that each drift ratio passed each limit, shape (L, N); None where the frame's heights are not known.
+
+    How far a story that yields went is not seen: that it stayed below a limit cannot be said, and that another passed
+    one only where the frame as it was identified would have passed it, too.
+    """
+    name = "story_drift_ratio"
+    if name not in peaks.values:
+        return None
+    drift, std = limits.story_drift[:, None], np.maximum(peaks.std[name], 1e-300)
+    passed = np.asarray(special.ndtr((peaks.values[name] - drift) / std), dtype=np.float64)
+    if not nonlinear:
+        return passed
+    alone = np.inf if predicted is None else peaks_of((each, {}) for each in predicted).values[name]
+    return np.where((passed >= NAMED_CHANGE) & (alone > drift), passed, np.nan)
 
 
 _Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]

@@ -14,6 +14,8 @@ from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.util.errors import InputError, NoModesError
 from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, modes_with, placed, theta
 from tests.effects.test_derivatives import CASES
+from tests.frames import configuration
+from tests.frames import experiment as declared
 
 ACTING = [
     "gravity",
@@ -612,3 +614,45 @@ def test_joints_of_a_frame_without_columns_cannot_soften():
     state = compose(of, of.configurations[0], (), np.array([1.0, 1.0, 40.0, 40.0]))
     with pytest.raises(NoModesError, match="no story has columns"):
         dataclasses.replace(state, column_stiffness=np.zeros(2)).with_softer_joints(slice(1, None), 0.1, 0)
+
+
+OPEN_ENTRIES = {
+    "other_stiffness": ["the ground and floor 2", "the ground and floor 3", "floors 1 and 3"],
+    "other_inertia": ["floors 1 and 2", "floors 1 and 3", "floors 2 and 3"],
+    "other_beams": ["floor 1", "floor 2", "floor 3"], "other_changes": ["story 1", "story 2", "story 3"],
+    "other_loads": ["floor 1", "floor 2", "floor 3"], "other_gains": ["floor 1", "floor 2", "floor 3"],
+    "other_shapes": [], "other_frequencies": [],
+}  # fmt: skip
+
+
+def test_an_entry_of_an_open_class_is_the_cause_that_it_names():
+    """The same matrices and readings; what no cause stands for says so."""
+    mass, stiffness = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
+    tests = [configuration(mass, stiffness, name=name) for name in "ab"]
+    of = Experiment.from_dict(declared(mass, stiffness, *tests, frame={"story_heights": 3.0, "total_mass": 24.0}))
+    frame = np.concatenate([mass, stiffness])
+    known = {effect.name: effect for effect in catalogue()}
+    causes = 0
+    for effect in (each.bound(of) for each in open_classes()):
+        place = effect.places(of)[-1]
+        of_class = Placed(effect.bound_at(of, place), place)
+        assert [item.name for item in of_class.effect.parameters] == OPEN_ENTRIES[effect.name]
+        for entry, item in enumerate(of_class.effect.parameters):
+            named_cause = effect.cause_at(entry, place, of)
+            assert (named_cause is None) == (effect.name in ("other_inertia", "other_beams"))
+            if named_cause is None:
+                continue
+            name, where = named_cause
+            cause = Placed(known[name].bound(of).bound_at(of, where), where)
+            size = {"N/m": 300.0, "kg": 0.7, "": 0.2}[item.unit]
+            values = size * np.eye(len(of_class.effect.parameters))[entry]
+            for test in of.configurations:
+                one, other = (
+                    compose(of, test, [each], np.concatenate([frame, own]), derivatives=False)
+                    for each, own in ((of_class, values), (cause, [size]))
+                )
+                np.testing.assert_allclose(one.system.M, other.system.M)
+                np.testing.assert_allclose(one.system.K, other.system.K)
+                np.testing.assert_allclose(one.gain, other.gain)
+            causes += 1
+    assert causes == 12

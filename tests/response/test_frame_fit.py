@@ -1,5 +1,6 @@
 """What a record says of changed stories, where the likelihood is linear: against normal distributions written out."""
 
+import dataclasses
 import itertools
 from types import SimpleNamespace
 
@@ -7,17 +8,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cvxshear.response.frame_fit import FittedFrame, _log_evidence, _mixed, _Posterior, refitted
 from cvxshear.response.frame_prior import (
     FORM_STDS,
     GAIN_STDS,
     LEAST_WEIGHT,
     MASS_STDS,
     SCATTER_STDS,
+    Answer,
+    FramePrior,
     Gaussian,
     Linear,
     possible_answers,
 )
 from cvxshear.response.innovations import Likelihood
+from cvxshear.response.varied_frame import GAIN_UNIT
 
 STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07
 SINGLE, OFF, PROBABILITY_OFF = np.array([0, 1, 2, 4]), 0.8, 0.04
@@ -100,3 +105,197 @@ def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths
     for each in found:
         assert each.probability == pytest.approx(kept[each.prior] / total)
     assert [each.probability for each in found] == sorted((each.probability for each in found), reverse=True)
+
+
+def fitted(**more):
+    """A frame of three stories with two ratios, three dashpots, two nuisances, five gains and brackets, an error of
+    form, and three noises; two sensors and the ground. Its factors are products of powers of two unknowns each."""
+    rng = np.random.default_rng(8)
+    root = 0.1 * rng.standard_normal((19, 19))
+    powers = 0.3 * rng.standard_normal((3, 16))
+
+    def story_factors(p):
+        factors = np.exp(powers @ p)
+        return factors, factors[:, None] * powers
+
+    varied = SimpleNamespace(
+        story_factors=story_factors, sizes=(3, 5, 7, 1), dashpots=slice(5, 8), dashpot=np.array([20.0, 30.0, 40.0]),
+        gains=5, sensor_gains=slice(10, 15), heavier_floors=0.3 * rng.standard_normal((16, 3)),
+        dbracket=np.vstack([np.zeros((2, 3)), np.diag([2e-6, 0.0, 3e-6])[[0, 2]], np.zeros((3, 3))]),
+    )  # fmt: skip
+    setting = SimpleNamespace(floors=np.array([1, 3]), base_measured=True, force_floor=0)
+    errors = SimpleNamespace(varied=varied, setting=setting, stories=3, frame=slice(0, 16), size=19)
+    wide = rng.standard_normal((19, 19))
+    base = 0.1 * wide @ wide.T
+
+    def prior_of(changed, form_std, scatter_std, mass_std, gain_std):
+        heavier = np.vstack([varied.heavier_floors, np.zeros((3, 3))])
+        return Gaussian(np.full(19, 0.01), base + mass_std**2 * heavier @ heavier.T, 0.0)
+
+    prior = SimpleNamespace(identified=0.002 * np.ones((3, 3)), varied=varied, gaussian=prior_of, others=3)
+    answers = (
+        Answer((1,), 0.03, 0.003, 0.0, 0.001, 0.5), Answer((1, 4), 0.03, 0.003, 0.05, 0.001, 0.3),
+        Answer((0, 7), 0.03, 0.003, 0.1, 0.001, 0.2),
+    )  # fmt: skip
+    values = {"answers": answers, "p": 0.2 * rng.standard_normal(19), "covariance": root @ root.T} | more
+    return FittedFrame(errors, prior, values["p"], values["covariance"], values["answers"], 1.3, True, None, -7.0)
+
+
+def moved_by(function, at, covariance):
+    """Standard deviations of a function of normal numbers, by differences."""
+    steps = 1e-6 * np.eye(len(at))
+    J = np.array([(function(at + step) - function(at - step)) / 2e-6 for step in steps]).T
+    return np.sqrt(np.sum((J @ covariance) * J, axis=1))
+
+
+def test_a_fitted_frame_says_what_its_unknowns_mean():
+    frame = fitted()
+    np.testing.assert_allclose(frame.story_probability, [0.2, 0.8, 0.0])
+    np.testing.assert_allclose(frame.dashpot_probability, [0.0, 0.3, 0.0])
+    np.testing.assert_allclose(frame.gain_probability, [0.0, 0.2, 0.0, 0.0, 0.0])
+    assert frame.mass_probability == pytest.approx(0.5)
+    p, spread = frame.p, frame.covariance
+    unit = np.array([20.0, 30.0, 40.0])
+    np.testing.assert_allclose(frame.dashpots, (unit * p[5:8], unit * np.sqrt(np.diag(spread)[5:8])))
+    stiff = np.array([2e-6, 3e-6])
+    np.testing.assert_allclose(frame.brackets, (stiff * p[10:12], stiff * np.sqrt(np.diag(spread)[10:12])))
+
+    def gains(z):
+        return np.exp(GAIN_UNIT * z[12:15] * [1, 1, -1]) - 1
+
+    value, std = frame.gains
+    np.testing.assert_allclose(value, gains(p))
+    np.testing.assert_allclose(std, moved_by(gains, p, spread), rtol=1e-6)
+
+
+def test_factors_of_stories_are_as_uncertain_as_all_that_moves_them():
+    """The identified stiffnesses, the masses and effects as identified, and the unknowns of the record."""
+    frame = fitted()
+    factors = frame.errors.varied.story_factors
+    expected, J = factors(frame.p[:16])
+    np.testing.assert_allclose(frame.factors, expected)
+    spread = J @ frame.covariance[:16, :16] @ J.T + 0.002 + J[:, 8:15] @ J[:, 8:15].T
+    # Half of what may be is that floors changed; a total of three floors varies by the root of three less than one.
+    scale = 0.05 * np.sqrt(0.5 / 3)
+    assert frame.scale_std == pytest.approx(scale)
+    np.testing.assert_allclose(frame.factors_std, np.sqrt(np.diag(spread) + scale**2))
+    mean, std = frame.mean_factor
+    assert (mean, std) == (pytest.approx(expected.mean()), pytest.approx(np.sqrt(spread.mean() + scale**2)))
+    weights = 1.0 - frame.story_probability
+
+    def against(f):
+        return np.array([f[j] / np.average(np.delete(f, j), weights=np.delete(weights, j)) - 1 for j in range(3)])
+
+    change, std = frame.against_others
+    np.testing.assert_allclose(change, against(expected))
+    np.testing.assert_allclose(std, moved_by(against, expected, spread), rtol=1e-6)
+    for key, value in (("base_measured", False), ("force_floor", 2)):
+        other = fitted()
+        setattr(other.errors.setting, key, value)
+        assert other.scale_std == 0.0
+
+
+def test_a_frame_of_one_story_is_compared_with_itself_as_it_was():
+    one = fitted()
+    one.errors.stories, one.errors.varied.dashpot = 1, np.zeros(7)
+    one.errors.varied.story_factors = lambda p: (np.array([0.9]), np.ones((1, 16)))
+    one.prior.identified = np.zeros((1, 1))
+    change, std = one.against_others
+    assert change == pytest.approx(-0.1)
+    assert std == pytest.approx(np.sqrt(one.covariance[:16, :16].sum() + 7))
+
+
+def test_masses_changed_by_what_a_normal_number_is_given_the_unknowns():
+    """Of the joint distribution of masses and unknowns under the best answer with masses, by its precision."""
+    frame = fitted()
+    heavier = np.vstack([frame.prior.varied.heavier_floors, np.zeros((3, 3))])
+    prior = frame.prior.gaussian((1, 4), 0.03, 0.003, 0.05, 0.001)
+    joint = np.block([[0.0025 * np.eye(3), 0.0025 * heavier.T], [0.0025 * heavier, prior.covariance]])
+    precision = np.linalg.inv(joint)
+    given = np.linalg.inv(precision[:3, :3])
+    G = -given @ precision[:3, 3:]
+    value, std = frame.mass_change
+    np.testing.assert_allclose(value, G @ (frame.p - 0.01), rtol=1e-6)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(given + G @ frame.covariance @ G.T)), rtol=1e-6)
+    none = fitted(answers=fitted().answers[:1]).mass_change
+    np.testing.assert_array_equal(none, np.zeros((2, 3)))
+
+
+def test_a_mixture_of_answers_has_their_mean_square_about_the_best():
+    """And the log evidence of the record is that of the best answer over its share."""
+    at, p = drawn(4, inflation=1.2)
+    answers = [Answer((), 0.03, 0.003, 0.0, 0.001, 0.6), Answer((1,), 0.1, 0.01, 0.05, 0.001, 0.2)]
+    prior = SimpleNamespace(gaussian=gaussian, log_odds=np.array([-1.0, -2.0, -3.0, -4.0]))
+    posterior = SimpleNamespace(along=None, errors=SimpleNamespace(objective=lambda p: 50.0))
+    point = SimpleNamespace(likelihood=at, p=p, posterior=posterior)
+    found = _mixed(SimpleNamespace(size=5), prior, point, answers, True)
+    covariance = np.zeros((5, 5))
+    for each, share in zip(answers, (0.75, 0.25), strict=True):
+        own = gaussian(*each.prior)
+        spread = np.linalg.inv(np.linalg.inv(own.covariance) + at.U.T @ at.U / at.inflation)
+        off = own.mean + spread @ at.U.T @ (at.U @ (p - own.mean) - at.c) / at.inflation - p
+        covariance += share * (spread + np.outer(off, off))
+    np.testing.assert_allclose(found.covariance, covariance, atol=1e-9)
+    assert found.inflation == 1.2
+    logs = [_log_evidence(point, prior, [each]) for each in answers]
+    other = [log_density(at, p, gaussian(*each.prior)) - 30.0 * each.form_std - np.log(each.probability) for each in
+             answers]  # fmt: skip
+    assert logs[1] - logs[0] == pytest.approx(other[1] - other[0] - 2.0)
+    assert found.log_evidence == logs[0]
+    posterior.errors.objective = lambda p: 54.0
+    assert _log_evidence(point, prior, answers) == pytest.approx(logs[0] - 2.0)
+    # Data that say nothing of the unknowns, and all of whose misfit the objective has: it alone is left.
+    nothing = SimpleNamespace(U=0.0 * at.U, c=at.c, inflation=1.0)
+    alone = _log_evidence(SimpleNamespace(likelihood=nothing, p=p, posterior=posterior), prior, answers)
+    assert alone == pytest.approx(-0.5 * 54.0 - 30.0 * 0.03 - np.log(0.6))
+
+
+
+def test_a_frame_that_is_not_fitted_again_without_a_sensor_stays_as_it_was():
+    frame = fitted()
+    prior = FramePrior(frame.errors.varied, 3, frame.prior.identified, 0.4, 0.05, 0.1, 0.02, None)
+    frame = dataclasses.replace(frame, prior=prior, inflation=1.9, converged=False)
+    found = refitted(frame, "errors", 16, None, 0)
+    left = np.delete(np.arange(19), 16)
+    np.testing.assert_array_equal(found.p, frame.p[left])
+    np.testing.assert_array_equal(found.covariance, frame.covariance[np.ix_(left, left)])
+    assert (found.errors, found.prior.others, found.inflation, found.converged) == ("errors", 2, 1.0, True)
+    assert (found.answers, found.log_evidence) == (frame.answers, -7.0)
+
+
+def test_gauss_newton_sees_the_posterior_of_tempered_innovations():
+    """|r|^2 is -2 log of likelihood over its inflation times prior where the likelihood is linear, J its derivative."""
+    at, p = drawn(5)
+    prior = gaussian((1,), 0.03)
+    errors = SimpleNamespace(
+        objective=lambda q: float(np.sum((at.U @ (q - p) + at.c) ** 2)),
+        linearised=lambda q, along: Likelihood(at.U, at.U @ (q - p) + at.c, 1.0),
+    )
+    posterior, q = _Posterior(errors, None, prior, 2.5), p + 0.3
+
+    def expected(q):
+        return errors.objective(q) / 2.5 + (q - prior.mean) @ np.linalg.solve(prior.covariance, q - prior.mean)
+
+    point = posterior.evaluate(q)
+    assert point.objective == pytest.approx(expected(q))
+    assert point.r @ point.r == pytest.approx(expected(q))
+    slope = [(expected(q + step) - expected(q - step)) / 2e-4 for step in 1e-4 * np.eye(5)]
+    np.testing.assert_allclose(2 * point.J.T @ point.r, slope, rtol=1e-6, atol=1e-5)
+    normal = at.U.T @ at.U / 2.5 + np.linalg.inv(prior.covariance)
+    np.testing.assert_allclose(point.J.T @ point.J, normal)
+
+
+def test_what_may_have_changed_by_itself_has_the_odds_of_its_kind():
+    """Three stories, three dashpots, five gains; of dashpots the probability of any is shared by the stories."""
+    frame = fitted()
+    prior = FramePrior(frame.errors.varied, 3, frame.prior.identified, 0.4, 0.05, 0.1, 0.02, None)
+    np.testing.assert_array_equal(prior.single, [0, 1, 2, 5, 6, 7, 10, 11, 12, 13, 14])
+    chance = 1 / (1 + np.exp(-prior.log_odds))
+    np.testing.assert_allclose(chance[:3], 0.1)
+    np.testing.assert_allclose((1 - chance[3:6]) ** 3, 0.9)
+    np.testing.assert_allclose(chance[6:], 0.02)
+    assert prior.one_sided.tolist() == [False] * 3 + [True] * 3 + [False] * 5
+    np.testing.assert_array_equal(prior.idle_dashpots((1, 4)), [5, 7])
+    np.testing.assert_allclose(prior.single_std[:3], 0.4)
+    alone = dataclasses.replace(prior, gain_stds=(0.001,))
+    np.testing.assert_array_equal(alone.single, [0, 1, 2, 5, 6, 7])

@@ -1,0 +1,698 @@
+"""What is said of a reconstruction and of a comparison, and how deviations come together: by numbers put in by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cvxshear.effects import StoryChange
+from cvxshear.measurement.declaration import Limits
+from cvxshear.records.motion import Drive, Motion
+from cvxshear.response import (
+    DampedModel,
+    Reconstruction,
+    frame_motion,
+    frame_prior,
+    predicted,
+    reconstruction,
+    response,
+    sources,
+    uncertain,
+)
+from cvxshear.response import compare as comparing
+from cvxshear.response.compare import Transfer, contradiction, moved_against
+from cvxshear.response.frame_motion import FrameMotion
+from cvxshear.response.peaks import Peaks, floor_spectra, largest_spectra
+from cvxshear.response.predicted import _between_samples, _missed
+from cvxshear.response.recording import RecordedRun, Recording, sensor_line
+from cvxshear.response.sensor_checks import Whiteness, _with_delays
+from tests.response.common import damped_frame, matrices
+
+FLOORS = np.array([2, 4])
+
+
+def reconstructed(**more):
+    """A frame of four stories of which nothing is to be said; some of its numbers may be others."""
+    frame = {
+        "inflation": 1.5, "converged": True, "against_others": (np.zeros(4), np.full(4, 0.02)), "scale_std": 0.0,
+        "story_probability": np.zeros(4), "dashpot_probability": np.zeros(4), "mass_probability": 0.0,
+        "dashpots": (np.zeros(4), np.ones(4)), "gains": (np.zeros(3), np.full(3, 0.001)),
+        "brackets": (np.zeros(2), np.full(2, 1e-6)), "errors": SimpleNamespace(varied=SimpleNamespace(period=1.0)),
+    }  # fmt: skip
+    envelopes = [np.full(10, 0.2)]
+    recording = {"floors": FLOORS, "input": "base", "runs": [SimpleNamespace(measured=np.zeros((10, 2)))],
+                 "envelopes": lambda period: envelopes, "remarks": ()}  # fmt: skip
+    fitted = {"lacking": 0.0, "undetermined": (), "mass_known": True, "covariance": 1, "misfit": 1.2}
+    kinds = {"frame": frame, "recording": recording, "fitted": fitted}
+    found = {"frame_fitted": True, "runs": [], "checks": [], "whiteness": (), "limits": None, "passed": None,
+             "model": SimpleNamespace(M=np.eye(4))}  # fmt: skip
+    for key, value in more.items():
+        next(kind for kind in (found, *kinds.values()) if key in kind)[key] = value
+    made = object.__new__(Reconstruction)
+    for key, value in {**found, **{name: SimpleNamespace(**kind) for name, kind in kinds.items()}}.items():
+        object.__setattr__(made, key, value)
+    return made
+
+
+def test_of_a_sound_frame_nothing_is_named():
+    found = reconstructed()
+    assert (found.changed, found.dampers, found.missed_most, found.gains_off, found.brackets) == ((),) * 5
+    assert (found.sound, found.masses_changed, found.warnings, found.widening) == (True, False, (), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        ({}, (2, 4)), ({"lacking": 0.05}, (2,)), ({"lacking": 0.09}, ()), ({"converged": False}, ()),
+        ({"inflation": 4.1}, ()), ({"inflation": 3.9}, (2, 4)), ({"undetermined": (("a",),)}, ()),
+        ({"frame_fitted": False}, ()),
+        ({"checks": [SimpleNamespace(error=1.31, stated=1.0)]}, ()),
+        ({"checks": [SimpleNamespace(error=1.29, stated=1.0)]}, (2, 4)),
+    ],
+)  # fmt: skip
+def test_stories_are_named_that_changed_for_sure_where_the_model_is_that_of_the_record(more, named):
+    """Of 0.96 probability, and by more than 1.645 deviations and twice what the model lacks."""
+    change = np.array([-0.15, -0.15, 0.034, -0.0331]), np.array([0.02, 0.02, 0.02, 0.02])
+    found = reconstructed(against_others=change, story_probability=np.array([0.94, 0.96, 0.96, 0.96]), **more)
+    expected = tuple(story for story in named if story != 4) + ((3, 4) if 4 in named else ())
+    assert found.changed == expected
+    if "lacking" not in more and named:
+        low = np.array([-0.15, -0.15, 0.0328, -0.0328])
+        again = reconstructed(against_others=(low, change[1]), story_probability=np.full(4, 0.96), **more)
+        assert again.changed == (1, 2)
+
+
+def test_dampers_and_masses_are_named_where_they_are_sure():
+    dashpots, there = (np.array([10.0, 1.7, 1.6, 10.0]), np.ones(4)), np.array([0.96, 0.96, 0.96, 0.94])
+    assert reconstructed(dashpots=dashpots, dashpot_probability=there).dampers == (1, 2)
+    assert reconstructed(dashpots=dashpots, dashpot_probability=there, inflation=4.1).dampers == ()
+    for inflation, probability, expected in ((1.9, 0.96, True), (2.1, 0.96, False), (1.9, 0.94, False)):
+        found = reconstructed(inflation=inflation, mass_probability=probability)
+        assert found.masses_changed is expected
+    coloured = Whiteness(2, 1.0, 0.11, 0.1, 0.009, 0, 0)
+    assert reconstructed(whiteness=(coloured,)).coloured == (2,)
+    assert not reconstructed(whiteness=(coloured,), mass_probability=1.0).masses_changed
+    white = Whiteness(2, 1.0, 0.09, 0.1, 0.009, 0, 0), Whiteness(4, 1.0, -0.11, 0.1, 0.011, 0, 0)
+    assert reconstructed(whiteness=white).coloured == ()
+    assert Whiteness(2, 1.0, -0.11, 0.1, 0.009, 0, 0).coloured
+
+
+def test_gains_and_brackets_are_named_beyond_three_deviations():
+    gains = np.array([0.031, -0.029, -0.0051]), np.array([0.01, 0.01, 0.001])
+    found = reconstructed(gains=gains)
+    assert [name for name, *_ in found.gains_off] == ["the sensor of floor 2", "the sensor of the base motion"]
+    assert found.gains_off[0][1:] == (0.031, 0.01)
+    assert "floor 2 reads 3.1 % ± 1.0 % too much" in found.warnings[0]
+    assert "too little" in found.warnings[1]
+    smaller = np.array([0.031, -0.029, -0.0049]), gains[1]
+    assert len(reconstructed(gains=smaller).gains_off) == 1
+    assert len(reconstructed(gains=(gains[0][:2], gains[1][:2]), input="none").gains_off) == 1
+    assert reconstructed(gains=gains, undetermined=(("a",),)).gains_off == ()
+    assert reconstructed(gains=gains, frame_fitted=False).gains_off == ()
+    found = reconstructed(brackets=(np.array([2.9e-6, 3.1e-6]), np.full(2, 1e-6)))
+    assert found.brackets == ((4, pytest.approx(1 / (2 * np.pi * np.sqrt(3.1e-6)))),)
+    assert "bracket that swings at 90 Hz" in found.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("missed", "inflation", "named"),
+    [
+        ([0.1, 0.2, 0.31, 0.1], 5.0, (3, 4)), ([0.1, 0.2, 0.29, 0.1], 5.0, ()), ([0.1, 0.4, 0.1, 0.1], 5.0, (1, 2)),
+        ([0.1, 0.4, 0.1, 0.1], 3.9, ()),
+    ],
+)  # fmt: skip
+def test_what_is_missed_is_named_between_sensors_where_it_stands_out(missed, inflation, named):
+    runs = [SimpleNamespace(missed=np.array(missed)), SimpleNamespace(missed=np.full(4, 0.05))]
+    assert reconstructed(runs=runs, inflation=inflation).missed_most == named
+    assert reconstructed(runs=runs, inflation=inflation, floors=np.array([4])).missed_most == ()
+    assert reconstructed(runs=runs, inflation=inflation, frame_fitted=False).missed_most == ()
+
+
+def test_warnings_say_why_numbers_are_less_sure():
+    wide = [SimpleNamespace(error=1.4, stated=1.0)]
+    runs = [SimpleNamespace(missed=np.array([1.0, 0.0, 0.0, 0.0]))]
+    found = reconstructed(undetermined=(("mass 1", "mass 2"), ("k",)), lacking=0.031, misfit=7.0, converged=False,
+                          checks=wide, inflation=9.0, remarks=("late",), runs=runs)  # fmt: skip
+    starts = (
+        "late", "the tests do not determine the frame: many have these modes (not determined: mass 1 and mass 2)",
+        "the modes speak against the identified model (chi-square 7.0 a degree of freedom, shapes off by up to 3.1 %)",
+        reconstruction.UNSETTLED, "sensors that were left out missed by 1.4 times",
+        "the record is not that of a linear frame", "what no linear frame explains is largest in stories 1, 2",
+    )  # fmt: skip
+    assert len(found.warnings) == len(starts)
+    for said, start in zip(found.warnings, starts, strict=True):
+        assert said.startswith(start)
+    assert "10 % of each is in its deviation" in found.warnings[1]
+    assert "scatter 9 times" in found.warnings[5]
+    assert reconstructed(converged=False, frame_fitted=False).warnings == ()
+
+
+REMARKS = {
+    "the record is cut out of the motion": ({"line": 0.3, "quiet": 0.26}, {"line": 0.3, "quiet": 0.24}),
+    "base motion does not tell how heavy": ({}, {"scale_std": 0.01}),
+    "the measurement tells no noise": ({"covariance": None}, {}),
+    "nobody measured the base motion": ({"input": "none"}, {}),
+    "the masses have no scale": ({"mass_known": False}, {}),
+    "the floors do not weigh what they did": ({"mass_probability": 0.96}, {"mass_probability": 0.94}),
+    "drift ratios need story_heights": ({"limits": Limits([0.01], ("a",))}, {"limits": Limits([0.01], ("a",)),
+                                                                            "passed": np.zeros((1, 4))}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("start", REMARKS)
+def test_remarks_are_made_where_they_apply(start):
+    for more, said in zip(REMARKS[start], (True, False), strict=True):
+        numbers = dict(more)
+        line, quiet = numbers.pop("line", 0.0), numbers.pop("quiet", 0.1)
+        envelopes = [np.array([1.0, quiet, 2.0]), np.array([quiet - 0.05])]
+        found = reconstructed(envelopes=lambda period, envelopes=envelopes: envelopes, **numbers)
+        recorded = SimpleNamespace(runs=[SimpleNamespace(measured=np.full((10, 2), line))], rms=lambda: np.ones(2))
+        remarks = reconstruction.remarks_of(found, recorded)
+        assert any(each.startswith(start) for each in remarks) is said
+    for more in ({"input": "force"}, {"mass_known": False}):
+        remarks = reconstruction.remarks_of(reconstructed(**more), recorded)
+        assert not any("how heavy the frame is" in each for each in remarks)
+
+
+@pytest.mark.parametrize(("inflation", "more"), [(1.8, "1.3 times"), (1.6, None), (3.0, "1.7 times")])
+def test_coloured_innovations_are_said_with_how_much_deviations_grow(inflation, more):
+    found = reconstructed(whiteness=(Whiteness(4, 1.0, 0.2, 0.1, 1e-5, 0, 0),), inflation=inflation)
+    recorded = SimpleNamespace(runs=found.recording.runs, rms=lambda: np.ones(2))
+    said = reconstruction.remarks_of(found, recorded)[-1]
+    assert said.startswith("the innovations of floor 4 are not white")
+    assert ("times those of white" in said) is (more is not None)
+    assert more is None or more in said
+
+
+@pytest.mark.parametrize(
+    ("straight", "other", "told", "expected"),
+    [
+        (0.0, np.log(11.0), True, "taken as band-limited: that makes what the floors did more probable than straight "
+         "lines would (odds 11 to 1)"),
+        (np.log(11.0), 0.0, True, "taken as straight lines: that makes what the floors did more probable than "
+         "band-limited would (odds 11 to 1)"),
+        (0.0, np.log(9.0), True, "taken as band-limited: the floors hardly tell that from straight lines"),
+        (0.0, np.log(1001.0), True, "(odds above 1000)"), (0.0, np.log(998.6), True, "(odds 999 to 1)"),
+        (0.0, 9.0, False, "taken as band-limited: so the model fits the floors better, but it fails a check"),
+    ],
+)  # fmt: skip
+def test_what_speaks_for_a_reading_is_said_with_its_odds(straight, other, told, expected):
+    assert expected in reconstruction.reading_remark("base motion", straight, other, told=told)
+
+
+def test_deviations_of_a_run_are_those_of_the_smoother_and_of_the_frame():
+    """Squares add up over directions; then the factor, then parts of drifts and forces, heights and scale."""
+    rng = np.random.default_rng(0)
+    own, shown, moved, states = (rng.standard_normal(shape) for shape in ((5, 10), (5, 10), (2, 5, 10), (5, 7)))
+    own, allowance = np.abs(own), 1.0 + rng.random(10)
+    outputs = SimpleNamespace(rows=None, of=lambda states, drive: shown)
+    errors = SimpleNamespace(noise_at=lambda p: None, dynamics=lambda p: SimpleNamespace(outputs=outputs))
+    model = SimpleNamespace(heights=np.array([3.0, 4.0]), mass_known=True)
+    run = SimpleNamespace(drive=None, name="a", measured=None, excitation=None)
+    work = SimpleNamespace(
+        directions=lambda fitted: SimpleNamespace(sides=(0, 1), allowance=allowance),
+        smoothed=lambda *_: [SimpleNamespace(output_std=own.copy(), states=states)],
+        moved_by=lambda side, *_: [(part, moved[side][part]) for part in (slice(0, 3), slice(3, 5))],
+        varied=SimpleNamespace(story_stiffness=np.ones(2)), setting=SimpleNamespace(base_measured=False),
+        recording=SimpleNamespace(runs=[run], step=0.1),
+    )  # fmt: skip
+    fitted = SimpleNamespace(errors=errors, p=None, model=model, scale_std=0.05)
+    (found,) = FrameMotion.runs(work, fitted, 1.5, 0.2)
+    total = 1.5 * np.sqrt(own**2 + allowance * (moved**2).sum(axis=0))
+    drift = np.sqrt(total[:, 4:6] ** 2 + 0.04 * shown[:, 4:6] ** 2)
+    forces = np.sqrt(total[:, 6:9] ** 2 + (0.04 + 0.0025) * shown[:, 6:9] ** 2)
+    expected = {
+        "floor_acceleration": total[:, :2], "story_drift": drift, "story_drift_ratio": drift / [3.0, 4.0],
+        "floor_displacement": np.sqrt(total[:, 2:4] ** 2 + 0.04 * shown[:, 2:4] ** 2), "story_shear": forces[:, :2],
+        "base_shear": forces[:, 0], "overturning_moment": forces[:, 2],
+    }  # fmt: skip
+    assert found.std.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(found.std[name], values, err_msg=name)
+    np.testing.assert_allclose((found.base, found.base_std), (shown[:, 9], total[:, 9]))
+    np.testing.assert_allclose(found.missed, np.sqrt(np.mean(states[:, 4:6] ** 2, axis=0)))
+    np.testing.assert_allclose(found.response.time, [0.0, 0.1, 0.2, 0.3, 0.4])
+
+
+@pytest.mark.parametrize(("first", "scale"), [(0.1, 0.7), (8.0, 4.0), (np.nan, 3.0)])
+def test_a_state_is_as_unknown_as_the_motion_was_strong_at_first(monkeypatch, first, scale):
+    """The stationary deviations of two sensors are 1 and sqrt(7), their rms 2; the envelope begins with 0.7."""
+    measured = np.full((6, 2), 6.0)
+    measured[:3] = first
+    seen = []
+    monkeypatch.setattr(frame_motion, "smooth", lambda model, run, rows: seen.append((run.start_scale, rows.shape)))
+    model = SimpleNamespace(H=np.array([[1.0, 0.0], [2.0, 1.0]]), P0=np.diag([1.0, 3.0]))
+    run = SimpleNamespace(drive=None, measured=measured)
+    work = SimpleNamespace(
+        recording=SimpleNamespace(runs=[run], envelopes=lambda period: [np.array([0.7, 9.0])], step=0.1),
+        varied=SimpleNamespace(period=1.0, first_samples=lambda step: 3), setting=SimpleNamespace(states=2),
+    )  # fmt: skip
+    FrameMotion.smoothed(work, SimpleNamespace(dynamics=lambda p: model), None)
+    assert seen == [(pytest.approx(scale), (0, 2))]
+
+
+@pytest.mark.parametrize(("first", "moves"), [(0.049, False), (0.051, True)])
+def test_a_run_begins_amid_the_motion_from_a_twentieth_of_its_strength_on(first, moves):
+    runs = [SimpleNamespace(measured=np.vstack([np.full((3, 2), size) * [1.0, 2.0], np.full((9, 2), 50.0)]))
+            for size in (0.0, first)]  # fmt: skip
+    work = SimpleNamespace(recording=SimpleNamespace(rms=lambda: np.array([1.0, 2.0]), step=0.1, runs=runs),
+                           varied=SimpleNamespace(first_samples=lambda step: 3))  # fmt: skip
+    assert FrameMotion.moves_at_first.func(work) is moves
+
+
+def test_drifts_of_a_base_that_nobody_measured_are_those_of_the_first_mode():
+    """A frame that swings in it at a rms acceleration a phi drifts by a / omega^2 of its differences."""
+    model = DampedModel(*matrices(*damped_frame(3)), np.array([1.0, 1.1, 0.9]))
+    phi, at = model.modes.shapes[0], np.array([0, 2])
+    recording = SimpleNamespace(input="none", floors=at + 1, rms=lambda: 0.7 * np.abs(phi[at] * model.gain[at]))
+    expected = 0.7 * np.abs(np.diff(phi, prepend=0.0)) / (2 * np.pi * model.modes.frequencies[0]) ** 2
+    np.testing.assert_allclose(frame_motion._drift_rms(model, recording), expected)
+    responses = [SimpleNamespace(acceleration=np.arange(12.0).reshape(4, 3))]
+    run = SimpleNamespace(measured=np.ones((4, 2)))
+    recording = SimpleNamespace(floors=at + 1, runs=[run])
+    np.testing.assert_allclose(frame_motion.shown_by(model, responses, recording)[0],
+                               np.arange(12.0).reshape(4, 3)[:, at] * [1.0, 0.9])  # fmt: skip
+    np.testing.assert_array_equal(frame_motion.shown_by(model, None, recording)[0], np.zeros((4, 2)))
+
+
+LINES = np.arange(0.0, 10.0, 0.1)
+
+
+def resonances(natural, height=1.0, width=0.5):
+    """Functions of two floors with a resonance at each frequency, wholly coherent."""
+    size = sum(height / (1 + ((LINES - at) / width) ** 2) for at in natural)
+    return Transfer(LINES, np.column_stack([size, 2.0j * size]), np.ones((len(LINES), 2)))
+
+
+def test_lines_belong_to_the_mode_that_they_are_nearest_to():
+    natural = np.array([2.02, 2.45, 8.02])
+    for mode, (low, high) in enumerate(((1.7, 2.2), (2.3, 2.9), (6.5, 9.6))):
+        near = comparing.around(LINES, natural, mode, 0.2)
+        np.testing.assert_array_equal(LINES[near], LINES[(low - 1e-9 < LINES) & (high + 1e-9 > LINES)])
+
+
+def test_errors_of_functions_are_rms_around_each_mode_where_something_drives_it():
+    measured, natural = resonances([2.0, 7.0]), np.array([2.0, 7.0])
+    predicted = Transfer(LINES, measured.functions * np.array([1.1, 0.8]), measured.coherence)
+    np.testing.assert_allclose(comparing.errors(measured, predicted, natural), [[0.1, 0.1], [0.2, 0.2]])
+    coherence = np.where((LINES > 4.5)[:, None], [0.59, 0.61], 1.0)
+    part = Transfer(LINES, measured.functions, coherence)
+    np.testing.assert_allclose(comparing.errors(part, predicted, natural), [[0.1, np.nan], [0.2, 0.2]])
+
+
+@pytest.mark.parametrize(("moved", "told"), [([0.25, 0.0], [1]), ([0.11, 0.0], []), ([0.15, 0.7], [1, 2]),
+                                             ([0.13, 0.7], [2]), ([0.0, -0.7], [2])])  # fmt: skip
+def test_a_shift_is_told_where_the_peak_has_fallen_and_others_that_moved_as_much(moved, told):
+    """A resonance of half width 0.5 has fallen to 1 / (1 + (d / 0.5)^2)^2 of its power at a distance d."""
+    natural = np.array([2.0, 5.0])
+    made, seen = resonances(natural), resonances(natural + moved)
+    found = comparing._shifts(seen, made, natural, None)
+    assert [each.mode for each in found] == told
+    for each in found:
+        assert each.measured == pytest.approx(natural[each.mode - 1] + moved[each.mode - 1], abs=0.04)
+        assert each.size == pytest.approx(abs(moved[each.mode - 1]) / natural[each.mode - 1], abs=0.02)
+        assert f"({100 * (each.measured / each.modelled - 1):+.1f} %)" in str(each)
+    second = comparing._shifts(seen, made, natural, np.array([2]))
+    assert [each.mode for each in second] == [mode for mode in told if mode == 2]
+    assert comparing.power_at(made, natural, 0, 2.25) == pytest.approx((1 + (0.25 / 0.5) ** 2) ** -2, abs=0.04)
+
+
+def test_one_factor_on_all_floors_is_a_unit_within_a_quarter_of_its_logarithm():
+    p = np.random.default_rng(3).standard_normal((400, 3))
+    p = p @ (np.eye(3) + 0.3)
+
+    def said(factors):
+        return contradiction([p * factors], [p], np.array([1, 2, 3]))
+
+    assert "near 1000: are the floors in mm/s2?" in said(1000 * np.exp([0.24, 0.24, 0.2]))
+    assert said(1000 * np.exp([0.26, 0.26, 0.27])) == said(np.array([1000.0, 1000.0, 1800.0])) == said(np.ones(3)) == ""
+    assert said(-np.ones(3)) == "every floor moved against the prediction: is the excitation's sign reversed?"
+    assert said(np.array([1.0, -1.0, 1.0])).startswith("floor 2 moved against the prediction (correlation -1.00)")
+    assert said(np.array([1.0, 0.0, 1.0])) == ""
+
+
+def test_two_channels_are_exchanged_where_each_is_nearer_to_the_other():
+    rng = np.random.default_rng(4)
+    p = np.cumsum(rng.standard_normal((500, 3)), axis=1) * [1.0, 2.0, 3.0]
+    floors = np.array([1, 2, 5])
+    said = contradiction([p[:, [0, 2, 1]]], [p], floors)
+    assert said == "floors 2 and 5 fit each other's prediction: are they exchanged?"
+    # As large as before their exchange, they are not told by their sizes.
+    sizes = np.sqrt(np.mean(p**2, axis=0))
+    assert contradiction([p[:, [0, 2, 1]] / sizes[[0, 2, 1]] * sizes], [p], floors) == ""
+
+
+def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_prediction():
+    p = np.random.default_rng(5).standard_normal((200, 4))
+    other = np.random.default_rng(6).standard_normal((200, 4))
+    assert moved_against([p * [1, -1, 1, 1]], [p]).tolist() == [False, True, False, False]
+    assert not moved_against([p * [1, -1, -1, 1]], [p]).any()
+    assert not moved_against([np.column_stack([p[:, :2] * [1, -1], other[:, 2:]])], [p]).any()
+
+
+def test_what_a_prediction_missed_beyond_its_bands_is_over_the_larger_motion():
+    """Errors of 0.5 of what was measured, of which bands of 0.3 of the predicted motion explain a part."""
+    ratio, gain = np.array([0.8, 2.0]), np.array([1.0, 1.0, 1.2])
+    beside = SimpleNamespace(floors=np.array([1, 3]), rms_ratio=ratio, nrmse=np.array([0.5, 1.5]))
+    moved = np.random.default_rng(7).standard_normal((50, 3))
+    side = SimpleNamespace(
+        comparison=beside, damped=SimpleNamespace(model=SimpleNamespace(gain=gain)),
+        responses=[SimpleNamespace(acceleration=moved[:20]), SimpleNamespace(acceleration=moved[20:])],
+    )  # fmt: skip
+    bands = tuple({"floor_acceleration": 0.3 * np.abs(part)} for part in (moved[:20], moved[20:]))
+    expected = (0.5**2 - (0.3 * 0.8) ** 2), (1.5**2 - (0.3 * 2.0) ** 2) / 4
+    assert _missed(side, bands) == pytest.approx(np.sqrt(np.mean(expected)))
+    beside.nrmse = np.array([0.1, 0.1])
+    assert _missed(side, bands) == 0.0
+    beside.nrmse, beside.rms_ratio = np.full(2, np.nan), np.full(2, np.nan)
+    assert _missed(side, bands) is None
+    assert _missed(SimpleNamespace(comparison=None), bands) is None
+    assert "up to 2.0 % larger" in _between_samples(0.02, "base motion")[0]
+    assert _between_samples(0.009, "base motion") == [] or _between_samples(0.004, "base motion") == []
+
+
+def test_lines_are_taken_off_that_chance_does_not_make():
+    """A motion of periods T over a time L leaves lines by chance; one much larger than that is the sensor's."""
+    time = np.linspace(-1.0, 1.0, 4000)
+    motion = np.sin(200 * time + 0.3)
+    line = 0.3 + 0.2 * time
+    np.testing.assert_allclose(sensor_line(motion + line), line, atol=0.01)
+    run = RecordedRun(np.column_stack([motion + line, motion]), motion, "a")
+    recording = Recording((run,), 100.0, np.array([1, 2]), "base")
+    (found,) = recording.lines([np.column_stack([motion, motion * 0.9])])
+    np.testing.assert_allclose(found[:, 0], line, atol=1e-9)
+    np.testing.assert_array_equal(found[:, 1], 0.0)
+    np.testing.assert_allclose(recording.less([found]).runs[0].measured[:, 0], motion, atol=1e-9)
+
+
+def estimated(p_value, chi2=30.0, dof=10, shape=0.04):
+    quality = SimpleNamespace(max_shape_error=shape)
+    return SimpleNamespace(p_value=p_value, chi2=chi2, dof=dof, quality=quality)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expected"),
+    [
+        (estimated(0.009), (3.0, 0.04)), (estimated(0.011), (1.0, 0.0)), (estimated(None), (1.0, 0.0)),
+        (estimated(0.009, dof=0), (1.0, 0.0)), (estimated(0.009, chi2=7.0), (1.0, 0.04)),
+        (estimated(0.009, shape=None), (3.0, 0.0)),
+    ],
+)  # fmt: skip
+def test_a_model_that_its_tests_speak_against_is_widened_by_what_they_leave(estimate, expected):
+    assert sources._misfit(estimate) == expected
+    plain = sources.Fitted(None, (), None, None)
+    assert (plain.undetermined, plain.misfit, plain.lacking) == ((), 1.0, 0.0)
+
+
+def test_the_state_of_a_record_is_said_where_it_was_taken_for_granted():
+    tests = [SimpleNamespace(state=state) for state in ("a", "b", "b")]
+    two, one = SimpleNamespace(configurations=tests), SimpleNamespace(configurations=tests[1:])
+
+    def said(experiment, state, *, named=False):
+        remarks = sources.state_remarks(experiment, SimpleNamespace(state=state), tests[1], named=named)
+        return [each.split(":")[0] for each in remarks]
+
+    assert said(two, "b") == said(two, None, named=True) == said(one, None) == []
+    assert said(two, "c", named=True) == ['the record is of state "c", the model that of "b", as asked']
+    assert said(two, "c") == ['the record is of state "c", of which nothing was measured']
+    assert said(two, None) == ["the record names no state"]
+    assert sources.line_remarks(0.0099, "x") == []
+    assert sources.line_remarks(0.0101, "x")[0].startswith("a straight line of up to 1.0 % of x was taken")
+
+
+def test_the_largest_line_taken_off_is_said_with_its_channel():
+    time = np.linspace(-1.0, 1.0, 200)
+    moved = np.sin(50 * time)
+    size = np.sqrt(np.mean(moved**2))
+
+    def motion(ground, first, second):
+        drive = SimpleNamespace(excitation=moved + ground * time, responses=np.column_stack(
+            [moved + first * time, np.where(time > 0.9, np.nan, moved + second * time)]))  # fmt: skip
+        return SimpleNamespace(input="base", drives=[drive], floors=np.array([1, 3]))
+
+    plain = motion(0.0, 0.0, 0.0)
+    cases = ((0.1, 0.02, 0.0), "the base motion"), ((0.05, 0.1, 0.0), "floor 1"), ((0, 0.05, 0.2), "floor 3")
+    for lines, where in cases:
+        (said,) = predicted._taken_off(motion(*lines), plain)
+        assert f"of the rms ({where}) was taken" in said
+        assert f"up to {100 * max(lines) / size:.0f}" in said
+    assert predicted._taken_off(plain, plain) == []
+    forced = motion(0.1, 0.0, 0.0)
+    forced.input = "force"
+    assert predicted._taken_off(forced, plain) == []
+
+
+def test_remarks_of_a_prediction_are_made_where_they_apply():
+    responses = np.ones((5, 2))
+    responses[2, 1] = np.nan
+
+    def said(**more):
+        fitted = {"undetermined": (), "covariance": 1, "mass_known": True} | more
+        after = SimpleNamespace(fitted=SimpleNamespace(**fitted), comparison=more.get("comparison"))
+        drives = [SimpleNamespace(responses=more.get("responses", np.ones((5, 2))))]
+        motion = SimpleNamespace(floors=more.get("floors", np.array([2, 5])), drives=drives)
+        return [each.split(":")[0] for each in predicted._remarks(after, motion)]
+
+    assert said() == []
+    assert said(undetermined=(("a", "b"),)) == ["not determined by the measurement"]
+    assert said(covariance=None) == ["no standard deviations"]
+    assert said(mass_known=False) == ["the masses have no scale (give total_mass)"]
+    (alone,) = said(floors=np.array([], dtype=int), responses=None)
+    assert alone == "the record has no accelerations of floors to compare with"
+    assert said(responses=responses) == ["samples of floor 5 are missing"]
+    plain = SimpleNamespace(contradiction="", shifts=())
+    assert said(comparison=plain) == []
+    shift = comparing.Shift(2, 3.0, 4.0)
+    (first, second) = said(comparison=SimpleNamespace(contradiction="reversed", shifts=(shift,)))
+    assert first == "reversed"
+    assert second == "mode 2 resonates at 3.000 Hz in this record, the model at 4.000 Hz (-25.0 %)"
+
+
+def test_floor_spectra_reach_from_a_fifth_of_the_first_to_three_times_the_last():
+    def lines(step, frequencies):
+        model = SimpleNamespace(modes=SimpleNamespace(frequencies=np.array(frequencies)))
+        return largest_spectra(model, [np.eye(40, 1), 3.0 * np.eye(40, 1)], step)
+
+    for step, ends in ((0.001, (0.4, 24.0)), (0.02, (0.4, 12.5)), (0.2, (0.4, 2.0))):
+        found = lines(step, [2.0, 5.0, 8.0])
+        np.testing.assert_allclose(found.frequencies[[0, -1]], ends)
+        steps = np.diff(np.log(found.frequencies))
+        assert len(found.frequencies) == 60
+        np.testing.assert_allclose(steps, steps[0])
+        alone = floor_spectra(3.0 * np.eye(40, 1), step, found.frequencies)
+        np.testing.assert_allclose(found.acceleration, alone.acceleration)
+        assert found.damping == 0.05
+
+
+def test_directions_are_followed_half_of_a_mass_or_stiffness_at_most():
+    root = np.array([[0.1, 3.0], [0.2, 0.1], [1.0, 5.0], [2.0, 9.0], [99.0, 99.0]])
+    theta, experiment = np.array([1.0, 2.0, 10.0, 10.0, 1.0]), SimpleNamespace(stories=2)
+    fitted = SimpleNamespace(root=root, theta=theta, experiment=experiment)
+    frame = SimpleNamespace(fitted=fitted, size=5)
+    np.testing.assert_allclose(uncertain._lengths(frame), [1.0, 0.5 / 3.0, 1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(("off", "said"), [(1.9, False), (2.1, True), (-2.1, True)])
+def test_a_ratio_is_missed_beyond_two_deviations(off, said):
+    """The third is of a thousandth of critical, below which deviations are as of one."""
+    ratios = SimpleNamespace(values=np.array([0.02, 0.05, 1e-4]), std=np.full(3, 0.1))
+    frame = SimpleNamespace(ratios=ratios, kind="rayleigh")
+    own = np.array([0.02 * (1 + 0.1 * off), 0.09, 1e-4 + off * 1e-4])
+    damped = SimpleNamespace(model=SimpleNamespace(ratios=np.maximum(own, 0.0)))
+    measured = np.array([0.02, np.nan, 1e-4])
+    found = uncertain._missed(frame, damped, measured)
+    assert bool(found) is said
+    if said:
+        assert "of mode 1" in found[0]
+        assert "Rayleigh damping cannot give" in found[0]
+
+
+def test_what_a_file_expects_of_an_effect_is_taken_at_each_of_its_places():
+    usual = StoryChange()
+    item = {"name": "story_change", "story": None, "floor": None, "size": 0.3, "probability": 0.2}
+    for more, size, probability in (({}, 0.3, 0.2), ({"story": 1}, None, None), ({"floor": 2}, None, None),
+                                    ({"name": "sensor_gain"}, None, None)):  # fmt: skip
+        experiment = SimpleNamespace(expected=[SimpleNamespace(**item | more)])
+        found = frame_prior._expected(usual, experiment, 4)
+        assert found[0] == (size or usual.usual)
+        assert (1 - found[1]) ** 4 == pytest.approx(1 - (probability or usual.probability))
+
+
+@pytest.mark.parametrize(
+    ("samples", "ratio", "expected"), [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16)]
+)
+def test_pieces_show_a_bandwidth_by_eight_lines_or_are_a_fifth_of_the_record_twice(samples, ratio, expected):
+    assert comparing.segment(samples, 50.0, 10.0, ratio) == expected
+
+
+def welch(a, b, length):
+    """The mean over pieces, half overlapping, less their means, under a raised cosine, of conj(a) b."""
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    parts = [np.fft.rfft(window * (each[at : at + length] - each[at : at + length].mean())) for each in (a, b)
+             for at in range(0, len(a) - length + 1, length // 2)]  # fmt: skip
+    half = len(parts) // 2
+    return np.mean(np.conj(parts[:half]) * parts[half:], axis=0)
+
+
+def test_functions_are_of_all_runs_by_their_lengths():
+    rng = np.random.default_rng(11)
+    forces = [rng.standard_normal(count) for count in (200, 320)]
+    heard = [np.convolve(f, [1.0, 0.5, 0.2])[: len(f)] for f in forces]
+    answers = [np.column_stack([own, rng.standard_normal(len(own))]) for own in heard]
+    found = comparing.transfer(forces, answers, 40.0, 40)
+    lines = slice(1, 20)
+    np.testing.assert_allclose(found.frequencies, np.arange(21.0))
+    for floor in range(2):
+        cross, force, power = (
+            sum(len(f) * welch(*pair(f, y[:, floor]), 40) for f, y in zip(forces, answers, strict=True))
+            for pair in (lambda f, y: (f, y), lambda f, y: (f, f), lambda f, y: (y, y))
+        )
+        np.testing.assert_allclose(found.functions[lines, floor], (cross / force)[lines])
+        np.testing.assert_allclose(found.coherence[lines, floor], (np.abs(cross) ** 2 / force / power).real[lines])
+
+
+def test_resonances_peak_between_lines_where_the_floors_answer():
+    """The logarithm of a bell is a parabola."""
+    natural = np.array([3.0, 7.0])
+    bell = np.exp(-((LINES - 3.13) ** 2))[:, None] * [1.0, 2.0j]
+
+    def at(frequencies, functions, coherence):
+        return comparing.peak(Transfer(frequencies, functions, np.full(functions.shape, coherence)), natural, 0)
+
+    assert at(LINES, bell, 0.61) == pytest.approx(3.13)
+    assert at(LINES, bell, 0.59) is None
+    assert at(LINES, np.exp(LINES)[:, None] * [1.0, 2.0], 1.0) is None
+    assert at(LINES, np.exp(-LINES)[:, None] * [1.0, 2.0], 1.0) is None
+    few = np.array([2.4, 3.1, 3.7, 4.5])
+    assert at(few[[0, 1, 3]], np.array([[1.0], [2.0], [1.0]]), 1.0) is None
+    assert at(few, np.array([[1.0], [2.0], [1.0], [0.5]]), 1.0) is not None
+
+
+@pytest.mark.parametrize("samples", [400, 4000])
+def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode(samples):
+    """A record that reads a tenth more on one floor, and that has noise of a fifth of it on the other."""
+    model = DampedModel(*matrices(*damped_frame(3)), np.array([1.0, 1.0, 0.9]))
+    excitation = np.random.default_rng(9).standard_normal(samples)
+    plain = response(model, Drive(excitation), 0.01)
+    shown = plain.acceleration[:, [0, 2]] * [1.0, 0.9]
+    record = shown * [1.1, 1.0]
+    motion = Motion((Drive(excitation, responses=np.column_stack([record, np.full(samples, np.nan)])),), 100.0,
+                    floors=np.array([1, 3, 9]))  # fmt: skip
+    found = comparing.compared(model, [plain], motion)
+    assert found.floors.tolist() == [1, 3]
+    np.testing.assert_allclose(found.nrmse, [0.1 / 1.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found.rms_ratio, [1 / 1.1, 1.0])
+    np.testing.assert_allclose(found.peak_ratio, [1 / 1.1, 1.0])
+    np.testing.assert_allclose(found.frf_error, [[0.1 / 1.1] * 3, [0.0] * 3], atol=1e-9)
+    assert (found.shifts, found.contradiction) == ((), "")
+    bare = Motion((Drive(excitation),), 100.0)
+    assert comparing.compared(model, [plain], bare) is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(9.80665, "base motion in g"), (0.10197, "floors in g"), (1000.0, "floors in mm/s2"),
+     (1e-3, "base motion in mm/s2"), (100.0, "floors in cm/s2"), (0.01, "base motion in cm/s2"),
+     (386.1, "floors in in/s2")],
+)  # fmt: skip
+def test_each_unit_is_told_to_a_fifth(factor, said):
+    p = np.random.default_rng(3).standard_normal((100, 2))
+    for times in (0.8, 1.25):
+        assert said in contradiction([p * factor * times], [p], np.array([1, 2]))
+
+
+def drifting(ratios):
+    """A response whose drift ratios peak at these values."""
+    others = "acceleration", "displacement", "drift", "story_shear", "base_shear", "overturning_moment"
+    return SimpleNamespace(**dict.fromkeys(others), drift_ratio=np.array([0.0, 1.0, 0.0])[:, None] * ratios)
+
+
+def test_limits_are_passed_with_the_probability_of_a_normal_peak_and_of_yielding_stories_only_for_sure():
+    limits = Limits([0.01, 0.02], ("a", "b"))
+    peaks = Peaks({"story_drift_ratio": np.array([0.012, 0.009])}, {"story_drift_ratio": np.array([0.001, 0.001])})
+    z = np.array([[2.0, -1.0], [-8.0, -11.0]])
+    np.testing.assert_allclose(reconstruction._passed(limits, peaks, None, nonlinear=False), stats.norm.cdf(z))
+    sure = np.array([[stats.norm.cdf(2.0), np.nan], [np.nan, np.nan]])
+    found = reconstruction._passed(limits, peaks, None, nonlinear=True)
+    np.testing.assert_allclose(found, sure)
+    for alone, told in ((0.0101, sure), (0.0099, np.full((2, 2), np.nan))):
+        predicted = [drifting(np.array([alone, 1.0])), drifting(np.array([0.005, 0.0]))]
+        np.testing.assert_allclose(reconstruction._passed(limits, peaks, predicted, nonlinear=True), told)
+    none = Peaks({}, {})
+    assert reconstruction._passed(limits, none, None, nonlinear=False) is None
+
+
+def test_the_most_probable_fit_is_kept_with_the_evidence_of_each():
+    fits = [(None, SimpleNamespace(log_evidence=value), []) for value in (-3.0, -1.0, -2.0)]
+    best, evidences = reconstruction._most_probable(iter(fits))
+    assert (best, evidences) == (fits[1], [-3.0, -1.0, -2.0])
+
+
+def test_floor_spectra_are_relatively_as_uncertain_as_the_floors_peaks():
+    found = object.__new__(Reconstruction)
+    object.__setattr__(found, "peaks", Peaks({"floor_acceleration": np.array([2.0, 0.0])},
+                                             {"floor_acceleration": np.array([0.1, 0.3])}))  # fmt: skip
+    object.__setattr__(found, "spectra", SimpleNamespace(acceleration=np.array([[4.0, 8.0], [1.0, 2.0]])))
+    np.testing.assert_allclose(found.spectra_std, [[0.2, 0.4], [0.3, 0.6]])
+
+
+@pytest.mark.parametrize(("alike", "told"), [(0.92, True), (0.935, False)])
+def test_an_exchange_must_bring_a_tenth_of_squared_correlation(alike, told):
+    """A record's correlation is 0.6 with the other floor's prediction, and 0.6 of that of both with its own."""
+    e = np.linalg.qr(np.random.default_rng(0).standard_normal((60, 4)))[0].T
+    p = np.column_stack([e[0], 2 * (alike * e[0] + np.sqrt(1 - alike**2) * e[1])])
+    y = np.column_stack([0.6 * p[:, 1] + 2 * 0.8 * e[2], 0.6 * p[:, 0] + 0.8 * e[3]])
+    assert bool(contradiction([y], [p], np.array([1, 2]))) is told
+    # Both must be like each other's prediction.
+    y[:, 1] = 0.49 * p[:, 0] + np.sqrt(1 - 0.49**2) * e[3]
+    assert contradiction([y], [p], np.array([1, 2])) == ""
+
+
+@pytest.mark.parametrize(("late", "kept"), [(0.0, False), (0.03, True)])
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_delay_is_put_back_without_which_a_sensor_is_farther_from_its_prediction(late, kept, shared):
+    """The delay of 0.03 s that was taken out of floor 3 is the prediction's own, or it is not."""
+    time = np.arange(500) / 100
+
+    def at(shift):
+        return np.column_stack([np.sin(9 * time), np.sin(9 * (time + shift) + 1.0)])
+
+    said = ("x" if shared else "", "x")
+    runs = tuple(RecordedRun(at(0.03), np.zeros(500), name) for name in "ab")
+    recording = Recording(runs, 100.0, np.array([1, 3]), "base", remarks=("x", "y"),
+                          late=np.array([[0.0, 0.0], [0.03, 0.0]]), late_remarks=said)  # fmt: skip
+    found = _with_delays(recording, [at(late)] * 2)
+    inner = slice(100, 400)
+    for run in found.runs:
+        np.testing.assert_allclose(run.measured[inner], at(0.03 if kept else 0.0)[inner], atol=1e-4)
+    left_in = ["x; left in for floor 3"] if shared else []
+    assert list(found.remarks) == (["x", "y"] if kept else ["y", *left_in])
+
+
+@pytest.mark.parametrize("driven", ["base", "none"])
+def test_a_reconstruction_begins_with_noise_of_the_size_of_what_was_recorded(monkeypatch, driven):
+    """Sensors, story forces and the ground err by a fiftieth; an unknown ground moves as the weakest sensor does."""
+    model = DampedModel(*matrices(*damped_frame(3)), np.ones(3))
+    seen = []
+
+    def around(frame, floors, *, excited):
+        seen.append((floors.tolist(), excited))
+        return SimpleNamespace(centre=SimpleNamespace(model=model))
+
+    monkeypatch.setattr(frame_motion.VariedFrame, "around", around)
+    monkeypatch.setattr(frame_motion, "_drift_rms", lambda model, recording: np.array([1e-3, 2e-3, 3e-3]))
+    runs = [SimpleNamespace(excitation=np.full(30, size), floor=0) for size in (3.0, 4.0)]
+    recording = SimpleNamespace(input=driven, rms=lambda: np.array([2.0, 0.5]), floors=np.array([1, 3]), step=0.01,
+                                force_floor=0, runs=runs)  # fmt: skip
+    frame = SimpleNamespace(story_stiffness=np.array([1e3, 2e3, 4e3]))
+    found = FrameMotion.around(frame, recording, "backend", free=True)
+    assert seen == [([1, 3], driven == "base")]
+    assert (found.free, found.setting.base_measured) == ((driven == "base"),) * 2
+    np.testing.assert_allclose(found.noise.sensors, [0.04, 0.01])
+    assert found.noise.force == 0.02
+    assert found.noise.ground == pytest.approx(0.02 * np.sqrt(12.5) if driven == "base" else 0.5)
+    omega = np.sqrt(model.modes.eigenvalues)
+    assert (found.setting.corner, found.setting.ground_corner) == (pytest.approx(omega[0]), pytest.approx(omega[-1]))
+    np.testing.assert_allclose(found.setting.story_force, [1.0, 4.0, 12.0])
+    assert not FrameMotion.around(frame, recording, "backend", free=False).free
