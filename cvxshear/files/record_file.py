@@ -32,7 +32,7 @@ from cvxshear.files.record_tables import (
 from cvxshear.files.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.findings import finding
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -362,7 +362,7 @@ def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
     return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
 
 
-def read_motion(path: str | Path) -> Motion:
+def read_motion(path: str | Path) -> DrivenRecord:
     """Read what drove a frame from a record file, with the floors' accelerations where it names such channels.
 
     Parameters
@@ -372,7 +372,7 @@ def read_motion(path: str | Path) -> Motion:
 
     Returns
     -------
-    Motion
+    DrivenRecord
 
     Raises
     ------
@@ -385,11 +385,11 @@ def read_motion(path: str | Path) -> Motion:
         if driver is not None and not tables.responses:
             pieces, rate = tables.pieces([driver])
             added = None if tables.added_mass is None else np.array(tables.added_mass)
-            drives = []
+            runs = []
             for _, stretches in groupby(pieces, key=lambda each: each.place):
                 longest = max(stretches, key=lambda each: len(each.columns.values))
                 assert longest.excitation is not None
-                drives.append(Drive(longest.excitation, longest.floor, name=longest.run))
-            return Motion(tuple(drives), rate, tables.input, added_mass=added, name=tables.name, state=tables.state)
+                runs.append(DrivenRun(longest.excitation, longest.floor, name=longest.run))
+            return DrivenRecord(tuple(runs), rate, tables.input, added_mass=added, name=tables.name, state=tables.state)
     found = read_record(path)
-    return Motion.of(found.record, found.added_mass, found.state)
+    return DrivenRecord.of(found.record, found.added_mass, found.state)

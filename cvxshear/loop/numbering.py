@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.reading import Reading, violations
+from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.util.typing import Ints, Json
 
 OVERLOOKED = 0.05
@@ -137,7 +137,7 @@ def _may_be_overlooked(configuration: Configuration, mode: int, stories: int) ->
         return False
     above = configuration.measured[modes >= mode]
     whole = above.shape[1] == stories and bool(above.all(axis=1).any())
-    return not whole or bool(violations(Reading.of(configuration)))
+    return not whole or bool(violations(MeasuredModes.of(configuration)))
 
 
 def _moved(modes: Ints, lost: int) -> Ints:

@@ -35,7 +35,7 @@ NUMBERS_OF_A_COPY = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class MeasuredModes:
     """Frequencies and shapes of one configuration, the shapes as they were written.
 
     Parameters
@@ -63,9 +63,9 @@ class Reading:
     part: float = 1.0
 
     @staticmethod
-    def of(configuration: Configuration) -> Reading:
+    def of(configuration: Configuration) -> MeasuredModes:
         """Read a configuration that is part of an experiment."""
-        return Reading(
+        return MeasuredModes(
             stories=len(configuration.added_mass),
             modes=configuration.modes - 1,
             floors=configuration.measured_floors - 1,
@@ -108,7 +108,7 @@ class Reading:
         return np.where(self.known, 1.0 / std, 0.0)
 
     @property
-    def closer(self) -> Reading:
+    def closer(self) -> MeasuredModes:
         """The same reading with the smaller tolerances."""
         return replace(self, part=CLOSER)
 
@@ -138,7 +138,7 @@ def most_changes(signs: Floats) -> int:
     return int(within + places[0] + len(signs) - 1 - places[-1])
 
 
-def violations(reading: Reading) -> list[str]:
+def violations(reading: MeasuredModes) -> list[str]:
     """Name the modes whose signs no shear frame's mode of that number has, a part of a sentence for each."""
     scaled = reading.scaled
     signs = np.where(np.abs(scaled) * reading.weights > CERTAIN, np.sign(scaled), 0.0)

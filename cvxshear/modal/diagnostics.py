@@ -157,12 +157,12 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         # Beside a damper the clock that all are compared with may be the one that is off.
         third = np.delete(full.clocks.before, [names.index(name), full.clocks.reference])
-        told = bool(np.any(third <= STRAIGHT * before))
+        beyond_doubt = bool(np.any(third <= STRAIGHT * before))
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
             late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
-            which="" if told else "; which of the two is off no third clock tells",
+            which="" if beyond_doubt else "; which of the two is off no third clock tells",
         )  # fmt: skip
 
 
@@ -197,9 +197,9 @@ def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Findin
         # Near a node of the mode a transfer is too small to say anything of calibrations.
         pair = full.real[:, [places[low], places[high]]]
         unsure = SENSOR_STD * np.linalg.norm(pair, axis=1)
-        told = np.where(each * np.abs(pair.prod(axis=1)) > unsure, each, 0.0)
-        if told.max() > UNRECIPROCAL:
-            largest, worst = float(told.max()), int(np.argmax(told)) + 1
+        beyond_doubt = np.where(each * np.abs(pair.prod(axis=1)) > unsure, each, 0.0)
+        if beyond_doubt.max() > UNRECIPROCAL:
+            largest, worst = float(beyond_doubt.max()), int(np.argmax(beyond_doubt)) + 1
             numbers = {"floors": [low, high], "largest": largest, "over_all": ratio, "by_mode": each.tolist()}
             yield finding("reciprocity", numbers, low=low, high=high, worst=worst)
 

@@ -3,9 +3,19 @@
 from cvxshear.planning.design import Design, measurement_of, read_design
 from cvxshear.planning.expected_noise import Declared, Recorded, TestNoise
 from cvxshear.planning.planner import Limits, plan
-from cvxshear.planning.results import Outlook, Plan, predicted, write_template
+from cvxshear.planning.results import ExpectedAccuracy, Plan, predicted, write_template
 
 __all__ = [
-    "Declared", "Design", "Limits", "Outlook", "Plan", "Recorded", "TestNoise", "measurement_of", "plan",
-    "predicted", "read_design", "write_template",
+    "Declared",
+    "Design",
+    "ExpectedAccuracy",
+    "Limits",
+    "Plan",
+    "Recorded",
+    "TestNoise",
+    "measurement_of",
+    "plan",
+    "predicted",
+    "read_design",
+    "write_template",
 ]  # fmt: skip

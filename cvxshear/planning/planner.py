@@ -18,7 +18,7 @@ from cvxshear.planning.choice import SOLVERS, Choice, choose, descended
 from cvxshear.planning.criteria import Criterion, criterion_named
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.expected_noise import Declared, TestNoise
-from cvxshear.planning.results import Outlook, Plan
+from cvxshear.planning.results import ExpectedAccuracy, Plan
 from cvxshear.planning.tested_model import AveragedModel, Test, TestModel
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -307,13 +307,13 @@ def _finished(
     solver: str,
     limits: Limits | None,
 ) -> Plan:
-    """Make the plan with its outlook: the sensors for these tests, with one more, one less, and with all."""
+    """Make the plan with the accuracy expected of it, of one sensor more, of one less, and of sensors everywhere."""
     designed = model.frames[0]
     n = designed.design.stories
     expected = [model.expected(test) for test in masses]
     wanted = [count for count in (number - 1, number, number + 1) if 1 <= count <= n]
     found = {count: choose(model.sensors(expected, count), count, by, solver) for count in {*wanted, n}}
-    seen = {count: outlook(model, expected, choice) for count, choice in found.items()}
+    seen = {count: expected_accuracy(model, expected, choice) for count, choice in found.items()}
     grid = None
     if limits is not None:
         tests = [model.expected(test) for test in limits.grid()]
@@ -335,7 +335,7 @@ def _finished(
     )
 
 
-def outlook(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> Outlook:
+def expected_accuracy(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> ExpectedAccuracy:
     """State what is expected of the shear model with the chosen floors.
 
     Parameters
@@ -348,4 +348,4 @@ def outlook(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> Outl
     relative = model.shear_std(tests, choice.chosen)
     std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
     n = design.stories
-    return Outlook(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:])
+    return ExpectedAccuracy(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:])

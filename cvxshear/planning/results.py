@@ -34,7 +34,7 @@ MOST_POINTS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook(InJson):
+class ExpectedAccuracy(InJson):
     """What is expected with sensors on some floors.
 
     Parameters
@@ -112,11 +112,11 @@ class Plan(Shown):
         Added mass of each, kg.
     names : tuple of str
         Of the tests.
-    chosen : Outlook
+    chosen : ExpectedAccuracy
         With the sensors of the plan.
-    fewer, more : Outlook or None
+    fewer, more : ExpectedAccuracy or None
         With the best choice of one sensor less, and one more.
-    everywhere : Outlook
+    everywhere : ExpectedAccuracy
         With every floor measured.
     grid_bound, grid_worst : float or None
         What no tests of the grid of added masses can beat with the chosen sensors, and what none exceeds, where the
@@ -130,10 +130,10 @@ class Plan(Shown):
     solver: str
     tests: tuple[Floats, ...]
     names: tuple[str, ...]
-    chosen: Outlook
-    fewer: Outlook | None
-    more: Outlook | None
-    everywhere: Outlook
+    chosen: ExpectedAccuracy
+    fewer: ExpectedAccuracy | None
+    more: ExpectedAccuracy | None
+    everywhere: ExpectedAccuracy
     grid_bound: float | None
     grid_worst: float | None
     apart: tuple[Chance, ...]

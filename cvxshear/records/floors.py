@@ -111,17 +111,18 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     rate = record.sampling_rate
     length = min(int(LINES_A_HERTZ * rate), *(run.samples for run in record.runs)) // 2 * 2
     lines = np.fft.rfftfreq(length, 1 / rate)
-    mean, apart = np.zeros(len(lines)), np.zeros(len(lines))
+    mean, differences = np.zeros(len(lines)), np.zeros(len(lines))
     for run in record.runs:
         for group in groups:
             values = run.responses[:, group]
             middle = (values @ center_weights(record.channels, group)[0])[:, None]
             mean += run.samples * scipy.signal.welch(middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
-            apart += run.samples * scipy.signal.welch(values - middle, rate, nperseg=length, axis=0)[1].mean(axis=1)
+            off = values - middle
+            differences += run.samples * scipy.signal.welch(off, rate, nperseg=length, axis=0)[1].mean(axis=1)
 
     def share(frequency: float) -> float:
         near = np.abs(lines - frequency) <= max(2 * lines[1], NEARBY * frequency)
-        return float(apart[near].sum() / max(apart[near].sum() + mean[near].sum(), 1e-300))
+        return float(differences[near].sum() / max(differences[near].sum() + mean[near].sum(), 1e-300))
 
     return share
 

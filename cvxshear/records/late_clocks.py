@@ -87,8 +87,9 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     heard[reference] = BandClock(0.0, 0.0, 1.0, 0.0)
     # Where little more is in common than chance makes, the search over drifts finds one in its noise. Several blows in
     # one run may be at several floors, whatever is declared, and with dampers the phases are other ones at each.
-    apart = len(record.runs) > 1 or not struck(record)
-    common = apart and usual > min(AGREED, IN_COMMON * float(np.median([item.chance for item in against.values()])))
+    comparable = len(record.runs) > 1 or not struck(record)
+    by_chance = float(np.median([item.chance for item in against.values()]))
+    common = comparable and usual > min(AGREED, IN_COMMON * by_chance)
     drifts = {i: _drift(compare, i, heard, segments.rate) if common else (0.0, np.inf) for i in heard}
     if driven and not struck(record):
         steady = {i: clocks[i] for i, (slope, _) in drifts.items() if not slope and i < len(names)}

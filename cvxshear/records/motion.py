@@ -21,7 +21,7 @@ DRIVEN = ("base", "force")
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class DrivenRun:
     """One uninterrupted stretch of excitation, from rest.
 
     Parameters
@@ -31,7 +31,7 @@ class Drive:
     floor : int, optional
         Where the force acts; 0 for a base acceleration.
     responses : array_like, shape (samples, floors), optional
-        Total accelerations of the floors that `Motion.floors` names, m/s2; nan where a piece is missing.
+        Total accelerations of the floors that `DrivenRecord.floors` names, m/s2; nan where a piece is missing.
     name : str, optional
     between : ndarray, shape (samples,), optional
         Samples whose straight lines act between the samples (`band_limited`); those of the excitation where not given.
@@ -64,12 +64,12 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class DrivenRecord:
     """A recorded base motion or force, in one stretch or several.
 
     Parameters
     ----------
-    drives : sequence of Drive
+    runs : sequence of DrivenRun
     sampling_rate : float
         Hz.
     input : str, optional
@@ -88,7 +88,7 @@ class Motion:
         Naming the stretch, and what would be right.
     """
 
-    drives: tuple[Drive, ...]
+    runs: tuple[DrivenRun, ...]
     sampling_rate: float
     input: str = "base"
     floors: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -98,20 +98,20 @@ class Motion:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "drives", tuple(self.drives))
+        put(self, "runs", tuple(self.runs))
         put(self, "sampling_rate", checks.number(self.sampling_rate, "record: sampling_rate", above=0.0))
         checks.choice(self.input, DRIVEN, "record: input")
         put(self, "floors", np.asarray(self.floors, dtype=np.int64))
-        if not self.drives:
+        if not self.runs:
             raise InputError("record: at least one run is needed")
-        for drive in self.drives:
-            if not np.any(drive.excitation):
-                raise InputError(f"{drive.name}: the input channel is zero throughout")
+        for run in self.runs:
+            if not np.any(run.excitation):
+                raise InputError(f"{run.name}: the input channel is zero throughout")
             if self.input == "force":
-                checks.whole(drive.floor, f"{drive.name}: input_floor", least=1, most=MOST_STORIES)
-            if drive.responses is not None and drive.responses.shape[1] != len(self.floors):
+                checks.whole(run.floor, f"{run.name}: input_floor", least=1, most=MOST_STORIES)
+            if run.responses is not None and run.responses.shape[1] != len(self.floors):
                 raise InputError(
-                    f"{drive.name}: the responses have {drive.responses.shape[1]} columns, {len(self.floors)} floors "
+                    f"{run.name}: the responses have {run.responses.shape[1]} columns, {len(self.floors)} floors "
                     "are named; give one a floor"
                 )
 
@@ -120,22 +120,22 @@ class Motion:
         """Time between samples, s."""
         return 1.0 / self.sampling_rate
 
-    def detrended(self) -> Motion:
+    def detrended(self) -> DrivenRecord:
         """Without the straight line through base and floor accelerations, which is what sensors add; a force stays."""
-        drives = []
-        for drive in self.drives:
-            excitation = drive.excitation - trend(drive.excitation) if self.input == "base" else drive.excitation
-            responses = None if drive.responses is None else drive.responses - trend(drive.responses)
-            drives.append(dataclasses.replace(drive, excitation=excitation, responses=responses))
-        return dataclasses.replace(self, drives=tuple(drives))
+        runs = []
+        for run in self.runs:
+            excitation = run.excitation - trend(run.excitation) if self.input == "base" else run.excitation
+            responses = None if run.responses is None else run.responses - trend(run.responses)
+            runs.append(dataclasses.replace(run, excitation=excitation, responses=responses))
+        return dataclasses.replace(self, runs=tuple(runs))
 
-    def band_limited(self) -> Motion:
+    def band_limited(self) -> DrivenRecord:
         """Take the excitation as band-limited between its samples, not as straight lines."""
-        drives = [dataclasses.replace(drive, between=band_limited(drive.excitation)) for drive in self.drives]
-        return dataclasses.replace(self, drives=tuple(drives))
+        runs = [dataclasses.replace(run, between=band_limited(run.excitation)) for run in self.runs]
+        return dataclasses.replace(self, runs=tuple(runs))
 
     @staticmethod
-    def of(record: Record, added_mass: Sequence[float] | None = None, state: str | None = None) -> Motion:
+    def of(record: Record, added_mass: Sequence[float] | None = None, state: str | None = None) -> DrivenRecord:
         """Read the motion that a record holds.
 
         Parameters
@@ -160,14 +160,14 @@ class Motion:
         single, _ = one_a_floor(record)
         measured = single.quantity == "acceleration"
         forced = single.input == "force"
-        drives = tuple(
-            Drive(run.excitation, run.floor if forced else 0, run.responses if measured else None, run.name)
+        runs = tuple(
+            DrivenRun(run.excitation, run.floor if forced else 0, run.responses if measured else None, run.name)
             for run in single.runs
             if run.excitation is not None
         )
         floors = single.floors if measured else np.zeros(0, dtype=np.int64)
         added = None if added_mass is None else np.asarray(added_mass, dtype=np.float64)
-        return Motion(drives, single.sampling_rate, single.input, floors, added, single.name, state)
+        return DrivenRecord(runs, single.sampling_rate, single.input, floors, added, single.name, state)
 
 
 NOISE_FROM = 0.8

@@ -127,12 +127,12 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
         [_likelihood(frequencies, item.undone(shapes), floors, stories, numbers) for numbers in FREQUENCY_RATIOS]
         for item, _ in prior
     ]
-    shares = np.exp(scores - scores.max())
-    shares /= shares.sum()
-    each = shares.sum(axis=1)
+    probabilities = np.exp(scores - scores.max())
+    probabilities /= probabilities.sum()
+    each = probabilities.sum(axis=1)
     found = [
         dataclasses.replace(item, probability=float(p), missed=float(row[1:].sum() / max(p, 1e-300)))
-        for (item, _), p, row in zip(prior, each, shares, strict=True)
+        for (item, _), p, row in zip(prior, each, probabilities, strict=True)
     ]
     return sorted(found, key=lambda item: -item.probability)
 

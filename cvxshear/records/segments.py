@@ -82,9 +82,9 @@ class Segments:
         weights[:, mains] = 0.0
         weights[:, :2] = 0.0
         # With dampers a frame answers to a blow at another floor with other phases.
-        apart = [np.flatnonzero(np.array(driven) == floor) for floor in np.unique(driven)]
-        shares = [min(max(1, round(GROUPS * len(each) / len(times))), len(each)) for each in apart]
-        groups = [part for each, count in zip(apart, shares, strict=True) for part in np.array_split(each, count)]
+        by_floor = [np.flatnonzero(np.array(driven) == floor) for floor in np.unique(driven)]
+        counts = [min(max(1, round(GROUPS * len(each) / len(times))), len(each)) for each in by_floor]
+        groups = [part for each, count in zip(by_floor, counts, strict=True) for part in np.array_split(each, count)]
         hit = np.array([driven[group[0]] for group in groups])
         return Segments(found, weights, np.array(times), groups, hit, length, rate)
 

@@ -254,7 +254,7 @@ def _dead(record: Record, levels: Floats) -> list[Finding]:
 
 def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> Iterator[Finding]:
     yield from _clipped(values, where, name)
-    yield from _held(values, where, name)
+    yield from _constant(values, where, name)
     if record.input != "free_decay" and name != "input":
         yield from _drift(values, where, name)
     yield from _aliased(values, where, name, record.sampling_rate)
@@ -292,7 +292,7 @@ def _cut_off(values: Floats, extreme: float, levels: Floats) -> int:
     return int(np.diff(runs, axis=1)[(beside > 2.5 * fine) | ends].sum())
 
 
-def _held(values: Floats, where: str, name: str) -> Iterator[Finding]:
+def _constant(values: Floats, where: str, name: str) -> Iterator[Finding]:
     """Find samples repeated at a fixed pace: a channel of a lower rate, filled up."""
     same = np.diff(values) == 0
     for pace in (2, 3, 4, 5):

@@ -243,8 +243,8 @@ def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
     if isinstance(result, Reconstruction):
         return [(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
     return [
-        (drive.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
-        for drive, response, std in zip(result.motion.drives, result.after.responses, result.std, strict=True)
+        (run.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
+        for run, response, std in zip(result.motion.runs, result.after.responses, result.std, strict=True)
     ]
 
 

@@ -1,16 +1,32 @@
 """From an identified frame to how it moves: damping, prediction of responses, comparison with a record."""
 
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response.compare import RecordComparison
 from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra
-from cvxshear.response.predicted import RecordPrediction, Side, predict
+from cvxshear.response.predicted import ModelResponse, RecordPrediction, predict
 from cvxshear.response.reconstruction import Reconstruction, reconstruct
 from cvxshear.response.sources import Fitted, Models, models_of_loop
 from cvxshear.response.uncertain import IdentifiedDamping, damping_of
 
 __all__ = [
-    "DampedModel", "Drive", "Fitted", "FloorSpectra", "IdentifiedDamping", "Models", "Motion", "Peaks",
-    "Reconstruction", "RecordComparison", "RecordPrediction", "Response", "Side", "damping_of", "floor_spectra",
-    "models_of_loop", "predict", "reconstruct", "response",
+    "DampedModel",
+    "DrivenRecord",
+    "DrivenRun",
+    "Fitted",
+    "FloorSpectra",
+    "IdentifiedDamping",
+    "ModelResponse",
+    "Models",
+    "Peaks",
+    "Reconstruction",
+    "RecordComparison",
+    "RecordPrediction",
+    "Response",
+    "damping_of",
+    "floor_spectra",
+    "models_of_loop",
+    "predict",
+    "reconstruct",
+    "response",
 ]  # fmt: skip

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from cvxshear.records.motion import Motion
+from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.results import InJson
@@ -205,7 +205,7 @@ def seen(model: DampedModel, response: Response, floors: Ints) -> Floats:
 
 
 def compared(
-    model: DampedModel, responses: Sequence[Response], motion: Motion, measured_modes: Ints | None = None
+    model: DampedModel, responses: Sequence[Response], motion: DrivenRecord, measured_modes: Ints | None = None
 ) -> RecordComparison | None:
     """Compare the prediction with the record; None where the record has no accelerations of floors.
 
@@ -213,13 +213,13 @@ def compared(
     ----------
     responses : sequence of Response
         One a run of the record.
-    motion : Motion
+    motion : DrivenRecord
         Floors with missing samples are left out.
     measured_modes : ndarray of int, optional
         The modes that were measured, from 1, whose shifts alone are reported; all where not given.
     """
-    recorded = [drive.responses for drive in motion.drives if drive.responses is not None]
-    if len(recorded) < len(motion.drives):
+    recorded = [run.responses for run in motion.runs if run.responses is not None]
+    if len(recorded) < len(motion.runs):
         return None
     whole = np.all([np.isfinite(each).all(axis=0) for each in recorded], axis=0)
     columns = np.flatnonzero((motion.floors <= len(model.M)) & whole)
@@ -235,9 +235,9 @@ def compared(
     top_measured, top_predicted = (np.max(np.abs(np.concatenate(each)), axis=0) for each in (measured, predicted))
     natural = model.modes.frequencies
     length = segment(
-        min(drive.samples for drive in motion.drives), motion.sampling_rate, float(natural[0]), float(model.ratios[0])
+        min(run.samples for run in motion.runs), motion.sampling_rate, float(natural[0]), float(model.ratios[0])
     )
-    excitations = [drive.excitation for drive in motion.drives]
+    excitations = [run.excitation for run in motion.runs]
     of_record = transfer(excitations, measured, motion.sampling_rate, length)
     of_model = transfer(excitations, predicted, motion.sampling_rate, length)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -277,7 +277,7 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_m
 
 def _around_modes(
     excitations: Sequence[Floats], measured: Sequence[Floats], predicted: Sequence[Floats],
-    averaged: tuple[Transfer, Transfer], motion: Motion, natural: Floats,
+    averaged: tuple[Transfer, Transfer], motion: DrivenRecord, natural: Floats,
 ) -> Floats:  # fmt: skip
     """Errors around each mode; by one piece a run where averaged pieces have too few lines around one."""
     result = errors(*averaged, natural)

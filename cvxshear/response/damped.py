@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 
 from cvxshear.model.shear import Modes, modes
-from cvxshear.records.motion import Drive
+from cvxshear.records.motion import DrivenRun
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Complexes, Floats
 
@@ -122,7 +122,7 @@ TERMS = 12
 """Terms of that series: |x|^12 over 12! is far below rounding."""
 
 
-def hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
+def first_order_hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
     """e^(s h), and the weights of the sample now and of the one before, of the shape of s."""
     x: Complexes = np.asarray(s * step, dtype=np.complex128)
     E: Complexes = np.exp(x)
@@ -150,7 +150,7 @@ def driven_poles(s: Complexes, p: Floats, step: float) -> Complexes:
 
     Zero at the first sample; p is a straight line between samples.
     """
-    E, now, before = hold(np.asarray(s), step)
+    E, now, before = first_order_hold(np.asarray(s), step)
     z = np.empty((len(E), len(p)), dtype=np.complex128)
     for row in range(len(E)):
         # The state before the first sample is such that the first output is zero: the frame is at rest.
@@ -262,13 +262,13 @@ class Response:
         return self.story_force @ self.heights if self.mass_known and self.heights is not None else None
 
 
-def response(model: DampedModel, drive: Drive, step: float) -> Response:
+def response(model: DampedModel, run: DrivenRun, step: float) -> Response:
     """How the floors move, exact for an excitation that is a straight line between samples.
 
     Parameters
     ----------
     model : DampedModel
-    drive : Drive
+    drive : DrivenRun
         A base acceleration where its floor is 0, else a force.
     step : float
         Time between samples, s.
@@ -278,9 +278,9 @@ def response(model: DampedModel, drive: Drive, step: float) -> Response:
     InputError
         Where the force acts on a floor that the frame has not.
     """
-    n, p = len(model.M), drive.excitation
-    lines = p if drive.between is None else drive.between
-    load = _load(model, drive.floor)
+    n, p = len(model.M), run.excitation
+    lines = p if run.between is None else run.between
+    load = _load(model, run.floor)
     own = model.poles
     factors = own.weights * (own.shapes.T @ load) / own.scales
     z = driven_poles(own.values, lines, step)
@@ -291,9 +291,9 @@ def response(model: DampedModel, drive: Drive, step: float) -> Response:
     moved = np.hstack([both.real, -both.imag]) @ np.vstack([z.real, z.imag])
     acceleration, displacement = moved[:n].T, moved[n:].T
     forces = np.zeros((len(p), n))
-    if drive.floor:
+    if run.floor:
         acceleration = acceleration + np.outer(p, np.linalg.solve(model.M, load))
-        forces[:, drive.floor - 1] = p
+        forces[:, run.floor - 1] = p
     unbalanced = forces - acceleration @ model.M
     return Response(
         time=step * np.arange(len(p), dtype=np.float64),

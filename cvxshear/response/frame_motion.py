@@ -14,7 +14,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.records.motion import Drive
+from cvxshear.records.motion import DrivenRun
 from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics, dynamics_slopes, outputs_of
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
@@ -358,8 +358,8 @@ def predicted_responses(model: DampedModel, recording: Recording) -> list[Respon
     """Compute the motion of a frame without a look at the sensors; None where the excitation was not measured."""
     if recording.input == "none":
         return None
-    drives = [Drive(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
-    return [response(model, drive, recording.step) for drive in drives]
+    runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
+    return [response(model, drive, recording.step) for drive in runs]
 
 
 def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:

@@ -229,10 +229,10 @@ class FramePrior:
         same : bool, optional
             Whether stiffnesses and damping are still those of the tests.
         """
-        if (form_std, gain_std) not in self._told:
-            self._told[form_std, gain_std] = self._told_by_modes(form_std, gain_std)
-        told = self._told[form_std, gain_std]
-        covariance = told.covariance.copy()
+        if (form_std, gain_std) not in self._by_modes:
+            self._by_modes[form_std, gain_std] = self._given_modes(form_std, gain_std)
+        by_modes = self._by_modes[form_std, gain_std]
+        covariance = by_modes.covariance.copy()
         if not same:
             N, frame = self.varied.sizes[0], sum(self.varied.sizes)
             ratios = slice(N, self.varied.dashpots.start)
@@ -242,14 +242,14 @@ class FramePrior:
             covariance[at, at] += self.single_std[list(changed)] ** 2
             if mass_std:
                 covariance[:frame, :frame] += mass_std**2 * (self.varied.heavier_floors @ self.varied.heavier_floors.T)
-        return Gaussian(told.mean, covariance, told.evidence)
+        return Gaussian(by_modes.mean, covariance, by_modes.evidence)
 
     @cached_property
-    def _told(self) -> dict[tuple[float, float], Gaussian]:
+    def _by_modes(self) -> dict[tuple[float, float], Gaussian]:
         """What `_told_by_modes` returned, by its arguments: dozens of answers share each."""
         return {}
 
-    def _told_by_modes(self, form_std: float, gain_std: float) -> Gaussian:
+    def _given_modes(self, form_std: float, gain_std: float) -> Gaussian:
         """Return the prior of a record in which stories, masses and damping are those of the tests."""
         N, D, W, X = self.varied.sizes
         # What modes say of masses and effects is no better than the form of the model.

@@ -13,7 +13,7 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.measurement.experiment import Configuration
-from cvxshear.records.motion import Motion
+from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
 from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
@@ -45,7 +45,7 @@ BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class ModelResponse:
     """One model's response to the record.
 
     Parameters
@@ -70,14 +70,14 @@ class RecordPrediction(Shown):
 
     Parameters
     ----------
-    motion : Motion
+    motion : DrivenRecord
         As it was used: without the drift of its sensors.
     configuration : Configuration
         The state that the frame is predicted in.
     backend : str
-    before : Side or None
+    before : ModelResponse or None
         By the shear model; None where there is but one model.
-    after : Side
+    after : ModelResponse
         With the effects that were found.
     peaks : Peaks
         Of `after`; the deviations include `missed`.
@@ -93,11 +93,11 @@ class RecordPrediction(Shown):
         What was assumed, and what speaks against the model.
     """
 
-    motion: Motion
+    motion: DrivenRecord
     configuration: Configuration
     backend: str
-    before: Side | None
-    after: Side
+    before: ModelResponse | None
+    after: ModelResponse
     peaks: Peaks
     damping: IdentifiedDamping
     std: tuple[dict[str, Floats], ...]
@@ -112,7 +112,7 @@ class RecordPrediction(Shown):
     )
 
     @property
-    def otherwise_before(self) -> Side | None:
+    def otherwise_before(self) -> ModelResponse | None:
         """What the shear model predicts, where that is not what `after` does: None where nothing was added to it."""
         if self.before is None:
             return None
@@ -159,7 +159,7 @@ def predict(
     source : str, Path, Experiment, Closure, Estimate or Models
         What the model is made of. A file is a measurement file, a record file, or the JSON of `loop`. Where the loop
         was not closed yet, it is.
-    record : str, Path, TimeRecord or Motion
+    record : str, Path, TimeRecord or DrivenRecord
         What drives the frame: a record file or a record, with base motion or a force.
     backend : str or Backend, optional
     damping : str, optional
@@ -191,7 +191,7 @@ def predict(
     before = None
     if models.before is not None:
         frame = UncertainFrame.of(models.before, state, damping, solver)
-        before = _side(models.before, frame.at(np.zeros(frame.size)), motion)
+        before = _model_response(models.before, frame.at(np.zeros(frame.size)), motion)
     found = _predicted(models, frame_after, motion, before)
     said = [*state_remarks(experiment, recorded, state, named=configuration is not None), *_taken_off(recorded, motion)]
     # The comparison finds, too, what the model said of the sensors before.
@@ -199,13 +199,13 @@ def predict(
     return dataclasses.replace(found, remarks=(*faults, *said))
 
 
-def _set_right(motion: Motion, model: DampedModel) -> tuple[Motion, tuple[str, ...]]:
+def _set_right(motion: DrivenRecord, model: DampedModel) -> tuple[DrivenRecord, tuple[str, ...]]:
     """Return a record without the faults of its sensors, as `reconstruct` takes it, and what was said of them.
 
     As it is where a sensor that would be left out moves as predicted: the model knows better then.
     """
-    forces = {drive.floor for drive in motion.drives}
-    known = all(drive.responses is not None and np.isfinite(drive.responses).any() for drive in motion.drives)
+    forces = {driven.floor for driven in motion.runs}
+    known = all(driven.responses is not None and np.isfinite(driven.responses).any() for driven in motion.runs)
     if not motion.floors.size or not known or len(forces) > 1:
         return motion, ()
     found = as_predicted(model, recording_of(motion, len(model.M)))
@@ -213,21 +213,23 @@ def _set_right(motion: Motion, model: DampedModel) -> tuple[Motion, tuple[str, .
     gone = gone[gone <= len(model.M)]
     if gone.size:
         columns = np.searchsorted(motion.floors, gone)
-        measured = np.concatenate([np.asarray(drive.responses)[:, columns] for drive in motion.drives])
-        predicted = np.concatenate([seen(model, response(model, drive, motion.step), gone) for drive in motion.drives])
+        measured = np.concatenate([np.asarray(driven.responses)[:, columns] for driven in motion.runs])
+        predicted = np.concatenate([seen(model, response(model, driven, motion.step), gone) for driven in motion.runs])
         if np.any(moved_alike(np.nan_to_num(measured), predicted) > LIKE):
             return motion, ()
-    drives = tuple(
-        dataclasses.replace(drive, excitation=run.excitation, responses=run.measured)
-        for drive, run in zip(motion.drives, found.runs, strict=True)
+    runs = tuple(
+        dataclasses.replace(driven, excitation=run.excitation, responses=run.measured)
+        for driven, run in zip(motion.runs, found.runs, strict=True)
     )
-    return dataclasses.replace(motion, drives=drives, floors=found.floors), found.remarks
+    return dataclasses.replace(motion, runs=runs, floors=found.floors), found.remarks
 
 
-def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Side | None) -> RecordPrediction:
+def _predicted(
+    models: Models, frame: UncertainFrame, motion: DrivenRecord, before: ModelResponse | None
+) -> RecordPrediction:
     """Predict by the final model, with everything's standard deviations from one propagation."""
 
-    def everything(damped: Damped, driven: Motion = motion) -> Floats:
+    def everything(damped: Damped, driven: DrivenRecord = motion) -> Floats:
         responses = _responses(damped, driven)
         bands = (item for moved in responses for item in _bands(moved).values())
         return np.concatenate([parts_of(damped), *_largest(responses).values(), *bands])
@@ -236,7 +238,7 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
     # Nobody saw how the excitation went between its samples: in straight lines, or band-limited.
     between = everything(centre, motion.band_limited()) - everything(centre)
     std = np.hypot(std, between)
-    after = _side(models.after, centre, motion)
+    after = _model_response(models.after, centre, motion)
     values = _largest(after.responses)
     sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
     sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
@@ -258,7 +260,7 @@ def _predicted(models: Models, frame: UncertainFrame, motion: Motion, before: Si
     )
 
 
-def _missed(side: Side, std: tuple[dict[str, Floats], ...]) -> float | None:
+def _missed(side: ModelResponse, std: tuple[dict[str, Floats], ...]) -> float | None:
     """Find by how much the record was missed beyond what the frame leaves uncertain, over the size of the motion.
 
     The root mean square over the measured floors of the errors in time. It holds the noise of the measured excitation,
@@ -289,21 +291,21 @@ def _largest(responses: Sequence[Response]) -> dict[str, Floats]:
     return peaks_of((each, {}) for each in responses).values
 
 
-def _responses(damped: Damped, motion: Motion) -> list[Response]:
-    return [response(damped.model, drive, motion.step) for drive in motion.drives]
+def _responses(damped: Damped, motion: DrivenRecord) -> list[Response]:
+    return [response(damped.model, driven, motion.step) for driven in motion.runs]
 
 
-def _side(fitted: Fitted, damped: Damped, motion: Motion) -> Side:
+def _model_response(fitted: Fitted, damped: Damped, motion: DrivenRecord) -> ModelResponse:
     responses = tuple(_responses(damped, motion))
     tested = fitted.experiment.configurations
     modes = np.unique(np.concatenate([each.modes for each in tested]))
-    return Side(fitted, damped, responses, compared(damped.model, responses, motion, modes))
+    return ModelResponse(fitted, damped, responses, compared(damped.model, responses, motion, modes))
 
 
-def _taken_off(recorded: Motion, motion: Motion) -> list[str]:
+def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
     """How large the straight lines were that were taken for the sensors' own, where they were worth a word."""
     found = [(0.0, "")]
-    for before, after in zip(recorded.drives, motion.drives, strict=True):
+    for before, after in zip(recorded.runs, motion.runs, strict=True):
         columns = [("the base motion", before.excitation, after.excitation)] if recorded.input == "base" else []
         if before.responses is not None and after.responses is not None:
             columns += [
@@ -328,7 +330,7 @@ def _between_samples(unseen: float, excitation: str) -> list[str]:
     ]
 
 
-def _remarks(after: Side, motion: Motion) -> list[str]:
+def _remarks(after: ModelResponse, motion: DrivenRecord) -> list[str]:
     """Say what the reader has to know besides the numbers."""
     said = []
     if after.fitted.undetermined:
@@ -342,7 +344,7 @@ def _remarks(after: Side, motion: Motion) -> list[str]:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if not motion.floors.size:
         said.append("the record has no accelerations of floors to compare with")
-    recorded = [each.responses for each in motion.drives if each.responses is not None]
+    recorded = [each.responses for each in motion.runs if each.responses is not None]
     gaps = [~np.isfinite(each).all(axis=0) for each in recorded]
     if gaps and (beside := motion.floors[np.any(gaps, axis=0)].tolist()):
         said.append(f"samples of {numbered('floor', beside)} are missing: not compared here; reconstruct takes gaps")

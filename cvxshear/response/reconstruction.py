@@ -278,7 +278,7 @@ class Reconstruction(Shown):
     def to_dict(self) -> Json:
         """Return the documented JSON; null where it does not apply."""
         frame, none = self.frame, [None] * len(self.model.M)
-        told = None if self.change_probability is None else frame
+        sound = None if self.change_probability is None else frame
         damps = np.isin(np.arange(1, len(none) + 1), self.dampers if self.fitted.mass_known else ())
         noise, chances = frame.errors.noise_at(frame.p), self.passed
         limits = self.limits and [
@@ -291,13 +291,13 @@ class Reconstruction(Shown):
                 "frame": {
                     "story_factor": frame.factors,
                     "story_factor_std": frame.factors_std,
-                    "change_probability": none if told is None else told.story_probability,
+                    "change_probability": none if sound is None else sound.story_probability,
                     "changed": self.changed,
-                    "dashpot_probability": none if told is None else told.dashpot_probability,
+                    "dashpot_probability": none if sound is None else sound.dashpot_probability,
                     "dashpot": np.where(damps, frame.dashpots[0], np.nan),
                     "dashpot_std": np.where(damps, frame.dashpots[1], np.nan),
                     "missed_most": self.missed_most,
-                    "mass_change_probability": told and told.mass_probability,
+                    "mass_change_probability": sound and sound.mass_probability,
                     "mass_change": masses[0],
                     "mass_change_std": masses[1],
                     "gain_error": frame.gains[0],
@@ -318,7 +318,7 @@ class Reconstruction(Shown):
         return super().to_dict() | more
 
 
-def reading_remark(excitation: str, straight: float, band_limited: float, *, told: bool) -> str:
+def reading_remark(excitation: str, straight: float, band_limited: float, *, sound: bool) -> str:
     """Say how the excitation was taken to go between its samples, and what speaks for that where the model is sound."""
     taken, other = "band-limited", "straight lines"
     if straight >= band_limited:
@@ -326,7 +326,7 @@ def reading_remark(excitation: str, straight: float, band_limited: float, *, tol
     odds = abs(straight - band_limited)
     shown = f"above {LARGEST_ODDS:g}" if odds > np.log(LARGEST_ODDS) else f"{np.exp(odds):.0f} to 1"
     speaks = f"that makes what the floors did more probable than {other} would (odds {shown})"
-    if not told:
+    if not sound:
         speaks = f"so the model fits the floors better, but it fails a check, and {other} may be as right"
     elif odds < np.log(10):
         speaks = f"the floors hardly tell that from {other}; a record at a higher rate would"
@@ -448,7 +448,7 @@ def reconstruct(
     ----------
     source : str, Path, Experiment, Closure, Estimate or Models
         What the model is made of, as for `predict`.
-    record : str, Path, TimeRecord or Motion
+    record : str, Path, TimeRecord or DrivenRecord
         Accelerations of some floors, with gaps (nan) where pieces are missing, and what drove the frame; with
         input = "none" the base acceleration is estimated.
     backend : str or Backend, optional
@@ -526,7 +526,7 @@ def reconstruct(
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
     if len(evidences) > 1:
-        said.append(reading_remark(DRIVING[recording.input], *evidences, told=found.sound))
+        said.append(reading_remark(DRIVING[recording.input], *evidences, sound=found.sound))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 

@@ -15,14 +15,14 @@ from scipy import ndimage
 from cvxshear.files.columns import Columns
 from cvxshear.files.record_file import RecordTables
 from cvxshear.files.record_tables import ChannelDeclaration, placed
-from cvxshear.records.motion import DRIVEN, Motion, band_limited, trend
+from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
 from cvxshear.records.record import Channel, TimeRecord
 from cvxshear.response.sensor_faults import SensorRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
-RecordingSource = str | Path | TimeRecord | Motion
+RecordingSource = str | Path | TimeRecord | DrivenRecord
 
 ENVELOPE_PERIODS = 4.0
 """Fundamental periods over which the strength of the motion is averaged: shorter would follow the vibration itself."""
@@ -286,7 +286,7 @@ def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
 
     Parameters
     ----------
-    source : str, Path, TimeRecord or Motion
+    source : str, Path, TimeRecord or DrivenRecord
         A file is a record file; cells of its floors' columns may be nan or empty.
     stories : int, optional
         Of the frame; as many as the highest floor with a sensor where not given.
@@ -297,7 +297,7 @@ def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
         Where the file cannot be read, or no floor's acceleration was recorded.
     """
     match source:
-        case Motion():
+        case DrivenRecord():
             return _of_motion(source, stories)
         case TimeRecord():
             _refuse_other_quantity(source.quantity, source.name)
@@ -313,7 +313,9 @@ def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
             )  # fmt: skip
         case str() | Path():
             return _of_file(Path(source), stories)
-    raise InputError(f"a reconstruction needs a record file, a TimeRecord or a Motion, not {checks.shown(source)}")
+    raise InputError(
+        f"a reconstruction needs a record file, a TimeRecord or a DrivenRecord, not {checks.shown(source)}"
+    )
 
 
 def _recording(
@@ -338,9 +340,9 @@ def _recording(
     )
 
 
-def _of_motion(motion: Motion, stories: int) -> Recording:
+def _of_motion(motion: DrivenRecord, stories: int) -> Recording:
     runs = []
-    for drive in motion.drives:
+    for drive in motion.runs:
         nothing = np.full((drive.samples, len(motion.floors)), np.nan)
         measured = nothing if drive.responses is None else drive.responses
         runs.append(RecordedRun(measured, drive.excitation, drive.name, drive.floor))

@@ -25,7 +25,7 @@ from cvxshear.loop import Closure, close_loop
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.methods import Identification
 from cvxshear.modal import Record
-from cvxshear.records.motion import Motion
+from cvxshear.records.motion import DrivenRecord
 from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.recording import Recording
 from cvxshear.util import checks
@@ -220,7 +220,7 @@ DRIVING = {"base": "base motion", "force": "force"}
 """Kinds of measured excitation, in words."""
 
 ModelSource = str | Path | Experiment | Closure | Estimate | Models
-MotionSource = str | Path | Record | Motion
+MotionSource = str | Path | Record | DrivenRecord
 
 
 def models_of(source: ModelSource, backend: Backend) -> Models:
@@ -292,7 +292,7 @@ def _of_json(path: Path) -> Models:
     return Models.from_dict(declared["model"], f"{path}: model")
 
 
-def motion_of(source: MotionSource) -> Motion:
+def motion_of(source: MotionSource) -> DrivenRecord:
     """Read what drives the frame, from a record file or a record.
 
     Raises
@@ -300,16 +300,18 @@ def motion_of(source: MotionSource) -> Motion:
     InputError
         Where nothing says what drove the frame.
     """
-    if isinstance(source, Motion):
+    if isinstance(source, DrivenRecord):
         return source
     if isinstance(source, TimeRecord | FrfRecord):
-        return Motion.of(source)
+        return DrivenRecord.of(source)
     if not isinstance(source, str | Path):
-        raise InputError(f"what drives a frame is a record file, a TimeRecord or a Motion, not {checks.shown(source)}")
+        raise InputError(
+            f"what drives a frame is a record file, a TimeRecord or a DrivenRecord, not {checks.shown(source)}"
+        )
     return read_motion(source)
 
 
-def state_of(experiment: Experiment, record: Motion | Recording, name: str | None = None) -> Configuration:
+def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str | None = None) -> Configuration:
     """Find the configuration that the frame was in while it moved.
 
     Parameters
@@ -323,7 +325,7 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
     InputError
         Where there is no such configuration or state, or floors or added mass are of another frame.
     """
-    driven = [record.force_floor] if isinstance(record, Recording) else [drive.floor for drive in record.drives]
+    driven = [record.force_floor] if isinstance(record, Recording) else [run.floor for run in record.runs]
     highest = max([*record.floors.tolist(), *driven])
     if highest > experiment.stories:
         raise InputError(f"{record.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
@@ -354,7 +356,7 @@ def state_of(experiment: Experiment, record: Motion | Recording, name: str | Non
 
 
 def state_remarks(
-    experiment: Experiment, record: Motion | Recording, configuration: Configuration, *, named: bool
+    experiment: Experiment, record: DrivenRecord | Recording, configuration: Configuration, *, named: bool
 ) -> list[str]:
     """Say what was assumed of the state, as `state_of` found it, while the frame was recorded: nothing where named."""
     if record.state is not None and record.state != configuration.state:

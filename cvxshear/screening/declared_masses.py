@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
+from cvxshear.measurement.reading import CLOSER, FARTHER, MeasuredModes
 from cvxshear.priors import Nominal
 from cvxshear.screening import shear_fit
 from cvxshear.screening.compared_tests import by_state
@@ -89,7 +89,7 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
     others = () if declared is None else tuple(_changes(experiment, tests, declared))
     if declared is None or not others:
         return
-    readings = [Reading.of(each) for each in tests]
+    readings = [MeasuredModes.of(each) for each in tests]
     given = _fitted(readings, declared, [np.zeros(experiment.stories), np.linspace(0.0, -1.0, experiment.stories)])
     if given.cost < SUSPICIOUS:
         return
@@ -174,7 +174,7 @@ def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: D
 
 
 def _nearest(
-    readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats], most_steps: int
+    readings: Sequence[MeasuredModes], declared: Declared, stiffness: Sequence[Floats], most_steps: int
 ) -> NearestFrame:
     """Fit a frame from the declared masses and these logarithms of stiffnesses, shape (N,)."""
     each = list(zip(readings, declared.added, strict=True))
@@ -183,7 +183,7 @@ def _nearest(
     return min((problem.nearest(problem.tuned(start), most_steps) for start in starts), key=lambda item: item.cost)
 
 
-def _fitted(readings: Sequence[Reading], declared: Declared, stiffness: Sequence[Floats]) -> MassFit:
+def _fitted(readings: Sequence[MeasuredModes], declared: Declared, stiffness: Sequence[Floats]) -> MassFit:
     """Fit with each tolerance and take the best by the likelihood, as `shear_fit.distance` does for one reading."""
     fits = []
     for part in (1.0, CLOSER, FARTHER):
@@ -309,7 +309,7 @@ def _log_total(frame: NearestFrame) -> float:
 def nearest_to_all(experiment: Experiment, added: Sequence[Floats]) -> NearestFrame:
     """Fit a frame of any scale to all configurations, with these added masses, kg."""
     N = experiment.stories
-    readings = [Reading.of(each) for each in experiment.configurations]
+    readings = [MeasuredModes.of(each) for each in experiment.configurations]
     problem = ShearFrames(list(zip(readings, added, strict=True)), centred=True)
     # Floors as heavy as the added mass.
     begin = np.repeat([np.log(max(float(mass.sum()) for mass in added) / N), 0.0], N)
@@ -334,7 +334,7 @@ def implied_total(experiment: Experiment, found: NearestFrame | None = None) -> 
     found : NearestFrame, optional
         To all of them.
     """
-    N, count = experiment.stories, sum(Reading.of(each).count for each in experiment.configurations)
+    N, count = experiment.stories, sum(MeasuredModes.of(each).count for each in experiment.configurations)
     if found is None:
         found = nearest_to_all(experiment, [each.added_mass for each in experiment.configurations])
     share = np.exp(found.theta[:N])

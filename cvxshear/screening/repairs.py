@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cvxshear.measurement.reading import Reading
+from cvxshear.measurement.reading import MeasuredModes
 from cvxshear.model.shear import Modes
 from cvxshear.screening.finding import in_words
 from cvxshear.util.typing import Floats, Ints
@@ -53,7 +53,7 @@ class Repair:
         Of the mistake that it mends, a key of `cvxshear.measurement.declaration.MISTAKES`.
     found, change : str
         What the mistake would be, and what to change: parts of sentences.
-    reading : Reading
+    reading : MeasuredModes
         As it would be.
     choices : int
         Among how many of its kind it is one; the more there are the better must it be.
@@ -62,7 +62,7 @@ class Repair:
     name: str
     found: str
     change: str
-    reading: Reading
+    reading: MeasuredModes
     choices: int
 
     @property
@@ -71,12 +71,12 @@ class Repair:
         return prior_cost(self.choices)
 
 
-def _repair(key: str, reading: Reading, choices: int, /, **gaps: object) -> Repair:
+def _repair(key: str, reading: MeasuredModes, choices: int, /, **gaps: object) -> Repair:
     """Describe a repair in the words of its key."""
     return Repair(*in_words(key, **gaps), reading, choices)
 
 
-def _picked(reading: Reading, which: Any) -> Reading:
+def _picked(reading: MeasuredModes, which: Any) -> MeasuredModes:
     """Pick entries of the shapes and their standard deviations by an index."""
     return replace(reading, shapes=reading.shapes[which], noise=reading.noise[which])
 
@@ -86,7 +86,7 @@ def prior_cost(choices: int) -> float:
     return 2 * float(np.log(choices / MISTAKEN))
 
 
-def sensor_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def sensor_signs(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Each sensor turned round in every mode."""
     width = len(reading.floors)
     for column, floor in enumerate(reading.floors + 1):
@@ -94,7 +94,7 @@ def sensor_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         yield _repair("sensor_sign", replace(reading, shapes=reading.shapes * turned), width, floor=floor)
 
 
-def exchanged_sensors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def exchanged_sensors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Each pair of sensors exchanged."""
     width = len(reading.floors)
     for low, high in itertools.combinations(range(width), 2):
@@ -103,7 +103,7 @@ def exchanged_sensors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         yield _repair("swapped_sensors", _picked(reading, order), comb(width, 2), floors=names)
 
 
-def floors_from_top(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def floors_from_top(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """List the floors in the opposite order."""
     if len(reading.floors) > 1:
         yield _repair("floors_from_top", _picked(reading, np.s_[:, ::-1]), 1)
@@ -116,7 +116,7 @@ UNITS = (1e3, 1e-3, 9.80665, 1 / 9.80665)
 """Factors between units in which sensors are read: m and mm, m/s2 and g."""
 
 
-def other_floors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def other_floors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """All sensors one floor higher or lower, and each of them by itself; one on the ground shows no motion."""
     floors, top = reading.floors, reading.stories - 1
     choices = 2 * (len(floors) + 1)
@@ -136,7 +136,7 @@ def other_floors(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
                 yield _repair("sensor_floors/one", there, choices, low=word, before=floors[column] + 1, floor=floor + 1)
 
 
-def other_units(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def other_units(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Each sensor in another unit."""
     width = len(reading.floors)
     for column in range(width if width > 1 else 0):
@@ -146,7 +146,7 @@ def other_units(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
             yield _repair("sensor_unit", other, width * len(UNITS), floor=reading.floors[column] + 1, factor=factor)
 
 
-def periods(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def periods(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Take the frequencies for periods, which descend from the first mode to the last."""
     if len(reading.modes) > 1:
         noise = reading.frequency_noise[::-1]
@@ -156,7 +156,7 @@ def periods(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         )
 
 
-def drifts(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def drifts(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Drifts of the stories added up to displacements of the floors."""
     width = len(reading.floors)
     if width > 1 and np.array_equal(reading.floors, np.arange(width)):
@@ -164,13 +164,13 @@ def drifts(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         yield _repair("drifts", replace(reading, shapes=np.cumsum(reading.shapes, axis=1), noise=noise), 1)
 
 
-def transposed(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def transposed(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Rows for columns."""
     if len(reading.floors) == len(reading.modes) > 1:
         yield _repair("transposed", replace(reading, shapes=reading.shapes.T, noise=reading.noise.T), 1)
 
 
-def other_orders(reading: Reading, frames: Sequence[Modes]) -> Iterator[Repair]:
+def other_orders(reading: MeasuredModes, frames: Sequence[Modes]) -> Iterator[Repair]:
     """Each pair of shapes exchanged, and the order in which the shapes are most like those of each frame."""
     count = len(reading.modes)
     orders = {tuple(_exchanged(count, i, j)) for i, j in itertools.combinations(range(count), 2)}
@@ -189,7 +189,7 @@ def _exchanged(count: int, i: int, j: int) -> Ints:
     return order
 
 
-def _assigned(reading: Reading, frame: Modes) -> Ints:
+def _assigned(reading: MeasuredModes, frame: Modes) -> Ints:
     """Find the order of rows with the largest sum of modal assurance criteria with the frame's modes."""
     psi = frame.shapes[np.ix_(reading.modes, reading.floors)]
     read = reading.scaled
@@ -202,7 +202,7 @@ def _assigned(reading: Reading, frame: Modes) -> Ints:
     return order
 
 
-def other_numbers(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def other_numbers(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Renumber the modes: other sets where they are 1, 2, 3, ...; else with one number changed."""
     count, N = len(reading.modes), reading.stories
     running = bool(np.all(reading.modes == np.arange(count)))
@@ -239,7 +239,7 @@ def _one_changed(numbers: list[int], N: int) -> Iterator[tuple[int, ...]]:
                 yield (*numbers[:place], number, *numbers[place + 1 :])
 
 
-def entry_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
+def entry_signs(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
     """Each entry turned round."""
     known = np.argwhere(reading.known)
     for row, column in known:
@@ -249,7 +249,7 @@ def entry_signs(reading: Reading, _: Sequence[Modes]) -> Iterator[Repair]:
         yield _repair("entry_sign", replace(reading, shapes=shapes), len(known), **place)
 
 
-KINDS: tuple[Callable[[Reading, Sequence[Modes]], Iterator[Repair]], ...] = (
+KINDS: tuple[Callable[[MeasuredModes, Sequence[Modes]], Iterator[Repair]], ...] = (
     transposed, floors_from_top, periods, drifts, other_floors, other_units, sensor_signs, exchanged_sensors,
     other_numbers, other_orders, entry_signs,
 )  # fmt: skip

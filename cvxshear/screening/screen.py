@@ -25,7 +25,7 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
-from cvxshear.measurement.reading import Reading, violations
+from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.priors import Prior
 from cvxshear.screening import repairs, shear_fit
 from cvxshear.screening.compared_tests import frequency_units, look_alike, repeats, state_names
@@ -171,7 +171,7 @@ def close_loop(
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class WeighedRepair:
     """A repair and what is left after it.
 
     Parameters
@@ -185,14 +185,14 @@ class Judged:
     cost: float
 
 
-def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
+def judge(reading: MeasuredModes) -> tuple[NearestFrame, list[WeighedRepair]]:
     """Compare a reading with shear frames, as given and after single repairs.
 
     Returns
     -------
     given : NearestFrame
         The frame nearest to the reading as given.
-    explaining : list of Judged
+    explaining : list of WeighedRepair
         The repairs that explain the reading, one of which it needs, best first; none where it may stand as given.
     """
     begin = shear_fit.starts(reading.stories)
@@ -217,7 +217,7 @@ def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
     order = sorted(first, key=lambda place: first[place].cost)[: repairs.REFITTED]
     each = ((candidates[place], shear_fit.distance(candidates[place].reading, [first[place].theta])) for place in order)
     judged = sorted(
-        (Judged(repair, frame.cost + repair.prior_cost) for repair, frame in each), key=lambda item: item.cost
+        (WeighedRepair(repair, frame.cost + repair.prior_cost) for repair, frame in each), key=lambda item: item.cost
     )
     best = judged[0]
     left = max(PLAUSIBLE * best.repair.reading.count, repairs.UNEXPLAINED * given.cost)
@@ -226,7 +226,7 @@ def judge(reading: Reading) -> tuple[NearestFrame, list[Judged]]:
     return given, [item for item in judged if item.cost - best.cost < repairs.RIVAL_COST]
 
 
-def _may_stand(reading: Reading, given: NearestFrame) -> bool:
+def _may_stand(reading: MeasuredModes, given: NearestFrame) -> bool:
     """Whether no repair can be so much more probable, or nothing is farther off than noise."""
     return given.cost < repairs.SUSPICIOUS or shear_fit.farthest(reading.closer, given.modes) < FAR_DATUM
 
@@ -235,7 +235,7 @@ def mistakes(configuration: Configuration) -> list[Finding]:
     """Find the mistake in one configuration's modes, if there is one."""
     if not configuration.measured.any():
         return []
-    reading = Reading.of(configuration)
+    reading = MeasuredModes.of(configuration)
     broken = violations(reading)
     tried = reading.stories <= TALLEST_FITTED
     if tried:
@@ -250,7 +250,7 @@ def mistakes(configuration: Configuration) -> list[Finding]:
     return [Finding("signs", configuration.name, found, change, refuses=True)]
 
 
-def _explained(name: str, given: NearestFrame, explaining: list[Judged], broken: list[str]) -> Finding:
+def _explained(name: str, given: NearestFrame, explaining: list[WeighedRepair], broken: list[str]) -> Finding:
     """Describe a mistake that one change mends, or one of several."""
     best = explaining[0]
     changes = [(item.repair.name, item.repair.found, item.repair.change) for item in explaining]

@@ -30,7 +30,7 @@ from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.fit.start import START_PASSES, solved_story_equations
-from cvxshear.measurement.reading import CLOSER, FARTHER, Reading
+from cvxshear.measurement.reading import CLOSER, FARTHER, MeasuredModes
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
 from cvxshear.programs.statements import NamedConstraints
@@ -119,7 +119,7 @@ def odd_starts(stories: int) -> list[Floats]:
     return [even + np.where(np.arange(2 * stories) == place, changes, 0.0) for place in range(2 * stories)]
 
 
-def story_starts(reading: Reading, at: Iterable[Floats]) -> list[Floats]:
+def story_starts(reading: MeasuredModes, at: Iterable[Floats]) -> list[Floats]:
     """Solve the story equations of whole shapes from these frames; no result where some floor was not measured.
 
     Stories and floors whose sizes differ by thousands are in no valley that even frames lead into.
@@ -150,13 +150,13 @@ def _clipped(theta: Floats) -> Floats:
 
 
 def fit(
-    reading: Reading, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_NEAREST_STEPS
+    reading: MeasuredModes, at: Iterable[Floats], *, weights: Floats | None = None, most_steps: int = MOST_NEAREST_STEPS
 ) -> NearestFrame:
     """Return the best of the fits that begin at these frames.
 
     Parameters
     ----------
-    reading : Reading
+    reading : MeasuredModes
     at : iterable of ndarray, shape (2N,)
     weights : ndarray, shape (m, n), optional
         In place of the reading's own.
@@ -180,7 +180,7 @@ def _start(problem: ShearFrames, theta: Floats) -> Floats:
     return min(near, key=lambda item: item[0])[1] if near else _clipped(theta)
 
 
-def distance(reading: Reading, at: Iterable[Floats]) -> NearestFrame:
+def distance(reading: MeasuredModes, at: Iterable[Floats]) -> NearestFrame:
     """Fit with each tolerance, and return the best by the likelihood: a wide tolerance must pay for itself.
 
     Minus twice the logarithm of the likelihood, but for a constant that is the same for every change of the reading.
@@ -194,7 +194,7 @@ def distance(reading: Reading, at: Iterable[Floats]) -> NearestFrame:
     return min(each, key=lambda item: item.cost)
 
 
-def robust_fit(reading: Reading, at: Floats) -> NearestFrame:
+def robust_fit(reading: MeasuredModes, at: Floats) -> NearestFrame:
     """Fit with Cauchy's weights, refitted a few times: an entry counts the less the farther it is off."""
     weights = reading.weights
     found = fit(reading, [at], weights=weights)
@@ -204,20 +204,20 @@ def robust_fit(reading: Reading, at: Floats) -> NearestFrame:
     return found
 
 
-def shape_residual(reading: Reading, found: Modes) -> Floats:
+def shape_residual(reading: MeasuredModes, found: Modes) -> Floats:
     """Shapes of a frame less those read, each scaled to it by least squares, in standard deviations, shape (m, n)."""
     psi, read, weights = found.shapes[np.ix_(reading.modes, reading.floors)], reading.scaled, reading.weights
     scale, _ = scaled(read, psi, weights)
     return np.asarray(weights * (scale[:, None] * psi - read))
 
 
-def misfit(reading: Reading, found: Modes) -> float:
+def misfit(reading: MeasuredModes, found: Modes) -> float:
     """Add up the first two sums above for a frame of only about the right proportions, its scale free."""
     off = np.log(found.frequencies[reading.modes]) - reading.log_frequencies
     return float(np.sum(((off - off.mean()) / ABOUT) ** 2) + np.sum(shape_residual(reading, found) ** 2))
 
 
-def farthest(reading: Reading, found: Modes) -> float:
+def farthest(reading: MeasuredModes, found: Modes) -> float:
     """Find the largest difference of a frequency or an entry from those of a frame, in standard deviations."""
     frequency = (np.log(found.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
     return float(max(np.max(np.abs(frequency)), np.max(np.abs(shape_residual(reading, found)))))
@@ -228,7 +228,7 @@ class ShearFrames:
 
     Parameters
     ----------
-    readings : sequence of (Reading, ndarray)
+    readings : sequence of (MeasuredModes, ndarray)
         Each with its added mass, shape (N,), kg.
     centred : bool, optional
         Whether masses are compared with their mean, and not with what is expected: where the added masses fix their
@@ -242,7 +242,7 @@ class ShearFrames:
 
     def __init__(
         self,
-        readings: Sequence[tuple[Reading, Floats]],
+        readings: Sequence[tuple[MeasuredModes, Floats]],
         *,
         centred: bool = False,
         expected: Floats | None = None,

@@ -26,7 +26,7 @@ from cvxshear.effects.stories import StoryChange
 from cvxshear.loop.close import begun
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, Reading
+from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, MeasuredModes
 from cvxshear.screening.compared_tests import by_state
 from cvxshear.screening.finding import Finding, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
@@ -95,7 +95,7 @@ def _noise_stated(test: Configuration) -> bool:
 
 def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Finding | None:
     """Say which frequency of these tests is wrong; None where it may be none."""
-    readings = [dataclasses.replace(Reading.of(each), part=0.0) for each in tests]
+    readings = [dataclasses.replace(MeasuredModes.of(each), part=0.0) for each in tests]
     count = sum(len(each.modes) for each in tests)
     spare = sum(reading.count - int(reading.known.any(axis=1).sum()) for reading in readings) - 1
     if spare < FEWEST_SPARE:
@@ -123,7 +123,7 @@ def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Findi
     return _beside_a_mass(found, tests[best.test].name, rivals) if rivals else found
 
 
-def _problem(experiment: Experiment, tests: Sequence[Configuration], readings: Sequence[Reading]) -> ShearFrames:
+def _problem(experiment: Experiment, tests: Sequence[Configuration], readings: Sequence[MeasuredModes]) -> ShearFrames:
     total = experiment.frame.known_total
     N = experiment.stories
     floor = max(float(each.added_mass.sum()) for each in tests) / N if total is None else total / N
@@ -140,7 +140,7 @@ def _log_det(found: NearestFrame) -> float:
 
 
 def _freed(
-    among: Callable[..., ShearFrames], readings: Sequence[Reading], about: Floats, test: int, row: int
+    among: Callable[..., ShearFrames], readings: Sequence[MeasuredModes], about: Floats, test: int, row: int
 ) -> Freed:
     """Fit with one frequency left to the others."""
     reading = readings[test]

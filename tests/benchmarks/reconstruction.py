@@ -22,7 +22,7 @@ from scipy import signal
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response import Fitted, Models, reconstruct
 from cvxshear.util.parallel import each
 from tests.fe.frame import Building, sway_modes
@@ -171,7 +171,8 @@ def setting(stories, case, seed, finer=1, seconds=SECONDS):
     seen = seen + noise * seen.std(axis=0) * rng.standard_normal(seen.shape)
     experiment = cvxshear.Experiment.from_dict(measurement(sound, seed))
     models = Models(None, Fitted.of(efficient(experiment, backends.get("auto"))))
-    return models, Motion((Drive(excitation, 0, seen),), RATE, floors=floors), np.diff(moved, axis=1, prepend=0.0), soft
+    record = DrivenRecord((DrivenRun(excitation, 0, seen),), RATE, floors=floors)
+    return models, record, np.diff(moved, axis=1, prepend=0.0), soft
 
 
 def largest(drift):

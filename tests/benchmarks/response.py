@@ -10,7 +10,7 @@ from scipy import signal
 from cvxshear import Experiment, backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.model.shear import modes
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
 from cvxshear.response.uncertain import modal_matrix
@@ -52,7 +52,7 @@ def by_lsim(M, C, K, excitation, step):
 
 
 def one(M, C, K, excitation, step):
-    found = response(DampedModel(M, C, K, np.ones(len(M))), Drive(excitation), step)
+    found = response(DampedModel(M, C, K, np.ones(len(M))), DrivenRun(excitation), step)
     return np.concatenate([np.abs(found.acceleration).max(axis=0), np.abs(found.drift).max(axis=0)])
 
 
@@ -86,10 +86,10 @@ def reconstruction():
     experiment = Experiment.from_dict(declared(mass, stiffness, ratios, rng=rng))
     models = Models(None, Fitted.of(efficient(experiment, backends.get("auto"))))
     lsim, _ = fastest(lambda: by_lsim(M, C, K, excitation, 1 / RECORD_RATE), 1, time.process_time)
-    seen = response(DampedModel(M, C, K, np.ones(STORIES)), Drive(excitation), 1 / RECORD_RATE).acceleration
+    seen = response(DampedModel(M, C, K, np.ones(STORIES)), DrivenRun(excitation), 1 / RECORD_RATE).acceleration
     seen = seen[:, SENSORS - 1]
     seen = seen + NOISE * seen.std(axis=0) * rng.standard_normal(seen.shape)
-    motion = Motion((Drive(excitation, 0, seen),), RECORD_RATE, floors=SENSORS)
+    motion = DrivenRecord((DrivenRun(excitation, 0, seen),), RECORD_RATE, floors=SENSORS)
     began = time.process_time()
     reconstruct(models, motion)
     taken = time.process_time() - began

@@ -41,7 +41,7 @@ def motion(name):
 def decay(name):
     """Damping ratio and frequency (Hz) of the first mode at each level; nan where the record does not pass it."""
     of = motion(name)
-    (drive,), rate = of.drives, of.sampling_rate
+    (drive,), rate = of.runs, of.sampling_rate
     first = models(name).after.experiment.configurations[0].frequencies[0]
     band = signal.butter(3, [0.8 * first, 1.2 * first], "band", fs=rate, output="sos")
     swing = signal.hilbert(signal.sosfiltfilt(band, drive.responses[:, -1]))
@@ -64,7 +64,7 @@ def decay(name):
 
 def largest(name):
     """Root mean square and peak of the top floor's acceleration in the whole record, m/s2."""
-    top = motion(name).drives[0].responses[:, -1]
+    top = motion(name).runs[0].responses[:, -1]
     return np.std(top), np.max(np.abs(top))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.records.motion import Drive
+from cvxshear.records.motion import DrivenRun
 from cvxshear.response import DampedModel, Fitted, response
 from cvxshear.response.peaks import peaks_of
 from cvxshear.response.uncertain import UncertainFrame, propagated
@@ -57,7 +57,7 @@ def true_peaks(stories, drive):
 
 def deviation(seed, stories, kind):
     """Errors of the predicted peaks in stated standard deviations."""
-    drive = Drive(shaking(1000, STEP))
+    drive = DrivenRun(shaking(1000, STEP))
     centre, std = propagated(uncertain(stories, kind, seed), partial(peaks, drive=drive))
     return (peaks(centre, drive) - true_peaks(stories, drive)) / std
 
@@ -70,7 +70,7 @@ def coverage(stories, kind, trials, jobs=1):
 
 def linear_over_sampled(stories, kind, samples=400):
     """Stated deviations over those of samples, one a peak."""
-    function = partial(peaks, drive=Drive(shaking(1000, STEP)))
+    function = partial(peaks, drive=DrivenRun(shaking(1000, STEP)))
     frame = uncertain(stories, kind, 0)
     _, std = propagated(frame, function)
     return std / sampled(frame, function, samples, np.random.default_rng(1)).std(axis=0)

@@ -18,7 +18,7 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.modal import identify_modes
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.describe import describe
 from cvxshear.report.html import render, render_modes, render_response
@@ -169,7 +169,7 @@ def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name,
 def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     mass, stiffness, _ = damped_frame(12)
     estimate = efficient(cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02] * 12)), backends.get("auto"))
-    prediction = predict(estimate, Motion((Drive(shaking(600)),), 100.0))
+    prediction = predict(estimate, DrivenRecord((DrivenRun(shaking(600)),), 100.0))
     (tmp_path / "p.html").write_text(render_response(prediction, "cvxshear"))
     page = browser.new_page(viewport=viewport)
     page.goto((tmp_path / "p.html").as_uri())

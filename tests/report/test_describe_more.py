@@ -14,7 +14,7 @@ import cvxshear
 from cvxshear.planning import plan
 from cvxshear.records.record import Finding
 from cvxshear.report.describe import Sentence, Table, describe
-from cvxshear.response import Drive, Motion, predict
+from cvxshear.response import DrivenRecord, DrivenRun, predict
 from cvxshear.screening import Screening
 from cvxshear.util.quantities import Units
 from tests.fe.experiments import simulated
@@ -57,7 +57,8 @@ def shaken():
 def predicted(shaken):
     frame, pencil, base, (total, _) = shaken
     experiment = cvxshear.Experiment.from_dict(declared(*frame, pole_ratios(*pencil)), name="three stories")
-    motion = Motion((Drive(base, responses=total),), 1 / STEP, floors=[1, 2, 3], added_mass=np.zeros(3), name="shaken")
+    runs = (DrivenRun(base, responses=total),)
+    motion = DrivenRecord(runs, 1 / STEP, floors=[1, 2, 3], added_mass=np.zeros(3), name="shaken")
     return predict(experiment, motion, damping="story", detrend=False)
 
 

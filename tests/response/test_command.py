@@ -14,7 +14,7 @@ from cvxshear import backends
 from cvxshear.cli import main
 from cvxshear.files.modes import modes_from_file
 from cvxshear.files.toml import write_measurement
-from cvxshear.response import DampedModel, Drive, predict, response
+from cvxshear.response import DampedModel, DrivenRun, predict, response
 from cvxshear.response.sources import models_of
 from tests.modal.shared import csv
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
@@ -47,7 +47,7 @@ def folder(tmp_path, monkeypatch):
     M, C, K = matrices(mass, stiffness, dashpots)
     write_measurement("frame.toml", declared(mass, stiffness, pole_ratios(M, C, K)))
     excitation = shaking(1500)
-    found = response(DampedModel(M, C, K, np.ones(3)), Drive(excitation), 0.01).acceleration
+    found = response(DampedModel(M, C, K, np.ones(3)), DrivenRun(excitation), 0.01).acceleration
     table = np.column_stack([0.01 * np.arange(1500), excitation, found])
     csv(tmp_path / "shaken.csv", ["time", "ground", "floor1", "floor2", "floor3"], table)
     (tmp_path / "shaken.toml").write_text(RECORD + "".join(floor_channel(floor) for floor in (1, 2, 3)))

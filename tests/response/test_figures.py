@@ -9,7 +9,7 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report import figures
 from cvxshear.report.describe import describe
 from cvxshear.report.figures.figure_table import figures_of
@@ -41,8 +41,8 @@ def prediction(request):
     fitted = Fitted.of(efficient(experiment, backends.get("auto")))
     excitation = shaking(800)
     floors = np.arange(1, stories + 1)
-    moved = response(DampedModel(M, C, K, np.ones(stories)), Drive(excitation), 0.01).acceleration
-    motion = Motion((Drive(excitation, responses=moved),), 100.0, floors=floors)
+    moved = response(DampedModel(M, C, K, np.ones(stories)), DrivenRun(excitation), 0.01).acceleration
+    motion = DrivenRecord((DrivenRun(excitation, responses=moved),), 100.0, floors=floors)
     with pytest.MonkeyPatch.context() as patch:
         # Sensors that are sound are not drawn otherwise than those that were looked at.
         patch.setattr(sys.modules[predict.__module__], "_set_right", lambda motion, _: (motion, ()))
@@ -59,7 +59,7 @@ def test_figures_are_readable(prediction, draw):
 
 
 def test_figures_without_measured_floors(prediction):
-    bare = Motion((Drive(prediction.motion.drives[0].excitation),), 100.0)
+    bare = DrivenRecord((DrivenRun(prediction.motion.runs[0].excitation),), 100.0)
     found = predict(Models(None, prediction.after.fitted), bare)
     for draw in DRAWN:
         if draw is not figures.transfer_functions:
@@ -102,8 +102,8 @@ def test_the_story_that_the_headline_names_is_drawn():
     experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, pole_ratios(M, C, K)))
     fitted = Fitted.of(efficient(experiment, backends.get("auto")))
     excitation = shaking(800)
-    moved = response(DampedModel(M, C, K, np.ones(5)), Drive(excitation), 0.01).acceleration
-    motion = Motion((Drive(excitation, responses=moved),), 100.0, floors=np.arange(1, 6))
+    moved = response(DampedModel(M, C, K, np.ones(5)), DrivenRun(excitation), 0.01).acceleration
+    motion = DrivenRecord((DrivenRun(excitation, responses=moved),), 100.0, floors=np.arange(1, 6))
     found = reconstruct(Models(None, fitted), motion, fit=False, leave_out=False)
     assert describe(found).headline.startswith("Story 3 drifted most: ")
     assert "base motion" in describe(found)["findings"].parts[0].text

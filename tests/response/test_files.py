@@ -15,7 +15,7 @@ from cvxshear import effects
 from cvxshear.effects import Placed
 from cvxshear.files.uff import read_uff
 from cvxshear.paper.three_story import ThreeStory
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.handover import matrices, series, write_model, write_series
 from cvxshear.response import Fitted, Models, predict
 from cvxshear.util.errors import InputError, UnsuitableError
@@ -38,7 +38,7 @@ def three():
     experiment = cvxshear.Experiment.from_dict(table, name="three = stories")
     theta = np.concatenate([of.truth.floor_mass, of.truth.story_stiffness])
     fitted = Fitted(experiment, (), theta, np.diag((1e-3 * theta) ** 2))
-    motion = Motion((Drive(shaking(600)),), 100.0)
+    motion = DrivenRecord((DrivenRun(shaking(600)),), 100.0)
     return fitted, motion, {kind: predict(Models(None, fitted), motion, damping=kind) for kind in ("modal", "story")}
 
 
@@ -134,7 +134,7 @@ def test_opensees_moves_alike(three, kind, tmp_path):
     fitted, _, _ = three
     step = 0.0005
     excitation = np.interp(np.arange(0, 1.0, step), np.arange(0, 1.01, 0.01), shaking(101))
-    motion = Motion((Drive(excitation),), 1 / step)
+    motion = DrivenRecord((DrivenRun(excitation),), 1 / step)
     found = predict(Models(None, fitted), motion, damping=kind, detrend=False)
     write_model(tmp_path / "frame.py", found)
     moved = np.array(opensees(tmp_path / "frame.py", f"module['shake']({excitation.tolist()}, {step})", tmp_path))

@@ -6,8 +6,8 @@ from scipy import signal
 
 from cvxshear.records.motion import band_limited
 from cvxshear.report.handover import state_space
-from cvxshear.response import DampedModel, Drive, Motion, Response, floor_spectra, response
-from cvxshear.response.damped import SMALL, hold
+from cvxshear.response import DampedModel, DrivenRecord, DrivenRun, Response, floor_spectra, response
+from cvxshear.response.damped import SMALL, first_order_hold
 from cvxshear.response.peaks import peaks_of
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking
@@ -24,7 +24,7 @@ def model_of(stories, **options):
 def test_response_equals_an_independent_integration(stories, forced):
     of, excitation, floor = model_of(stories), shaking(120, STEP), stories if forced else 0
     total, moved = integrated(of.M, of.C, of.K, excitation, STEP, floor)
-    found = response(of, Drive(excitation, floor), STEP)
+    found = response(of, DrivenRun(excitation, floor), STEP)
     np.testing.assert_allclose(found.acceleration, total, atol=1e-8 * np.abs(total).max())
     np.testing.assert_allclose(found.displacement, moved, atol=1e-8 * np.abs(moved).max())
 
@@ -37,7 +37,7 @@ def test_modes_that_do_not_swing():
     excitation = shaking(100, STEP)
     total, _ = integrated(of.M, of.C, of.K, excitation, STEP)
     np.testing.assert_allclose(
-        response(of, Drive(excitation), STEP).acceleration, total, atol=1e-8 * np.abs(total).max()
+        response(of, DrivenRun(excitation), STEP).acceleration, total, atol=1e-8 * np.abs(total).max()
     )
 
 
@@ -45,7 +45,7 @@ def test_one_mass_under_a_ramp():
     """u = p / k (t - sin(omega t) / omega) for a force p t on an undamped oscillator."""
     of = DampedModel(np.array([[2.0]]), np.zeros((1, 1)), np.array([[50.0]]), np.ones(1))
     time = 0.05 * np.arange(200)
-    found = response(of, Drive(3.0 * time, floor=1), 0.05)
+    found = response(of, DrivenRun(3.0 * time, floor=1), 0.05)
     np.testing.assert_allclose(found.displacement[:, 0], 3.0 / 50 * (time - np.sin(5 * time) / 5), atol=1e-12)
     np.testing.assert_allclose(found.acceleration[:, 0], 3.0 / 2 * np.sin(5 * time) / 5, atol=1e-11)
 
@@ -68,7 +68,7 @@ def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do
     middle = slice(2000, 3800)
     errors = [
         np.max(np.abs(response(of, drive, STEP).acceleration[:, 0] - expected)[middle])
-        for drive in (Drive(excitation, floor, between=band_limited(excitation)), Drive(excitation, floor))
+        for drive in (DrivenRun(excitation, floor, between=band_limited(excitation)), DrivenRun(excitation, floor))
     ]
     assert errors[0] < 1e-3 * np.max(np.abs(expected))
     assert errors[1] > 0.03 * np.max(np.abs(expected))
@@ -91,18 +91,18 @@ def test_white_samples_are_no_band_limited_motion():
 
 def test_the_hold_goes_over_into_its_series_without_a_step():
     s = np.array([-0.3 + 1j, 1j]) / abs(-0.3 + 1j)
-    below, above = (hold(s * SMALL * factor, 1.0) for factor in (1 - 1e-9, 1 + 1e-9))
+    below, above = (first_order_hold(s * SMALL * factor, 1.0) for factor in (1 - 1e-9, 1 + 1e-9))
     for a, b in zip(below, above, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-8)
     # Of a constant input: e^(s h) - 1 = s (sum of both weights).
-    E, now, before = hold(s * 1e-6, 1.0)
+    E, now, before = first_order_hold(s * 1e-6, 1.0)
     np.testing.assert_allclose(now + before, np.expm1(s * 1e-6) / (s * 1e-6), rtol=1e-15)
     np.testing.assert_allclose(E, np.exp(s * 1e-6))
 
 
 def test_forces_are_in_equilibrium():
     of, excitation = model_of(4), shaking(300, STEP)
-    by_base = response(of, Drive(excitation), STEP)
+    by_base = response(of, DrivenRun(excitation), STEP)
     np.testing.assert_allclose(by_base.base_shear, -by_base.acceleration @ np.diag(of.M), rtol=1e-10, atol=1e-9)
     np.testing.assert_allclose(
         by_base.overturning_moment, -by_base.acceleration @ (np.diag(of.M) * [3, 6, 9, 12]), rtol=1e-10, atol=1e-8
@@ -113,7 +113,7 @@ def test_forces_are_in_equilibrium():
     resisted = by_base.drift * stiffness + rate * dashpots
     error = (by_base.story_shear - resisted)[5:-5]
     assert np.abs(error).max() < 0.02 * np.abs(resisted).max()
-    by_force = response(of, Drive(excitation, floor=2), STEP)
+    by_force = response(of, DrivenRun(excitation, floor=2), STEP)
     above = -by_force.acceleration[:, 2:] @ np.diag(of.M)[2:]
     np.testing.assert_allclose(by_force.story_shear[:, 2], above, atol=1e-10)
 
@@ -126,7 +126,7 @@ def test_the_state_space_form_is_the_same_frame():
         inputs = np.zeros((len(time), 6))
         inputs[:, floor] = excitation
         _, expected, _ = signal.lsim((A, B, C, D), inputs, time)
-        found = response(of, Drive(excitation, floor), STEP).acceleration
+        found = response(of, DrivenRun(excitation, floor), STEP).acceleration
         np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
@@ -142,17 +142,17 @@ def test_floor_spectrum_of_a_resonant_sine():
 
 def test_excitations_that_cannot_be_right():
     with pytest.raises(InputError, match="run 1: excitation, entry 2 must be a finite number, not nan"):
-        Drive([0.0, float("nan"), 1.0])
+        DrivenRun([0.0, float("nan"), 1.0])
     with pytest.raises(InputError, match="has one sample; at least two"):
-        Drive([1.0])
+        DrivenRun([1.0])
     with pytest.raises(InputError, match="zero throughout"):
-        Motion((Drive([0.0, 0.0]),), 100.0)
+        DrivenRecord((DrivenRun([0.0, 0.0]),), 100.0)
     with pytest.raises(InputError, match="responses must be a table of 2 samples by floors"):
-        Drive([0.0, 1.0], responses=np.zeros((3, 1)))
+        DrivenRun([0.0, 1.0], responses=np.zeros((3, 1)))
     with pytest.raises(InputError, match="the responses have 1 columns, 2 floors are named"):
-        Motion((Drive([0.0, 1.0], responses=np.zeros((2, 1))),), 100.0, floors=np.array([1, 2]))
+        DrivenRecord((DrivenRun([0.0, 1.0], responses=np.zeros((2, 1))),), 100.0, floors=np.array([1, 2]))
     with pytest.raises(InputError, match="the force acts on floor 4 of a frame of 3 stories"):
-        response(model_of(3), Drive([0.0, 1.0], floor=4), STEP)
+        response(model_of(3), DrivenRun([0.0, 1.0], floor=4), STEP)
 
 
 def test_a_peak_is_known_no_better_than_the_strong_part_of_its_motion():

@@ -15,7 +15,7 @@ from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
 from cvxshear.loop import close_loop
 from cvxshear.modal import Channel, Run, TimeRecord
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.describe import describe
 from cvxshear.report.handover import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
@@ -43,7 +43,7 @@ def frame():
 def recorded(truth, floors=(1, 2, 3), gain=None, samples=3000, input_floor=0, **options):
     """A record of the true frame."""
     excitation = shaking(samples, 1 / RATE, **options)
-    found = response(truth, Drive(excitation, input_floor), 1 / RATE).acceleration
+    found = response(truth, DrivenRun(excitation, input_floor), 1 / RATE).acceleration
     found = found * (np.ones(len(truth.M)) if gain is None else gain)
     return TimeRecord(
         tuple(Channel(f"floor{floor}", floor) for floor in floors),
@@ -68,10 +68,10 @@ def test_the_true_frame_has_no_error(frame, input_floor):
     assert np.isfinite(beside.frf_error[:, 0]).all()
     assert beside.shifts == ()
     # Between its samples the excitation is a straight line: so the motion is known at any time.
-    drive = found.motion.drives[0]
+    drive = found.motion.runs[0]
     times = np.arange(len(drive.excitation))
     finer = np.interp(np.arange(0, times[-1], 1 / 32), times, drive.excitation)
-    exact = response(truth, Drive(finer, input_floor), 1 / (32 * RATE))
+    exact = response(truth, DrivenRun(finer, input_floor), 1 / (32 * RATE))
     np.testing.assert_allclose(found.peaks.values["story_drift"], np.abs(exact.drift).max(axis=0), rtol=3e-3)
     np.testing.assert_allclose(found.peaks.values["base_shear"], np.abs(exact.base_shear).max(), rtol=3e-3)
     np.testing.assert_allclose(found.damping.story_dashpot, damped_frame(3)[2], rtol=1e-3)
@@ -162,8 +162,8 @@ def test_noise_on_the_record_of_the_same_frame_is_no_change_of_it(frame):
             rng = np.random.default_rng(seed)
             run = exact.runs[0]
             seen = run.responses + noise * run.responses.std(axis=0) * rng.standard_normal(run.responses.shape)
-            motion = Motion.of(dataclasses.replace(exact, runs=(Run(seen, run.excitation),))).detrended()
-            beside = compared(truth, [response(truth, motion.drives[0], motion.step)], motion)
+            motion = DrivenRecord.of(dataclasses.replace(exact, runs=(Run(seen, run.excitation),))).detrended()
+            beside = compared(truth, [response(truth, motion.runs[0], motion.step)], motion)
             assert beside.shifts == ()
             tops = [peak(side, truth.modes.frequencies, 1) for side in (beside.measured, beside.predicted)]
             moved += abs(tops[0] - tops[1]) > 2 * beside.measured.frequencies[1]
@@ -196,7 +196,7 @@ def test_the_state_follows_the_added_mass(frame):
     _, estimate, truth = frame
     added = np.array([0.0, 1.0, 2.0])
     heavier = DampedModel(truth.M + np.diag(added), truth.C, truth.K, truth.gain)
-    motion = Motion.of(recorded(heavier), added.tolist())
+    motion = DrivenRecord.of(recorded(heavier), added.tolist())
     found = predict(estimate, motion, detrend=False)
     assert found.configuration.name == "3 kg added"
     # A state names its tests: the one with the record's added mass is taken.
@@ -207,7 +207,7 @@ def test_the_state_follows_the_added_mass(frame):
     with pytest.raises(InputError, match="configuration must be one of configuration 1, not 'other'"):
         predict(estimate, motion, configuration="other")
     with pytest.raises(InputError, match="added_mass has 2 entries, the frame 3 stories"):
-        predict(estimate, Motion.of(recorded(heavier), [1.0, 2.0]))
+        predict(estimate, DrivenRecord.of(recorded(heavier), [1.0, 2.0]))
 
 
 def test_forces_are_left_out_where_masses_have_no_scale(frame):
@@ -314,7 +314,7 @@ def test_a_floor_with_a_gap_is_not_compared_and_that_is_said(frame):
     record = recorded(truth)
     seen = record.runs[0].responses.copy()
     seen[500:600, 0] = np.nan
-    motion = Motion((Drive(record.runs[0].excitation, 0, seen),), RATE, floors=np.array([1, 2, 3]))
+    motion = DrivenRecord((DrivenRun(record.runs[0].excitation, 0, seen),), RATE, floors=np.array([1, 2, 3]))
     found = predict(estimate, motion)
     assert found.after.comparison.floors.tolist() == [2, 3]
     assert sum(remark.startswith("samples of floor 1 are missing: not compared") for remark in found.remarks) == 1
@@ -352,22 +352,22 @@ def test_a_record_of_a_changed_state_predicts_that_state():
     change = Placed(effects.named(["story_change"])[0], effects.Place(None, 1, "after"))
     pair = Models(None, Fitted.of(efficient(experiment, backends.get("auto"), [change])))
     record = recorded(after)
-    found = predict(pair, Motion.of(record, state="after"), damping="modal")
+    found = predict(pair, DrivenRecord.of(record, state="after"), damping="modal")
     assert found.configuration.name == "after"
     assert np.all(found.after.comparison.nrmse < 0.1)
-    unnamed = predict(pair, Motion.of(record))
+    unnamed = predict(pair, DrivenRecord.of(record))
     assert np.all(unnamed.after.comparison.nrmse > 0.3)
     assert any("the record names no state" in remark for remark in unnamed.remarks)
-    asked = predict(pair, Motion.of(record), configuration="before")
+    asked = predict(pair, DrivenRecord.of(record), configuration="before")
     assert not any("the record names no state" in remark for remark in asked.remarks)
-    (other,) = (said for said in predict(pair, Motion.of(record, state="after"), configuration="before").remarks
+    (other,) = (said for said in predict(pair, DrivenRecord.of(record, state="after"), configuration="before").remarks
                 if "the record is of state" in said)  # fmt: skip
     assert other == 'the record is of state "after", the model that of "before", as asked'
     # Of the effects only those that act in the state predicted are named.
     assert "by the shear model with story change at story 1" in describe(found)["how"].parts[0].text
     assert "story 1" not in describe(asked)["how"].parts[0].text
     with pytest.raises(InputError, match='recorded in state "later", the model knows "before" and "after"'):
-        predict(pair, Motion.of(record, state="later"))
+        predict(pair, DrivenRecord.of(record, state="later"))
 
 
 def test_drifts_have_bands_over_time_and_lines_taken_off_are_said(frame):
@@ -412,13 +412,13 @@ def test_deviations_of_peaks_hold_what_the_record_shows_of_its_errors(frame):
     estimate = efficient(cvxshear.Experiment.from_dict(table), backends.get("auto"))
     exact = recorded(truth, floors=(1, 3))
     run = exact.runs[0]
-    true = np.abs(response(truth, Drive(run.excitation), 1 / RATE).drift).max(axis=0)
+    true = np.abs(response(truth, DrivenRun(run.excitation), 1 / RATE).drift).max(axis=0)
     off, alone = [], []
     for seed in range(8):
         noise = 0.1 * run.excitation.std() * np.random.default_rng(seed).standard_normal(len(run.excitation))
         noisy = Run(run.responses, run.excitation + noise)
         seen = predict(estimate, dataclasses.replace(exact, runs=(noisy,)), detrend=False)
-        bare = predict(estimate, Motion((Drive(noisy.excitation),), RATE), detrend=False)
+        bare = predict(estimate, DrivenRecord((DrivenRun(noisy.excitation),), RATE), detrend=False)
         error = seen.peaks.values["story_drift"] - true
         off.append(error / seen.peaks.std["story_drift"])
         alone.append(error / bare.peaks.std["story_drift"])
@@ -439,12 +439,12 @@ def test_deviations_hold_how_the_ground_moved_between_its_samples(frame):
     _, estimate, truth = frame
     low = signal.butter(8, 18.0, fs=RATE, output="sos")
     excitation = signal.sosfiltfilt(low, shaking(3000, 1 / RATE))
-    found = predict(estimate, Motion((Drive(excitation),), RATE), detrend=False)
-    fine = response(truth, Drive(signal.resample_poly(excitation, 8, 1)), 1 / (8 * RATE))
+    found = predict(estimate, DrivenRecord((DrivenRun(excitation),), RATE), detrend=False)
+    fine = response(truth, DrivenRun(signal.resample_poly(excitation, 8, 1)), 1 / (8 * RATE))
     exact = np.abs(fine.acceleration[::8]).max(axis=0)
     off = np.abs(found.peaks.values["floor_acceleration"] - exact)
     assert np.max(off / exact) > 0.01
     assert np.all(off < 2 * found.peaks.std["floor_acceleration"])
     assert any(remark.startswith("between its samples") for remark in found.remarks)
-    smooth = predict(estimate, Motion((Drive(excitation),), RATE).band_limited(), detrend=False)
+    smooth = predict(estimate, DrivenRecord((DrivenRun(excitation),), RATE).band_limited(), detrend=False)
     np.testing.assert_allclose(smooth.peaks.values["floor_acceleration"], exact, rtol=2e-3)

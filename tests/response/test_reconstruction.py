@@ -14,7 +14,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import Limits
 from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.programs import LeastSquares
-from cvxshear.records.motion import Drive, Motion, band_limited
+from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, dynamics_slopes, recursion, settled_covariance
@@ -43,7 +43,7 @@ def three():
     setting = Setting(np.array([1, 3]), STEP, 0, True, omega[0], omega[-1], 1e-3 * stiffness, model.M)
     system = dynamics(model, Noise(np.array([0.05, 0.08]), 0.05), setting)
     excitation = shaking(60, STEP)
-    exact = response(model, Drive(excitation), STEP).acceleration[:, [0, 2]] * model.gain[[0, 2]]
+    exact = response(model, DrivenRun(excitation), STEP).acceleration[:, [0, 2]] * model.gain[[0, 2]]
     rng = np.random.default_rng(0)
     y = exact + np.array([0.05, 0.08]) * rng.standard_normal((60, 2))
     y[20] += 4.0
@@ -127,7 +127,7 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
     model, _, system, _ = three
     samples = 1500
     excitation = shaking(samples, STEP)
-    exact = response(model, Drive(excitation), STEP).acceleration[:, [0, 2]] * model.gain[[0, 2]]
+    exact = response(model, DrivenRun(excitation), STEP).acceleration[:, [0, 2]] * model.gain[[0, 2]]
     y = exact + np.array([0.05, 0.08]) * np.random.default_rng(2).standard_normal((samples, 2))
     y[700, 1] += 5.0
     y[900:1250, 0] = np.nan
@@ -150,14 +150,14 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
 def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     model, setting, system, _ = three
     excitation = shaking(300, STEP, seed=2)
-    exact = response(model, Drive(excitation), STEP)
+    exact = response(model, DrivenRun(excitation), STEP)
     states = recursion(system.A, np.eye(9), system.driven(straight(excitation)), np.zeros(9))
     outputs = system.outputs.of(states, straight(excitation))
     for place, values in enumerate((exact.acceleration, exact.displacement, exact.drift, exact.story_force)):
         own = outputs[:, 3 * place : 3 * place + 3]
         np.testing.assert_allclose(own, values, atol=1e-9 * np.abs(values).max())
     forced = dynamics(model, Noise(np.ones(2), 0.01), dataclasses.replace(setting, force_floor=2))
-    drive = Drive(1e3 * excitation, 2, between=band_limited(1e3 * excitation))
+    drive = DrivenRun(1e3 * excitation, 2, between=band_limited(1e3 * excitation))
     exact = response(model, drive, STEP)
     both = np.column_stack([drive.between, drive.excitation])
     states = recursion(forced.A, np.eye(9), forced.driven(both), np.zeros(9))
@@ -241,7 +241,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
         Fitted.of(efficient(experiment, solver)), experiment.configurations[0], None, solver
     )  # fmt: skip
     excitation = shaking(500, STEP) * (5.0 if force_floor else 1.0)
-    drive = Drive(excitation, force_floor, between=band_limited(excitation))
+    drive = DrivenRun(excitation, force_floor, between=band_limited(excitation))
     both = np.column_stack([drive.between, excitation])
     y = response(DampedModel(M, C, K, np.ones(3)), drive, STEP).acceleration[:, [0, 2]]
     y = y + 0.02 * rng.standard_normal(y.shape)
@@ -305,7 +305,7 @@ def test_bands_hold_the_drift_and_the_sensors_left_out(softened):
 
 def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviation(softened):
     models, motion, _, _, found = softened
-    y = motion.drives[0].responses
+    y = motion.runs[0].responses
     # All three at once; without the sensors left out in turn, which could but widen the deviations. The delay is that
     # of a band-limited motion: straight lines between samples would colour the noise.
     faulty = y.copy()
@@ -313,8 +313,8 @@ def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviati
     faulty[:, 1] = np.fft.irfft(np.fft.rfft(y[:, 1]) * turn, len(y))
     faulty[900, 1] += 10.0
     faulty[700:760, 0] = np.nan
-    drive = dataclasses.replace(motion.drives[0], responses=faulty)
-    again = reconstruct(models, dataclasses.replace(motion, drives=(drive,)), leave_out=False)
+    drive = dataclasses.replace(motion.runs[0], responses=faulty)
+    again = reconstruct(models, dataclasses.replace(motion, runs=(drive,)), leave_out=False)
     moved = np.abs(again.peaks.values["story_drift"] - found.peaks.values["story_drift"])
     assert np.all(moved <= 0.5 * again.peaks.std["story_drift"])
     (said,) = again.warnings
@@ -353,9 +353,9 @@ def late_by_two_samples(y):
 def test_what_is_surely_wrong_with_a_sensor_is_set_right_and_said(softened, fault, said):
     """What comes back is what the sensor recorded before it was spoilt, and gaps where nobody can know."""
     motion = softened[1]
-    y = np.array(motion.drives[0].responses)
-    drive = dataclasses.replace(motion.drives[0], responses=fault(y.copy()))
-    found = recording_of(dataclasses.replace(motion, drives=(drive,)), 3)
+    y = np.array(motion.runs[0].responses)
+    drive = dataclasses.replace(motion.runs[0], responses=fault(y.copy()))
+    found = recording_of(dataclasses.replace(motion, runs=(drive,)), 3)
     got = found.runs[0].measured
     there = np.isfinite(got)
     missing = (~there).sum(axis=0)
@@ -369,12 +369,12 @@ def test_what_is_surely_wrong_with_a_sensor_is_set_right_and_said(softened, faul
 def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
     """A sound frame: without the gain among the unknowns the floors would weigh more, and drifts be a quarter off."""
     models, motion, drift, _ = study.setting(3, "sound", 1, seconds=20.0)
-    drive = motion.drives[0]
+    drive = motion.runs[0]
     if who == "base motion":
         drive = dataclasses.replace(drive, excitation=(1 + off) * drive.excitation)
     else:
         drive = dataclasses.replace(drive, responses=drive.responses * np.where(motion.floors == 3, 1 + off, 1.0))
-    found = reconstruct(models, dataclasses.replace(motion, drives=(drive,)), leave_out=False)
+    found = reconstruct(models, dataclasses.replace(motion, runs=(drive,)), leave_out=False)
     ((said, value, std),) = found.gains_off
     assert said == f"the sensor of {'the ' if who == 'base motion' else ''}{who}"
     assert value == pytest.approx(off, abs=3.0 * std)
@@ -388,14 +388,14 @@ def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
 def test_a_sensor_on_a_bracket_moves_no_drift_and_is_named():
     """The bracket is an oscillator, of six times the third frequency; a frame of eight stories, sound."""
     models, motion, drift, _ = study.setting(8, "sound", 0, seconds=20.0)
-    drive, rate = motion.drives[0], 1.0 / motion.step
+    drive, rate = motion.runs[0], 1.0 / motion.step
     frequency = 6.0 * models.after.experiment.configurations[0].frequencies[2]
     line = np.fft.rfftfreq(len(drive.responses), 1.0 / rate)
     shown = 1.0 / (1.0 - (line / frequency) ** 2 + 2j * 0.03 * line / frequency)
     faulty = drive.responses.copy()
     faulty[:, 1] = np.fft.irfft(np.fft.rfft(faulty[:, 1]) * shown, len(faulty))
-    drives = (dataclasses.replace(drive, responses=faulty),)
-    found = reconstruct(models, dataclasses.replace(motion, drives=drives), leave_out=False)
+    runs = (dataclasses.replace(drive, responses=faulty),)
+    found = reconstruct(models, dataclasses.replace(motion, runs=runs), leave_out=False)
     assert [floor for floor, _ in found.brackets] == [motion.floors[1]]
     assert found.brackets[0][1] == pytest.approx(frequency, rel=0.2)
     assert not found.changed
@@ -408,7 +408,7 @@ def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
     """A record too short to be looked at by itself: the identified frame tells."""
     model = three[0]
     ground = shaking(100, STEP)
-    exact = response(model, Drive(ground), STEP).acceleration * model.gain
+    exact = response(model, DrivenRun(ground), STEP).acceleration * model.gain
     floors = np.array([1, 2, 3])
     wrong = Recording((RecordedRun(exact * [1.0, 1.0, -1.0], ground, "run"),), 1 / STEP, floors, "base")
     found = as_predicted(model, wrong)
@@ -505,7 +505,7 @@ def test_a_model_that_misses_a_part_of_the_motion_makes_drifts_provisional(softe
 
 def test_base_motion_that_nobody_measured_is_estimated(softened):
     models, motion, drift, _, _ = softened
-    y = motion.drives[0].responses
+    y = motion.runs[0].responses
     record = TimeRecord(
         tuple(Channel(f"f{floor}", int(floor)) for floor in motion.floors), runs=(Run(y),), sampling_rate=study.RATE
     )
@@ -515,7 +515,7 @@ def test_base_motion_that_nobody_measured_is_estimated(softened):
     assert np.all(np.abs(found.peaks.values["story_drift"] - true) < 2.5 * found.peaks.std["story_drift"])
     assert any("nobody measured the base motion" in remark for remark in found.remarks)
     base = found.runs[0].base
-    assert np.corrcoef(base, motion.drives[0].excitation)[0, 1] > 0.7
+    assert np.corrcoef(base, motion.runs[0].excitation)[0, 1] > 0.7
 
 
 @pytest.mark.parametrize(("finer", "taken"), [(1, "straight lines"), (8, "band-limited")])
@@ -574,7 +574,7 @@ def test_a_damper_in_one_story_is_named_and_moves_no_drift():
     moved = signal.lsim(frame, excitation, np.arange(2500) / study.RATE)[1]
     seen = moved[:, [1, 3]]
     seen = seen + 0.02 * seen.std(axis=0) * rng.standard_normal(seen.shape)
-    motion = Motion((Drive(excitation, 0, seen),), study.RATE, floors=np.array([2, 4]))
+    motion = DrivenRecord((DrivenRun(excitation, 0, seen),), study.RATE, floors=np.array([2, 4]))
     found = reconstruct(cvxshear.Experiment.from_dict(table), motion, leave_out=False)
     assert found.dampers == (2,)
     size = found.frame.dashpots[0][1]
@@ -646,9 +646,9 @@ def test_limits_pass_through_a_dict():
 def test_records_that_cannot_be_reconstructed_are_refused():
     y = np.zeros((200, 1))
     with pytest.raises(InputError, match="the channel on floor 2 shows no motion"):
-        recording_of(Motion((Drive(shaking(200), responses=y),), 100.0, floors=np.array([2])))
+        recording_of(DrivenRecord((DrivenRun(shaking(200), responses=y),), 100.0, floors=np.array([2])))
     with pytest.raises(InputError, match="no floor's acceleration was recorded"):
-        recording_of(Motion((Drive(shaking(200)),), 100.0))
+        recording_of(DrivenRecord((DrivenRun(shaking(200)),), 100.0))
     with pytest.raises(InputError, match="a reconstruction needs a record file"):
         recording_of(3)
 
@@ -661,7 +661,7 @@ def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
     slow = np.hanning(400) * np.sin(2 * np.pi * np.arange(400) / 200)
 
     def recorded(ground):
-        return Motion((Drive(ground, responses=shaking(400)[:, None]),), 1 / STEP, floors=np.array([2]))
+        return DrivenRecord((DrivenRun(ground, responses=shaking(400)[:, None]),), 1 / STEP, floors=np.array([2]))
 
     # An offset, a drift, a channel that reads next to nothing: all that is not a straight line is rounding.
     for still in (np.full(400, 0.3), np.linspace(0.1, 1.0, 400), np.full(400, 1e-300)):
@@ -725,12 +725,12 @@ def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened,
     A record that was triggered late ends quietly: its lines are those of the quiet part, here 0.02 m/s2 and none.
     """
     models, motion, drift, soft, _ = softened
-    drive = motion.drives[0]
+    drive = motion.runs[0]
     part = dataclasses.replace(
         drive, excitation=drive.excitation[first:last] + 0.02, responses=drive.responses[first:last]
     )  # fmt: skip
     # What a short record is said to be, it is without a fit.
-    found = reconstruct(models, dataclasses.replace(motion, drives=(part,)), fit=not cut, leave_out=False)
+    found = reconstruct(models, dataclasses.replace(motion, runs=(part,)), fit=not cut, leave_out=False)
     said = " ".join(found.remarks)
     assert ("the record is cut out of the motion" in said) == cut
     true = np.abs(drift[first:last]).max(axis=0)
@@ -750,8 +750,8 @@ def recorded(frame, seed, floors, seconds=20.0):
     total, moved = study.shaken(frame, excitation)
     seen = total[:, np.array(floors) - 1]
     noise = 0.01 * np.sqrt(np.mean(seen**2, axis=0)) * np.random.default_rng(seed).standard_normal(seen.shape)
-    drive = Drive(excitation, responses=seen + noise)
-    return Motion((drive,), study.RATE, "base", np.array(floors)), total, np.diff(moved, axis=1, prepend=0.0)
+    drive = DrivenRun(excitation, responses=seen + noise)
+    return DrivenRecord((drive,), study.RATE, "base", np.array(floors)), total, np.diff(moved, axis=1, prepend=0.0)
 
 
 def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():

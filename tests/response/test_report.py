@@ -11,7 +11,7 @@ import cvxshear
 from cvxshear.cli import main
 from cvxshear.files.toml import write_measurement
 from cvxshear.loop import close_loop
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
 from cvxshear.report.html import render, render_response
@@ -36,10 +36,10 @@ def closed():
 def motion(*, measured):
     excitation = shaking(800)
     M, C, K = matrices(*damped_frame(3))
-    moved = response(DampedModel(M, C, K, np.ones(3)), Drive(excitation), 0.01).acceleration
+    moved = response(DampedModel(M, C, K, np.ones(3)), DrivenRun(excitation), 0.01).acceleration
     if not measured:
-        return Motion((Drive(excitation),), 100.0, name=NASTY)
-    return Motion((Drive(excitation, responses=moved),), 100.0, floors=np.arange(1, 4), name=NASTY)
+        return DrivenRecord((DrivenRun(excitation),), 100.0, name=NASTY)
+    return DrivenRecord((DrivenRun(excitation, responses=moved),), 100.0, floors=np.arange(1, 4), name=NASTY)
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["measured", "ground alone"])

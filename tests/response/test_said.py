@@ -8,7 +8,7 @@ from scipy import stats
 
 from cvxshear.effects import StoryChange
 from cvxshear.measurement.declaration import Limits
-from cvxshear.records.motion import Drive, Motion
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response import (
     DampedModel,
     Reconstruction,
@@ -429,7 +429,7 @@ def test_the_largest_line_taken_off_is_said_with_its_channel():
     def motion(ground, first, second):
         drive = SimpleNamespace(excitation=moved + ground * time, responses=np.column_stack(
             [moved + first * time, np.where(time > 0.9, np.nan, moved + second * time)]))  # fmt: skip
-        return SimpleNamespace(input="base", drives=[drive], floors=np.array([1, 3]))
+        return SimpleNamespace(input="base", runs=[drive], floors=np.array([1, 3]))
 
     plain = motion(0.0, 0.0, 0.0)
     cases = ((0.1, 0.02, 0.0), "the base motion"), ((0.05, 0.1, 0.0), "floor 1"), ((0, 0.05, 0.2), "floor 3")
@@ -450,8 +450,8 @@ def test_remarks_of_a_prediction_are_made_where_they_apply():
     def said(**more):
         fitted = {"undetermined": (), "covariance": 1, "mass_known": True} | more
         after = SimpleNamespace(fitted=SimpleNamespace(**fitted), comparison=more.get("comparison"))
-        drives = [SimpleNamespace(responses=more.get("responses", np.ones((5, 2))))]
-        motion = SimpleNamespace(floors=more.get("floors", np.array([2, 5])), drives=drives)
+        runs = [SimpleNamespace(responses=more.get("responses", np.ones((5, 2))))]
+        motion = SimpleNamespace(floors=more.get("floors", np.array([2, 5])), runs=runs)
         return [each.split(":")[0] for each in predicted._remarks(after, motion)]
 
     assert said() == []
@@ -574,11 +574,11 @@ def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode(samples):
     """A record that reads a tenth more on one floor, and that has noise of a fifth of it on the other."""
     model = DampedModel(*matrices(*damped_frame(3)), np.array([1.0, 1.0, 0.9]))
     excitation = np.random.default_rng(9).standard_normal(samples)
-    plain = response(model, Drive(excitation), 0.01)
+    plain = response(model, DrivenRun(excitation), 0.01)
     shown = plain.acceleration[:, [0, 2]] * [1.0, 0.9]
     record = shown * [1.1, 1.0]
-    motion = Motion((Drive(excitation, responses=np.column_stack([record, np.full(samples, np.nan)])),), 100.0,
-                    floors=np.array([1, 3, 9]))  # fmt: skip
+    run = DrivenRun(excitation, responses=np.column_stack([record, np.full(samples, np.nan)]))
+    motion = DrivenRecord((run,), 100.0, floors=np.array([1, 3, 9]))
     found = comparing.compared(model, [plain], motion)
     assert found.floors.tolist() == [1, 3]
     np.testing.assert_allclose(found.nrmse, [0.1 / 1.1, 0.0], atol=1e-12)
@@ -586,7 +586,7 @@ def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode(samples):
     np.testing.assert_allclose(found.peak_ratio, [1 / 1.1, 1.0])
     np.testing.assert_allclose(found.frf_error, [[0.1 / 1.1] * 3, [0.0] * 3], atol=1e-9)
     assert (found.shifts, found.contradiction) == ((), "")
-    bare = Motion((Drive(excitation),), 100.0)
+    bare = DrivenRecord((DrivenRun(excitation),), 100.0)
     assert comparing.compared(model, [plain], bare) is None
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage, stats
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES
-from cvxshear.records.motion import Drive, Motion, band_limited
+from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.response import sensor_faults
 from cvxshear.response.recording import RecordedRun, Recording, recording_of, sensor_line
@@ -370,7 +370,7 @@ def test_records_and_motions_are_read_alike(monkeypatch, driven):
     record = TimeRecord(channels, runs=(Run(y, own, floor, "r"),), sampling_rate=50.0, input=driven)
     found = [recording_of(record)]
     if driven != "none":
-        found.append(recording_of(Motion((Drive(drive, floor, y, "r"),), 50.0, driven, np.array([1, 3]))))
+        found.append(recording_of(DrivenRecord((DrivenRun(drive, floor, y, "r"),), 50.0, driven, np.array([1, 3]))))
     for each in found:
         (run,) = each.runs
         assert (each.input, each.floors.tolist(), each.sampling_rate) == (driven, [1, 3], 50.0)

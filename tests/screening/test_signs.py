@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment
-from cvxshear.measurement.reading import Reading, fewest_changes, most_changes, violations
+from cvxshear.measurement.reading import MeasuredModes, fewest_changes, most_changes, violations
 from tests.frames import configuration, experiment, modes_of
 
 
@@ -27,7 +27,7 @@ def test_fewest_and_most_changes_are_those_of_every_way_to_settle_the_uncertain_
 
 def read(table, stories):
     mass, stiffness = np.full(stories, 10.0), np.full(stories, 2e4)
-    return Reading.of(Experiment.from_dict(experiment(mass, stiffness, table)).configurations[0])
+    return MeasuredModes.of(Experiment.from_dict(experiment(mass, stiffness, table)).configurations[0])
 
 
 @pytest.mark.parametrize("stories", [1, 2, 5, 30])

@@ -6,7 +6,7 @@ import numpy as np
 
 from cvxshear.planning.chances import SUFFICES
 from cvxshear.planning.design import UNKNOWN_STD
-from cvxshear.planning.results import Outlook, Plan
+from cvxshear.planning.results import ExpectedAccuracy, Plan
 from cvxshear.report.describe.vocabulary import Document, Section, Sentence, Table, describe, plain_rows, table
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, percents, significant
 from cvxshear.util.typing import Floats
@@ -177,8 +177,8 @@ def _value(objective: float) -> str:
 def counts(result: Plan) -> Table:
     """Tabulate the objective against the number of sensors."""
     options = (result.fewer, result.chosen, result.more, result.everywhere)
-    outlooks: dict[int, Outlook] = {len(each.floors): each for each in options if each is not None}
-    shown = [outlooks[count] for count in sorted(outlooks)]
+    by_count: dict[int, ExpectedAccuracy] = {len(each.floors): each for each in options if each is not None}
+    shown = [by_count[count] for count in sorted(by_count)]
     everywhere = result.model.design.stories
     return table("counts", f"{result.measure}, by number of sensors", {
         "sensors": [str(len(each.floors)) for each in shown],

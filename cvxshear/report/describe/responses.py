@@ -72,7 +72,7 @@ def _largest_drift(found: Peaks) -> str:
 def _driven(result: RecordPrediction) -> str:
     """Which frame, in which state, under what."""
     motion = result.motion
-    seconds = sum(drive.samples for drive in motion.drives) / motion.sampling_rate
+    seconds = sum(run.samples for run in motion.runs) / motion.sampling_rate
     driven = "base motion" if motion.input == "base" else "a force"
     return (
         f"{result.after.fitted.experiment.name} ({result.configuration.name}) under {driven} of {motion.name}: "

@@ -92,14 +92,14 @@ def response_histories(result: RecordPrediction) -> Figure:
     model = result.after.damped.model
     sizes = [np.abs(item.acceleration) for item in result.after.responses]
     run, window = _strongest(sizes, model.modes.frequencies[0], result.motion.sampling_rate)
-    drive = result.motion.drives[run]
+    driven = result.motion.runs[run]
     time = result.after.responses[run].time[window]
     figure = new_figure(page_width(), 1.35 * len(floors) + 0.9)
     for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
         own = np.array([floor])
-        if drive.responses is not None and floor in result.motion.floors:
+        if driven.responses is not None and floor in result.motion.floors:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
-            axes.plot(time, drive.responses[window, column], color=MEASURED, lw=1.8, label="measured")
+            axes.plot(time, driven.responses[window, column], color=MEASURED, lw=1.8, label="measured")
         after = seen(model, result.after.responses[run], own)[window, 0]
         band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
@@ -171,7 +171,7 @@ def _profile(axes: Axes, values: Floats, std: Floats) -> None:
 
 
 def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
-    runs = [drive.responses for drive in result.motion.drives if drive.responses is not None]
+    runs = [driven.responses for driven in result.motion.runs if driven.responses is not None]
     if runs:
         top = np.max([np.max(np.abs(each), axis=0) for each in runs], axis=0)
         axes.plot(top, result.motion.floors, color=MEASURED, marker="o", mfc="white", ls="none", label="measured")
