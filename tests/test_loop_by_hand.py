@@ -9,7 +9,7 @@ from scipy import special, stats
 
 from cvxshear import Experiment
 from cvxshear.effects import Place, Placed, catalogue, open_classes
-from cvxshear.loop import conclusion, held_out, next_test, otherwise, residual, search
+from cvxshear.loop import conclusion, held_out, next_test, residual, search, searches
 from cvxshear.loop.conclusion import Posterior
 from cvxshear.loop.evidence import _multipliers
 from cvxshear.loop.fitter import ModelClass
@@ -108,7 +108,7 @@ def searched(*models, improbable=False):
     found = object.__new__(Search)
     found.visited = {each.effects: each for each in models}
     found.base = models[0]
-    found.pruned, found.expanded, found.thinned, found.regrouped = set(), set(), set(), set()
+    found.pruned, found.expanded, found.reduced, found.regrouped = set(), set(), set(), set()
     return found
 
 
@@ -164,9 +164,9 @@ class Probed:
 def test_the_most_promising_numberings_are_probed_and_the_best_leads():
     given = Probed(-9.0, 1.0)
     others = [Probed(float(base), 2.0 + base) for base in range(5)]
-    assert otherwise._leader(given, others) is others[4]
+    assert searches._leader(given, others) is others[4]
     assert [each.asked for each in (given, *others)] == [["probe"], [], [], ["probe"], ["probe"], ["probe"]]
-    assert otherwise._leader(given, []) is given
+    assert searches._leader(given, []) is given
 
 
 def test_what_is_near_the_best_numbering_is_searched_to_its_end():
@@ -174,15 +174,15 @@ def test_what_is_near_the_best_numbering_is_searched_to_its_end():
     near, far, later = Probed(-10.0, 31.0), Probed(-20.0, 29.0), Probed(-30.0, 31.0, after=75.0)
     behind, hopeless = Probed(-40.0, 50.0 + 25.0 - 19.0), Probed(-101.0, 90.0)
     given = Probed(-300.0, -49.0)
-    kept = otherwise._kept(given, [leader, near, far, later, behind, hopeless], leader)
+    kept = searches._near(given, [leader, near, far, later, behind, hopeless], leader)
     assert kept == [given, leader, near, later, behind]
     assert (near.asked, far.asked, hopeless.asked, given.asked) == ([3, "run"], [3], [], [3])
     for given, runs in ((Probed(-300.0, -49.0), True), (Probed(-300.0, -51.0), False)):
-        assert otherwise._kept(given, [leader], leader) == [given, leader]
+        assert searches._near(given, [leader], leader) == [given, leader]
         assert ("run" in given.asked) is runs
     unsure = Probed(0.0, 50.0, improbable=True)
     given, hopeless = Probed(-300.0, -51.0), Probed(-101.0, 45.0)
-    assert otherwise._kept(given, [unsure, hopeless], unsure) == [given, unsure, hopeless]
+    assert searches._near(given, [unsure, hopeless], unsure) == [given, unsure, hopeless]
     assert given.asked == [3, "run"]
 
 
@@ -612,7 +612,7 @@ def test_candidates_have_the_gain_and_the_odds_of_the_linearised_model_or_of_a_f
     final = SimpleNamespace(effects=(GAIN_1,), chi2=30.0, dof=20, experiment=None)
     judged = ModelClass(frozenset([GAIN_1]), final, 0.0, 0.0)
     linear = SimpleNamespace(lacking=[GAIN_2], gains=np.array([-0.5]), decrease=lambda placed: 7.0,
-                             told=lambda placed: 1.09, confounders=lambda placed, names: ("k",))  # fmt: skip
+                             precision_gained=lambda placed: 1.09, confounders=lambda placed, names: ("k",))  # fmt: skip
     searching = SimpleNamespace(fitter=fitter, linearised=lambda judged: linear, visited={})
     chance = {GAIN_1: 0.9, GAIN_2: 0.2, MASS_1: 0.0}
     of = SimpleNamespace(of_effects=chance, keeps_odds=lambda placed: True,

@@ -198,7 +198,7 @@ def test_coloured_innovations_are_said_with_how_much_deviations_grow(inflation, 
     ],
 )  # fmt: skip
 def test_what_speaks_for_a_reading_is_said_with_its_odds(straight, other, told, expected):
-    assert expected in reconstruction.reading_remark("base motion", straight, other, told=told)
+    assert expected in reconstruction.reading_remark("base motion", straight, other, sound=told)
 
 
 def test_deviations_of_a_run_are_those_of_the_smoother_and_of_the_frame():
