@@ -627,7 +627,7 @@ def test_candidates_have_the_gain_and_the_odds_of_the_linearised_model_or_of_a_f
     assert second.p_value == pytest.approx(3 * stats.chi2.sf(7.0, 1))
     assert (third.placed, third.probability, third.chi2, third.dof, third.p_value) == (MASS_1, 0.0, 30.0, 19, 1.0)
     searching.visited[frozenset([GAIN_1, GAIN_2])] = None
-    linear.told = lambda placed: 1.11
+    linear.precision_gained = lambda placed: 1.11
     second = conclusion._candidates(of, searching, judged)[1]
     assert (second.probability, second.confounded_with) == (0.2, ())
 
