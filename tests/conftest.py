@@ -206,8 +206,10 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 def write_costs(reports):
-    """Write what each test cost that was run, with what is known of the others."""
-    found = {each.nodeid: dict(each.user_properties).get("cost") for each in reports if each.when == "teardown"}
-    known = {name: seconds for name, seconds in {**costs(), **found}.items() if seconds >= COSTLY}
-    order = sorted(known, key=lambda name: -known[name])
+    """Write what each test cost, or has cost before where that was more: who comes first pays for what is shared."""
+    known = dict(costs())
+    for each in reports:
+        if each.when == "teardown":
+            known[each.nodeid] = max(known.get(each.nodeid, 0.0), dict(each.user_properties)["cost"])
+    order = sorted((name for name in known if known[name] >= COSTLY), key=lambda name: -known[name])
     COSTS.write_text("".join(f"{known[name]:.1f} {name}\n" for name in order), encoding="utf-8")
