@@ -611,8 +611,10 @@ def test_candidates_have_the_gain_and_the_odds_of_the_linearised_model_or_of_a_f
     fitter = SimpleNamespace(hypotheses=known, assumed=(), log_priors=lambda lacking, beside: np.array([-3.0]))
     final = SimpleNamespace(effects=(GAIN_1,), chi2=30.0, dof=20, experiment=None)
     judged = ModelClass(frozenset([GAIN_1]), final, 0.0, 0.0)
-    linear = SimpleNamespace(lacking=[GAIN_2], gains=np.array([-0.5]), decrease=lambda placed: 7.0,
-                             precision_gained=lambda placed: 1.09, confounders=lambda placed, names: ("k",))  # fmt: skip
+    linear = SimpleNamespace(
+        lacking=[GAIN_2], gains=np.array([-0.5]), decrease=lambda placed: 7.0,
+        precision_gained=lambda placed: 1.09, confounders=lambda placed, names: ("k",),
+    )  # fmt: skip
     searching = SimpleNamespace(fitter=fitter, linearised=lambda judged: linear, visited={})
     chance = {GAIN_1: 0.9, GAIN_2: 0.2, MASS_1: 0.0}
     of = SimpleNamespace(of_effects=chance, keeps_odds=lambda placed: True,
