@@ -275,6 +275,17 @@ def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(n
     np.testing.assert_allclose(x, [0.0075, 0.0075, 22.485], rtol=1e-2)
 
 
+@pytest.mark.parametrize(("off", "accepted"), [(2e-20, True), (2e-15, False)])
+def test_an_unknown_that_hardly_anything_pulls_at_is_as_right_as_rounding_allows(off, accepted):
+    """In the step of a fit that stays where it is one unknown is pulled at by 1e-24, its neighbor by 1e4.
+
+    The terms of the neighbor's row are 6, whose rounding is 1e-15: of an unknown of 109 a unit that is 1e-17.
+    """
+    program = LeastSquares(np.array([[1e4, 0.0], [0.0, 109.0], [0.0, 1.0]]), np.array([3.0, 1e-24, 0.0]))
+    found = certify(Assembled(program), Point(np.array([3e-4, off]), np.zeros(0), np.zeros(0)))
+    assert (found.dual_residual <= 1e-6) is accepted
+
+
 def test_every_figure_is_what_the_formulas_of_the_certificate_say():
     """Term by term, in plain sums, at a point that breaks everything a little."""
     rng = np.random.default_rng(12)
@@ -297,7 +308,7 @@ def test_every_figure_is_what_the_formulas_of_the_certificate_say():
     for j in range(3):
         slope = sum(R[i, j] * (R[i] @ x - s[i]) for i in range(6)) + A[0, j] * y[0] + G[0, j] * w[0] + G[1, j] * w[1]
         wrong_sign = abs(G[1, j]) * 0.4
-        of = sum(abs(R[i, j]) * terms[i] for i in range(6)) + abs(A[0, j] * y[0])
+        of = sum(abs(R[i, j]) * (terms[i] + 2e-10 * max(terms)) for i in range(6)) + abs(A[0, j] * y[0])
         of += sum(abs(G[i, j] * w[i]) for i in range(2))
         duals.append(max(abs(slope), wrong_sign) / of)
     assert found.dual_residual == pytest.approx(max(duals), rel=1e-12)

@@ -22,6 +22,10 @@ NEAR_NOTHING = 1e-7
 """Fraction of the right side, in units of each column, that is added too: a step of an iteration that has converged is
 nothing but rounding, and a violation of such a step is none. Well above the rounding of ill-conditioned rows."""
 
+AT_ROUNDING = 2e-10
+"""Fraction of the largest row's terms that is added to the terms of every row: a millionth of it, the dual residual
+that is accepted, is the rounding of that row. An unknown that hardly anything pulls at comes out as such rounding."""
+
 
 @dataclass(frozen=True)
 class Certificate(InJson):
@@ -51,7 +55,8 @@ class Certificate(InJson):
 
     * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
     * entry j of the gradient to :math:`\sum_i |R_{ij}| r_i + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
-      :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of what the residual Rx - s is made of;
+      :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of what the residual Rx - s is made of, and
+      :math:`2 \cdot 10^{-10}` of the largest of them;
     * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|` with :math:`r = \sum_k |R_k x_k| + |s|`;
     * the error of unknown j to :math:`X_j`.
 
@@ -219,8 +224,7 @@ def certify(program: Assembled, point: Point) -> Certificate:
     equality, slack = program.A @ x - program.b, program.h - program.G @ x
     gradient = program.R.T @ (program.R @ x - program.s) + program.A.T @ y + program.G.T @ w
     terms = program.absolute_rows @ np.abs(program.lengths * x) + np.abs(program.s)
-    # An unknown that nothing pulls at comes out as the rounding of what pulls at the others.
-    terms = terms + np.finfo(float).eps * np.max(terms, initial=0.0)
+    terms = terms + AT_ROUNDING * np.max(terms, initial=0.0)
     gradient_size = program.lengths * (program.absolute_rows.T @ terms)
     gradient_size += absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
     wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
