@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -307,13 +307,22 @@ def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | No
     """
     if not usable:
         return []
-    straight = _straight(usable, order)
-    ranges = [possible_changes(shape, UNSURE) for shape in straight]
-    exact = [sign_changes(shape) for shape in straight]
+    return list(max((_ranked_by_signs(usable, shapes, count) for shapes in _real(usable, order)), key=_rank)[1])
+
+
+_Ranked = tuple[_Rank, tuple[PoleCandidate, ...]]
+
+
+def _rank(choice: _Ranked) -> _Rank:
+    return choice[0]
+
+
+def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) -> _Ranked:
+    """Choose and number candidates of these real shapes; return how good that is with them."""
     # best[w] is the best choice among the candidates so far for the numbers up to w, as (rank, numbered candidates).
-    nothing: tuple[_Rank, tuple[PoleCandidate, ...]] = ((0, 0, 0.0), ())
-    best = [nothing] * (count + 1)
-    for item, (fewest, most), changes in zip(usable, ranges, exact, strict=True):
+    best: list[_Ranked] = [((0, 0, 0.0), ())] * (count + 1)
+    for item, shape in zip(usable, shapes, strict=True):
+        (fewest, most), changes = possible_changes(shape, UNSURE), sign_changes(shape)
         energy = float(np.log(max(item.energy, 1e-300)))
         for number in range(min(count, most + 1), fewest, -1):
             (modes, fits, product), chosen = best[number - 1]
@@ -321,8 +330,8 @@ def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | No
             if rank > best[number][0]:
                 best[number] = rank, (*chosen, dataclasses.replace(item, number=number))
         for number in range(1, count + 1):
-            best[number] = max(best[number], best[number - 1], key=lambda choice: choice[0])
-    return list(best[count][1])
+            best[number] = max(best[number], best[number - 1], key=_rank)
+    return best[count]
 
 
 def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
@@ -332,24 +341,36 @@ def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | No
     the weakest candidates are left out, being none of it.
     """
     while chosen:
-        number, numbered = 0, []
-        for item, shape in zip(chosen, _straight(chosen, order), strict=True):
-            number = max(number, possible_changes(shape, UNSURE)[0]) + 1
-            numbered.append(dataclasses.replace(item, number=number))
-        if number <= stories:
-            return numbered
+        numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen, order)), key=lambda each: each[-1])
+        if numbered[-1] <= stories:
+            return [dataclasses.replace(item, number=each) for item, each in zip(chosen, numbered, strict=True)]
         weakest = min(chosen, key=lambda item: item.energy)
         chosen = [item for item in chosen if item is not weakest]
     return []
 
 
-def _straight(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Floats:
+def _lowest_numbers(shapes: Floats) -> Iterator[int]:
+    number = 0
+    for shape in shapes:
+        number = max(number, possible_changes(shape, UNSURE)[0]) + 1
+        yield number
+
+
+def _real(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Iterator[Floats]:
+    """Make shapes real: the turns of clock offsets taken back, and as they were recorded.
+
+    A damper in one story turns phases too, and taken for a clock it turns the signs of other modes.
+    """
+    straight, recorded = _straight(items), np.array([real_shape(item.shape) for item in items])
+    yield from (shapes if order is None else shapes[:, list(order)] for shapes in (straight, recorded))
+
+
+def _straight(items: list[PoleCandidate]) -> Floats:
     """Real shapes, the turns of clock offsets taken back first."""
     eigenvalues, shapes = np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items])
     seconds = _clocks(items)
     straight = shapes if seconds is None else undone(eigenvalues, shapes, seconds)
-    real = np.array([real_shape(shape) for shape in straight])
-    return real if order is None else real[:, list(order)]
+    return np.array([real_shape(shape) for shape in straight])
 
 
 def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:

@@ -911,7 +911,7 @@ def test_clocks_are_told_by_two_strong_candidates_of_several_channels():
     assert np.max(np.abs(picking._clocks([*items[:2], louder]) - late)) > 1e-5
     np.testing.assert_allclose(picking._clocks([louder, *items[:2] * 4]), late, atol=1e-6)
     # With the turns of the clocks taken back the shapes are real again, in the order that is said.
-    real = picking._straight(items, (2, 0, 1))
+    real = next(picking._real(items, (2, 0, 1)))
     np.testing.assert_allclose(np.abs(real[0] / real[0, 0]), [1.0, 0.4, 0.8], atol=1e-4)
 
 

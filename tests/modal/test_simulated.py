@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, signal
 
 import cvxshear
 from cvxshear.modal import Channel, Run, TimeRecord, identify_modes
@@ -17,6 +17,7 @@ from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.benchmarks.records import scatter
 from tests.modal.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS
+from tests.response.common import matrices
 
 PAPER_FREQUENCIES = [1.0336, 2.2099, 3.2812]
 """As the paper prints them."""
@@ -269,3 +270,24 @@ def test_no_damping_is_stated_as_known_better_than_a_hundredth_of_itself():
     np.testing.assert_allclose(found.written_damping_std, 0.01 * found.damping_ratios)
     noisy = dataclasses.replace(found, damping_std=0.2 * found.damping_ratios)
     assert noisy.configuration()["damping_ratio_std"] == pytest.approx([0.2] * 3)
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_a_strong_dashpot_in_one_story_takes_no_mode_for_another(seed):
+    """The phases that it leaves are no clock's: the second mode, of 9 % damping, changes sign once as it was found."""
+    rng = np.random.default_rng(seed)
+    stories, rate = 4, 100.0
+    M, _, K = matrices(np.full(stories, 10.0), np.linspace(1.2, 0.8, stories) * 2e4, np.zeros(stories))
+    C = 2e-4 * K + np.diag([300.0, 0.0, 0.0, 0.0])
+    turning = -np.linalg.solve(M, np.hstack([K, C]))
+    rates = np.vstack([np.eye(stories, 2 * stories, stories), turning])
+    load = np.concatenate([np.zeros(stories), -np.ones(stories)])[:, None]
+    ground = signal.lfilter(*signal.butter(4, 0.6), rng.standard_normal(12_000))
+    times = np.arange(len(ground)) / rate
+    _, floors, _ = signal.lsim((rates, load, turning, np.zeros((stories, 1))), ground, times)
+    floors += 0.02 * floors.std(axis=0) * rng.standard_normal(floors.shape)
+    channels = tuple(Channel(f"floor {floor}", floor) for floor in range(1, stories + 1))
+    found = identify_modes(TimeRecord(channels, runs=(Run(floors, ground),), sampling_rate=rate, input="base"))
+    exact = np.sort(np.abs(np.linalg.eigvals(rates)))[::2] / (2 * np.pi)
+    assert found.modes[:2].tolist() == [1, 2]
+    np.testing.assert_allclose(found.frequencies[:2], exact[:2], rtol=2e-3)
