@@ -23,9 +23,9 @@ TESTS = Path(__file__).parent
 COSTS = TESTS / "costs.txt"
 """Processor seconds of each test that takes half of one or more; `python -m pytest --costs` writes it anew."""
 
-COSTLY, LONG = 0.5, 1.5
-"""Processor seconds from which on a test stands in that table, and from which on it is marked `long`: one in thirty
-tests, which take more than half of the time of all. `python -m pytest -m "not long"` leaves them to CI."""
+COSTLY, LONG = 0.5, 1.0
+"""Processor seconds from which on a test stands in that table, and from which on it is marked `long`: one in twenty
+tests, which take two thirds of the time of all. `python -m pytest -m "not long"` leaves them to CI."""
 
 ON_MEASURED = "docs/measured/"
 """In the names of tests of pages on measured frames, which take as long as all others: each half has a process."""
