@@ -25,7 +25,7 @@ COSTS = TESTS / "costs.txt"
 
 COSTLY, LONG = 0.5, 1.0
 """Processor seconds from which on a test stands in that table, and from which on it is marked `long`: one in twenty
-tests, which take two thirds of the time of all. `python -m pytest -m "not long"` leaves them to CI."""
+tests, which take half of the time of all. `python -m pytest -m "not long"` leaves them to CI."""
 
 ON_MEASURED = "docs/measured/"
 """In the names of tests of pages on measured frames, which take as long as all others: each half has a process."""
