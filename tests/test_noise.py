@@ -11,7 +11,7 @@ from cvxshear import Experiment, backends, identify
 from cvxshear.data import Noise
 from cvxshear.fit import efficient as efficient_module
 from cvxshear.fit.efficient import efficient
-from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.misfit import Misfit, UnknownSize
 from cvxshear.fit.noise import _curvature, _Marginal, estimated_noise
 from cvxshear.loop import close_loop
 from cvxshear.priors import Value
@@ -318,3 +318,11 @@ def test_steps_of_an_unknown_noise_become_shorter_until_its_aim_stays(monkeypatc
     else:
         assert (tried[-1], dict(found.noise.noise.factors)["frequency"]) == (pytest.approx(last), last)
         assert (any(asked), len(steps)) == (False, 2)
+
+
+@pytest.mark.parametrize(("above_one", "expected"), [(False, np.log(3.0)), (True, np.log(np.sqrt(8.0)))])
+def test_a_factor_has_the_value_that_is_normal_beforehand(above_one, expected):
+    """The logarithm of the factor 3 itself, or of s in 3 = sqrt(1 + s^2)."""
+    size = UnknownSize("frequency", 5.0, 0.7, above_one)
+    assert size.coordinate(3.0) == pytest.approx(expected, rel=1e-12)
+    assert size.log_factor(expected)[0] == pytest.approx(np.log(3.0), rel=1e-12)

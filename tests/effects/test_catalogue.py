@@ -656,3 +656,12 @@ def test_an_entry_of_an_open_class_is_the_cause_that_it_names():
                 np.testing.assert_allclose(one.gain, other.gain)
             causes += 1
     assert causes == 12
+
+
+@pytest.mark.parametrize(("std", "looked_for"), [(0.0019, True), (0.002, False)])
+def test_frequencies_are_suspects_where_better_than_the_default_was_stated(std, looked_for):
+    (effect,) = (each for each in open_classes() if each.name == "other_frequencies")
+    of = experiment()
+    tests = tuple(dataclasses.replace(each, frequency_std=std) for each in of.configurations)
+    lacking = effect.lacks(dataclasses.replace(of, configurations=tests))
+    assert lacking == ("" if looked_for else "frequencies that are said to be better than 0.2 %")
