@@ -351,7 +351,9 @@ class PredictionErrors:
                 both: Floats = np.asarray(np.linalg.solve(normal, _crossed(free, J, white.ravel())))
                 turned, moved = both[:, :-1], both[:, -1]
                 white -= (free @ moved).reshape(white.shape)
-                J -= free.astype(SHORT) @ turned.astype(SHORT)
+                for first in range(0, len(J), SWEPT_AT_ONCE):
+                    some = slice(first, first + SWEPT_AT_ONCE)
+                    J[some] -= free[some].astype(SHORT) @ turned.astype(SHORT)
                 begun.append(both)
             parts.append(_Rows(J, white.ravel(), m))
             mean += white.T @ white
