@@ -21,7 +21,7 @@ from tests.docs.runner import KEPT_IN, once
 TESTS = Path(__file__).parent
 
 COSTS = TESTS / "costs.txt"
-"""Processor seconds of each test that takes half of one or more; `python -m pytest --costs` writes it anew."""
+"""Most processor seconds that each test has taken, from half of one on; `python -m pytest --costs` adds to it."""
 
 COSTLY, LONG = 0.5, 1.0
 """Processor seconds from which on a test stands in that table, and from which on it is marked `long`: one in twenty

@@ -154,7 +154,7 @@ def able_to_take_part(
     Raises
     ------
     InputError
-        Where two go by one name, or none of several can take part.
+        Where two go by one name, or the only one cannot take part.
     """
     refuse_repeated(wanted)
     own = {id(effect) for effect in (*catalogue(), *open_classes())}
