@@ -22,25 +22,27 @@ from cvxshear.util.results import name_module
 from cvxshear.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from cvxshear import backends, effects, priors
+    from cvxshear import backends, effects, priors, programs
     from cvxshear.backends import Comparison
-    from cvxshear.files.toml import load
-    from cvxshear.loop import Closure, close_loop
+    from cvxshear.fit.identification import compare_backends, identify
+    from cvxshear.fit.results import Identification
+    from cvxshear.io.toml import load
+    from cvxshear.loop import Closure
     from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-    from cvxshear.methods import Identification, compare_backends
-    from cvxshear.methods.run import identify
     from cvxshear.planning import plan
     from cvxshear.priors import Prior
     from cvxshear.response import predict, reconstruct
+    from cvxshear.screening import close_loop
 
 name_module("show", "cvxshear.report.terminal")
-name_module("read", "cvxshear.files.modes")
+name_module("read", "cvxshear.io.modes")
+name_module("solve", "cvxshear.backends.installed")
 
 __all__ = [
     "Closure", "Comparison", "Configuration", "CvxshearError", "Experiment", "Frame", "Identification",
     "InfeasibleError", "InputError", "LostProcessError", "NoModesError", "NoSolutionError", "Prior", "UnsuitableError",
     "backends", "close_loop", "compare_backends", "effects", "identify", "load", "plan", "predict", "priors",
-    "reconstruct",
+    "programs", "reconstruct",
 ]  # fmt: skip
 
 _HOMES = {
@@ -49,9 +51,10 @@ _HOMES = {
         "cvxshear.loop": "Closure",
         "cvxshear.backends": "Comparison",
         "cvxshear.measurement.experiment": "Configuration Experiment Frame",
-        "cvxshear.methods": "Identification compare_backends identify",
+        "cvxshear.fit.identification": "compare_backends identify",
+        "cvxshear.fit.results": "Identification",
         "cvxshear.priors": "Prior",
-        "cvxshear.files.toml": "load",
+        "cvxshear.io.toml": "load",
         "cvxshear.planning": "plan",
         "cvxshear.response": "predict reconstruct",
         "cvxshear.screening": "close_loop",

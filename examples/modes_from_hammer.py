@@ -1,7 +1,7 @@
 """From hammer blows on a frame to its masses and stiffnesses, with standard deviations."""
 
 import cvxshear
-from cvxshear.modal import identify_modes
+from cvxshear.records import identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, hammer_record
 
 # Fifteen blows of 60 s each on a frame of 10, 7.5, 5 kg; every sensor has 1 % of noise.

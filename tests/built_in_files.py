@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear.files.modes import modes_from_file
-from tests.modal.shared import DATA, mini_table, southampton
+from cvxshear.io.modes import modes_from_file
+from tests.records.shared import DATA, mini_table, southampton
 
 BUILT_IN = Path(__file__).parents[1] / "cvxshear" / "builtin"
 

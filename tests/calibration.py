@@ -20,7 +20,7 @@ import numpy as np
 from scipy import stats
 
 from cvxshear import Experiment
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from tests import drawn
 from tests.fe.experiments import simulated, simulated_pair
 
@@ -130,7 +130,7 @@ def place(item):
 def outcome(trial):
     """What the loop makes of a frame."""
     declared, truth = experiment_of(trial)
-    result = close_loop(Experiment.from_dict(declared)).to_dict()
+    result = search_for_effects(Experiment.from_dict(declared)).to_dict()
     shown = visible(trial.effects, trial.configurations)
     wanted = frozenset(item for item in truth["effects"] if item[0] in shown)
     found = frozenset(place(item) for item in result["effects"])

@@ -3,13 +3,13 @@
 import numpy as np
 
 import cvxshear
-from cvxshear import loop, modal
+from cvxshear import records
 from cvxshear.loop import Closure
 from cvxshear.paper import scatter as paper_study
 from tests.docs.runner import once
 from tests.fe.experiments import simulated
 
-close_loop, identify_modes = once(loop.close_loop), once(modal.identify_modes)
+close_loop, identify_modes = once(cvxshear.close_loop), once(records.identify_modes)
 noise_study, six_story_study = once(paper_study.noise_study), once(paper_study.six_story_study)
 
 

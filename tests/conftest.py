@@ -173,10 +173,10 @@ def shared_loops(monkeypatch):
 @pytest.fixture
 def shared_modes(monkeypatch):
     """The modes of a record are identified once for all tests that ask for this."""
-    import cvxshear.files.modes  # noqa: PLC0415
+    import cvxshear.io.modes  # noqa: PLC0415
     from tests.closed import identify_modes  # noqa: PLC0415
 
-    monkeypatch.setattr(cvxshear.files.modes, "identify_modes", identify_modes)
+    monkeypatch.setattr(cvxshear.io.modes, "identify_modes", identify_modes)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from scipy import stats
 
 from cvxshear import Experiment
 from cvxshear.effects import Scale, catalogue
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from tests.fe.experiments import FREQUENCY_STD, HEIGHT, MODE_SHAPE_STD, placed_at_random, simulated_as_drawn
 
 KINDS = ("prior", "small")
@@ -176,7 +176,7 @@ def place(item):
 def made(drawn):
     """What the loop makes of it."""
     declared, truth = drawn_frame(drawn)
-    result = close_loop(Experiment.from_dict(declared)).to_dict()
+    result = search_for_effects(Experiment.from_dict(declared)).to_dict()
     there = frozenset(truth["effects"])
     probabilities = tuple(
         (item["probability"], item["prior_probability"], place(item) in there) for item in result["candidates"]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear import Experiment
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from tests.fe.experiments import simulated
 
 EFFECTS = (None, "gravity", "joint_rotation", "sensor_gain", "ground_spring")
@@ -58,7 +58,7 @@ def tested(trial):
 def outcome(trial):
     """What became of the numbers, and of the effects where the numbers are right."""
     declared, truth, right = tested(trial)
-    closure = close_loop(Experiment.from_dict(declared))
+    closure = search_for_effects(Experiment.from_dict(declared))
     first = closure.numberings[0]
     if dict(first.changes) != right:
         words = [dict(each.changes) for each in closure.numberings[1:] if each.probability > 0.05]

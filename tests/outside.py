@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from cvxshear import Experiment
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from tests.fe.frame import Building, sway_modes
 
 FREQUENCY_STD, SHAPE_STD = 0.001, 0.01
@@ -222,7 +222,7 @@ class Outcome:
 def outcome(task):
     kind, seed = task
     declared, frame = simulated(kind, seed)
-    result = close_loop(Experiment.from_dict(declared)).to_dict()
+    result = search_for_effects(Experiment.from_dict(declared)).to_dict()
     right = KINDS[kind][1]
     false = 0
     for item in result["effects"]:

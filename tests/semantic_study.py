@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from cvxshear import CvxshearError, Experiment, InputError
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
 from tests.mistakes import MISTAKES, with_mistake
@@ -145,7 +145,7 @@ def outcome(task):
         findings = screen(experiment)
         if any(item.refuses for item in findings):
             return name, "refused", ""
-        result = close_loop(experiment)
+        result = search_for_effects(experiment)
     except InputError as error:
         return name, "refused", str(error)[:100]
     except CvxshearError as error:

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, seed, settings
 from hypothesis import strategies as st
 
-from cvxshear.files import toml
-from cvxshear.files.toml import load
+from cvxshear.io import toml
+from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, InputError
 

@@ -1,15 +1,21 @@
 """The command line as a user meets it: output, JSON, exit status, and nothing half-written."""
 
 import hashlib
+import inspect
 import json
 import subprocess
 import sys
 
 import pytest
 import typer
+from typer.main import get_command
 
+import cvxshear
 from cvxshear import __version__, backends
+from cvxshear.backends.acceptance import Tolerances
 from cvxshear.cli import app
+from cvxshear.planning import Declared, Recorded
+from cvxshear.records import identify_modes
 from tests.frames import EXAMPLES
 
 pytestmark = pytest.mark.usefixtures("shared_loops")
@@ -146,7 +152,7 @@ def test_bad_input_is_status_two_one_line_and_no_traceback(run, arguments, said)
 
 
 def test_a_failing_solver_is_status_one_with_its_reason(run, monkeypatch):
-    monkeypatch.setattr("cvxshear.backends.base.ACCEPTED", 0.0)
+    monkeypatch.setattr("cvxshear.backends.acceptance.TOLERANCES", Tolerances(optimality=0.0))
     status, _, err = run("identify", THREE, "--backend", "osqp")
     assert status == 1
     assert "backend osqp: inaccurate solution" in err
@@ -203,7 +209,7 @@ def test_json_says_where_it_comes_from(run, tmp_path, monkeypatch):
     path = tmp_path / "a.toml"
     path.write_bytes((EXAMPLES / "three_story.toml").read_bytes())
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    for command in (["identify"], ["check"], ["backends", "--only", "kkt"], ["plan"]):
+    for command in (["identify"], ["check"], ["backends", "--names", "kkt"], ["plan"]):
         status, out, _ = run(command[0], path, *command[1:], "--json", "-")
         assert status == 0
         said = json.loads(out)["about"]
@@ -230,6 +236,41 @@ def test_verbose_and_quiet(run, tmp_path):
         [sys.executable, "-m", "cvxshear", "-v", "identify", str(EXAMPLES / "three_story.toml"), "--json", "-"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert "cvxshear.files.inputs: read " in found.stderr
+    assert "cvxshear.io.inputs: read " in found.stderr
     json.loads(found.stdout)
     assert "give --quiet or --verbose, not both" in run("-q", "-v", "identify", "paper")[2]
+
+
+FUNCTIONS = {
+    "identify": [cvxshear.identify],
+    "loop": [cvxshear.close_loop],
+    "backends": [cvxshear.compare_backends],
+    "plan": [cvxshear.plan, Declared, Recorded],
+    "predict": [cvxshear.predict],
+    "reconstruct": [cvxshear.reconstruct],
+    "modes": [identify_modes],
+}
+"""Commands, and the Python functions, with the objects that these take, that do the same."""
+
+OF_THE_COMMAND = {
+    "author", "client", "csv", "date", "export", "figure", "help", "jobs", "json", "out", "output", "photograph",
+    "quiet", "record", "report", "strict", "title", "uff", "units", "validate", "xlsx",
+}  # fmt: skip
+"""Options that say which files are read and written and how results are shown."""
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_options_are_called_as_the_parameters_of_the_functions(name):
+    command = get_command(app).commands[name]
+    options = {each.opts[0].lstrip("-").replace("-", "_") for each in command.params if "--" in each.opts[0]}
+    parameters = {each for function in FUNCTIONS[name] for each in inspect.signature(function).parameters}
+    assert options - OF_THE_COMMAND - parameters == set()
+
+
+def test_former_names_of_options_still_work(run):
+    present = run("backends", "paper", "--names", "kkt", "--repeats", "1")
+    former = run("backends", "paper", "--only", "kkt", "--repeat", "1")
+    assert present[0] == former[0] == 0
+    shown = run("plan", "paper", "--for", "masses", "--solver", "clarabel", "--json", "-")[1]
+    assert json.loads(shown)["solver"] == "clarabel"
+    assert "--for" not in run("plan", "--help")[1]

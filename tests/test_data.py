@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from cvxshear import Experiment, identify
+from cvxshear import Experiment, close_loop, identify
 from cvxshear.cli import main
 from cvxshear.data import Datum, ErrorFigure, Frequencies, Model, NoiseKind, Residual, Shapes, Static, data_of, register
 from cvxshear.data import base as registry_module
@@ -15,7 +15,6 @@ from cvxshear.data.base import largest
 from cvxshear.data.pairing import numbered, scaled
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop import close_loop
 from cvxshear.measurement.configuration import Configuration
 from cvxshear.model.shear import modes
 from cvxshear.report import terminal

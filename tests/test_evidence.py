@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from cvxshear import Experiment, backends
+from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Place, Placed, Scale, catalogue, open_classes
 from cvxshear.fit.efficient import fitted
-from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, Expectation
+from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import WIDTH, Misfit
-from cvxshear.loop import close_loop
 from cvxshear.loop.evidence import (
     _log_constant,
     _tailed_priors,
@@ -169,7 +168,7 @@ def measured(seed, *, spring=0.0, total=1.0, undeclared=False, tests=3):
 def fit(of, effect):
     effects = () if effect is None else (effect,)
     start = np.concatenate([MASS * of.frame.total_mass / MASS.sum(), STIFFNESS, *(each.start for each in effects)])
-    return fitted(Misfit(of, effects, expectation=Expectation(SCALE)), start, backends.get("auto"), Accuracy(1e-9))
+    return fitted(Misfit(of, effects, expectation=EffectPrior(SCALE)), start, backends.get("auto"), Accuracy(1e-9))
 
 
 CASES = {
@@ -189,7 +188,7 @@ def test_the_evidence_of_an_effect_is_the_ratio_of_the_integrals(case, undeclare
     effect, keys = CASES[case]
     of = measured(3, undeclared=undeclared, **keys)
     without, with_it = fit(of, None), fit(of, effect)
-    expectation = Expectation(SCALE)
+    expectation = EffectPrior(SCALE)
     found = log_evidence(with_it, expectation) - log_evidence(without, expectation)
     exact = sampled(of, with_it, effect, 1, undeclared=undeclared)
     exact -= sampled(of, without, None, 2, undeclared=undeclared)
@@ -259,7 +258,7 @@ def test_a_frame_a_thousand_times_as_heavy_and_stiff_has_the_same_odds():
 @pytest.mark.parametrize("placed", [SPRING, GAIN, put("story_change", story=1), put("wrong_prior")])
 def test_the_constant_of_a_prior_is_that_of_its_density_between_its_bounds(placed):
     """Student's t of four degrees of freedom, cut off; a normal distribution where one size is common to several."""
-    said, value = Expectation(SCALE), 0.0
+    said, value = EffectPrior(SCALE), 0.0
     for item, size in zip(placed.effect.parameters, said.of(placed), strict=True):
         scaled = stats.norm(item.null, size) if placed.effect.common_size else stats.t(4, item.null, size)
         ends = np.clip([item.lower, item.upper], item.null - 400 * size, item.null + 400 * size)
@@ -274,7 +273,7 @@ def test_what_the_equalities_leave_free_keeps_them():
     """The total goes with its error; the frame takes it up by the least change, in units of a floor and a story."""
     of = measured(3, total=0.93)
     total, estimate = of.frame.total_mass, fit(of, TOTAL)
-    B = free_basis(estimate, Expectation(SCALE))
+    B = free_basis(estimate, EffectPrior(SCALE))
     assert B.shape == (5, 4)
     np.testing.assert_allclose(B[:2].sum(axis=0), [0.0, 0.0, 0.0, total], atol=1e-9)
     np.testing.assert_allclose(B[:, 3], [total / 2, total / 2, 0.0, 0.0, 1.0], atol=1e-9)
@@ -282,7 +281,7 @@ def test_what_the_equalities_leave_free_keeps_them():
     np.testing.assert_allclose(own.T @ own, np.eye(3), atol=1e-9)
     np.testing.assert_array_equal(B[4, :3], 0.0)
     # An effect that no equality speaks of changes nothing but itself.
-    free = free_basis(fit(measured(3), GAIN), Expectation(SCALE))
+    free = free_basis(fit(measured(3), GAIN), EffectPrior(SCALE))
     np.testing.assert_allclose(free[:, 3], [0.0, 0.0, 0.0, 0.0, 1.0], atol=1e-9)
 
 
@@ -291,7 +290,7 @@ def test_the_prior_of_a_parameter_is_taken_as_it_is_where_it_is_students():
     held, common = put("sensor_gain", floor=2), put("other_stiffness")
     effects = GAIN, GRAVITY, dataclasses.replace(held, fixed=(0.1,)), common
     theta = np.concatenate([MASS, STIFFNESS, [0.03, 1.1, 0.1], np.zeros(len(common.effect.parameters))])
-    misfit = SimpleNamespace(expectation=Expectation(SCALE))
+    misfit = SimpleNamespace(expectation=EffectPrior(SCALE))
     estimate = SimpleNamespace(effects=effects, theta=theta, misfit=misfit, experiment=SimpleNamespace(stories=2))
     ((place, (deviation, size, tail)),) = _tailed_priors(estimate)
     assert (place, deviation, size, tail) == (4, 0.03, 0.05, 4.0)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import cvxshear
-from cvxshear.files.toml import load
+from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Prior
 from cvxshear.planning import read_design
 from cvxshear.util.errors import InputError

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from scipy import io
 
-from cvxshear.files import toml
-from cvxshear.files.csv import read_csv
-from cvxshear.files.mat import read_mat
-from cvxshear.files.record_file import read_record
-from cvxshear.files.toml import files_of, load
-from cvxshear.files.uff import read_uff
+from cvxshear.io import toml
+from cvxshear.io.csv import read_csv
+from cvxshear.io.mat import read_mat
+from cvxshear.io.record_file import read_record
+from cvxshear.io.toml import files_of, load
+from cvxshear.io.uff import read_uff
 from cvxshear.util.errors import InputError
 from tests.fuzz import files
 
@@ -30,7 +30,7 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 import numpy, scipy.io, h5py
-from cvxshear.files.mat import read_mat
+from cvxshear.io.mat import read_mat
 from cvxshear.util.errors import InputError
 taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (taken + 500_000_000,) * 2)

@@ -11,12 +11,14 @@ ROOT = Path(cvxshear.__file__).parent
 ROOMS = (
     # What anything may use, and what was measured and declared, priors among it.
     ("util",), ("version",), ("priors",), ("measurement",),
+    # The convex programs of a measurement, and the solvers of such programs.
+    ("programs",), ("backends",),
     # The model, the effects that act on it, and the kinds of data that it is compared with.
     ("model",), ("effects",), ("data",),
-    # Programs, what solves them, and the methods that are made of them.
-    ("programs",), ("backends",), ("fit",), ("methods",), ("loop",),
+    # Methods and estimators made of programs.
+    ("fit",), ("loop",),
     # Records and files, one and many: both end in an experiment.
-    ("records",), ("modal",), ("files",), ("screening",),
+    ("records",), ("io",), ("screening",),
     # What is made of an identified frame.
     ("response",), ("planning",),
     # The published numbers, how results are shown, the public face, the command line.
@@ -125,22 +127,35 @@ def repeated(found):
     return {name: places for name, places in found.items() if len(places) > 1}
 
 
+def assigned(node):
+    """The names that a statement assigns, those in a tuple or list too."""
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return [each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)]
+
+
 def test_a_name_means_one_thing():
-    """No two files of one name, no two constants of one name, no parameter that is called of."""
-    files, constants, parameters = {}, {}, []
+    """No two files, constants or classes share a name; no parameter is called of."""
+    files, constants, classes, parameters = {}, {}, {}, []
     for path in sorted(ROOT.rglob("*.py")):
         where = str(path.relative_to(ROOT))
         files.setdefault(path.name, []).append(where)
         tree = ast.parse(path.read_text())
         for node in tree.body:
-            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-            for target in targets:
-                if isinstance(target, ast.Name) and target.id.isupper():
-                    constants.setdefault(target.id, []).append(where)
+            for name in assigned(node):
+                if name.isupper():
+                    constants.setdefault(name, set()).add(where)
+            if isinstance(node, ast.ClassDef):
+                classes.setdefault(node.name, set()).add(where)
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef):
                 given = [*node.args.args, *node.args.kwonlyargs]
                 parameters += [f"{where}:{node.lineno}" for each in given if each.arg == "of"]
     assert set(repeated(files)) <= {"__init__.py", "base.py", "results.py"}
     assert repeated(constants) == {}
+    assert repeated(classes) == {}
     assert parameters == []
+
+
+def test_names_in_tuples_are_seen():
+    tree = ast.parse("A, (B, C) = 1, (2, 3)\nD: int = 4\nE = F = 5\n")
+    assert [name for node in tree.body for name in assigned(node)] == ["A", "B", "C", "D", "E", "F"]

@@ -9,7 +9,7 @@ from scipy import integrate, stats
 from cvxshear import Experiment, backends
 from cvxshear.effects import Parameter, Place, Placed, Scale, SensorGain, named
 from cvxshear.fit.efficient import efficient, fitted_with
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop import linear as module
 from cvxshear.loop.evidence import log_evidence
@@ -32,7 +32,7 @@ CHANGE_4 = put("story_change", story=4, state="test 1")
 SPRING_2 = put("ground_spring", floor=2)
 TOTAL = put("total_mass")
 LACKING = [MASS_3, GAIN_2, CHANGE_4, SPRING_2, TOTAL]
-EXPECTED = Expectation(SCALE)
+EXPECTED = EffectPrior(SCALE)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_parameters_that_the_data_cannot_part_promise_nothing():
     )
     placed = Placed(Alike(), Place(floor=1))
     # Each is even between its bounds, so that nothing is added to the curvature.
-    linear = SimpleNamespace(expectation=Expectation(SCALE, {placed: np.full(3, np.inf)}))
+    linear = SimpleNamespace(expectation=EffectPrior(SCALE, {placed: np.full(3, np.inf)}))
     for r in rng.standard_normal((3, 6)):
         assert Linearised._gain_of_several(linear, placed, own, r) == -np.inf
 
@@ -116,7 +116,7 @@ def test_the_gains_of_pairs_are_the_differences_of_evidences(base, linear):
 def test_the_promised_decrease_and_the_predicted_minimum_are_those_of_the_fit_for_a_small_effect(base, linear):
     fitted = refitted(base, MASS_3)
     assert linear.precision_gained(MASS_3) > 2
-    wide = Expectation(SCALE, {MASS_3: np.array([1e9])})
+    wide = EffectPrior(SCALE, {MASS_3: np.array([1e9])})
     free = fitted_with(
         Misfit(base.experiment, [MASS_3], expectation=wide), np.append(base.theta, 0.0), backends.get("auto")
     )
@@ -153,7 +153,7 @@ def test_the_triangle_of_an_evaluation_stands_for_its_rows(base):
 def test_how_much_surer_an_effect_is_known_is_the_ratio_of_precisions(base, linear):
     """1 + (expected size / deviation from the data alone)^2, by a fit of which nothing is expected."""
     for placed in (MASS_3, GAIN_2, CHANGE_4):
-        wide = Expectation(SCALE, {placed: np.array([1e9])})
+        wide = EffectPrior(SCALE, {placed: np.array([1e9])})
         free = fitted_with(
             Misfit(base.experiment, [placed], expectation=wide),
             np.append(base.theta, placed.start),

@@ -8,9 +8,8 @@ import pytest
 from scipy import linalg
 
 import cvxshear
-from cvxshear import Experiment, InputError
+from cvxshear import Experiment, InputError, close_loop
 from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue, named
-from cvxshear.loop import close_loop
 from cvxshear.priors import Ratio
 from tests import closed
 from tests.calibration import HIDDEN, Trial, experiment_of, place

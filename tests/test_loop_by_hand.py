@@ -200,22 +200,6 @@ def test_effects_as_probable_are_ranked_by_what_changed_first():
     assert of.ranked(chance, chance) == [GAIN_1, MASS_1, CHANGE]
 
 
-def test_a_pile_of_three_kinds_is_weighed_against_what_nobody_thought_of():
-    """Of one state: three gains at 2 % each, two masses, one change; the frame's effects are another company."""
-    of = posterior(([], 1.0))
-    kinds = [MASS_1, CHANGE]
-    assert of.no_pile(MASS_1, kinds) == 1.0
-    more = put("sensor_gain", floor=1, state="b")
-    effects = [*kinds, more]
-    of = Posterior(of.models, [Hypothesis(placed, 0.02) for placed in (GAIN_1, MASS_1, MASS_2, CHANGE, more)])
-    there = (1 - 0.98**2) * 0.02 * 0.02
-    assert of.no_pile(MASS_1, effects) == pytest.approx(there / (there + 1e-4))
-    assert of.no_pile(GAIN_1, [*effects, GAIN_1]) == 1.0
-    fourth = put("state_mass", state="b")
-    of = Posterior(of.models, [Hypothesis(placed, 0.02) for placed in (MASS_1, CHANGE, more, fourth)])
-    assert of.no_pile(MASS_1, [*effects, fourth]) == pytest.approx(0.02**4 / (0.02**4 + 1e-3))
-
-
 def test_what_replaces_an_effect_is_of_its_state_then_of_its_kind():
     come = frozenset([GAIN_2, MASS_2])
     assert replacement(GAIN_1, frozenset([GAIN_1, CHANGE]), come) is GAIN_2

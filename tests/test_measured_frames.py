@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.files.toml import MEASURED_FRAMES, built_in_text
+from cvxshear.io.toml import MEASURED_FRAMES, built_in_text
 from tests import built_in_files
 from tests.closed import built_in
 from tests.frames import shared

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cvxshear import Experiment
-from cvxshear.loop import close_loop
+from cvxshear import Experiment, close_loop
 from tests.fe.experiments import simulated
 
 NOISE = 3.0

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import Experiment, backends
+from cvxshear import Experiment, backends, close_loop
 from cvxshear.cli import main
-from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
-from cvxshear.loop import close_loop
+from cvxshear.io.toml import write_measurement
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
-from cvxshear.modal import identify_modes
-from cvxshear.modal.diagnostics import A_MODE, left_out, overlooked_modes
-from cvxshear.modal.picking import PoleCandidate
+from cvxshear.records import identify_modes
+from cvxshear.records.diagnostics import A_MODE, left_out, overlooked_modes
+from cvxshear.records.picking import PoleCandidate
 from cvxshear.records.simulate import KnownFrame, shaker_record
 from cvxshear.util.errors import InputError
 from tests.fe.experiments import simulated

@@ -8,13 +8,12 @@ import pytest
 import tomli_w
 from scipy import integrate, stats
 
-from cvxshear import Experiment, InputError, backends
+from cvxshear import Experiment, InputError, backends, close_loop
 from cvxshear.effects import Place, Placed, Scale, catalogue, compose, named, open_classes
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import fitted_with
-from cvxshear.fit.expectation import Expectation, tailed
+from cvxshear.fit.expectation import EffectPrior, tailed
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop import close_loop
 from cvxshear.loop.evidence import log_tailed_interval
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
@@ -324,7 +323,7 @@ def test_entries_that_stand_out_of_a_class_are_proposed_by_their_names(gains):
     opened, *causes = (
         Placed(each, place) for each in (effect, *named(["sensor_gain"])) for place in each.places(given)
     )
-    backend, expected = backends.get("auto"), Expectation(SCALE)
+    backend, expected = backends.get("auto"), EffectPrior(SCALE)
     fitter = Fitter(Numbering(given), backend, [Hypothesis(each, 0.1) for each in (opened, *causes)], (), expected)
     start = np.concatenate([mass, stiffness, np.zeros(N)])
     estimate = fitted_with(Misfit(given, (opened,), expectation=expected), start, backend)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.priors import Bounds, Constraints, Monotone, Nominal, Prior, Ratio, Value
-from cvxshear.programs.statements import NamedConstraints, feasible, refuse_contradictions, statements
+from cvxshear.programs.constraints import NamedConstraints, feasible, refuse_contradictions, statements
 from cvxshear.util.errors import InfeasibleError, InputError
 
 AT = np.array([10.0, 7.5, 5.0])

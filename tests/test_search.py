@@ -9,13 +9,14 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from cvxshear import Experiment, backends
+from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Effect, GroundSpring, Parameter, Place, Placed, SensorGain
 from cvxshear.fit.efficient import efficient, fitted_with
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop import close_loop, conclusion
+from cvxshear.loop import conclusion
 from cvxshear.loop import fitter as fitter_module
+from cvxshear.loop.close import search_for_effects
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.neighbors import promising
@@ -103,7 +104,7 @@ def measured(effect, seed, **keys):
 )
 def test_it_ends_and_visits_no_set_twice(fits, effect, seed):
     of, _ = measured(effect, seed)
-    result = close_loop(of, effects=PROVOKING)
+    result = search_for_effects(of, effects=PROVOKING)
     assert fits
     assert set(fits.values()) == {1}
     assert len(fits) <= result.fits
@@ -217,7 +218,7 @@ def test_an_effect_of_two_parameters_of_different_units_works_everywhere():
 def test_the_linearised_model_of_two_parameters_is_that_of_the_fit():
     of = measured(None, 6)[0]
     start = efficient(of, backends.get("auto"))
-    expectation = Expectation(start.scale)
+    expectation = EffectPrior(start.scale)
     base = fitted_with(Misfit(of, (), expectation=expectation), start.theta, backends.get("auto"))
     free = type("Free", (HeldAndLoaded,), {"parameters": (Parameter("s", "N/m"), Parameter("mass", "kg"))})()
     placed = Placed(free, Place(floor=3))

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import Experiment, InputError, backends
+from cvxshear import Experiment, InputError, backends, close_loop
 from cvxshear.effects import Place, Placed, named
 from cvxshear.fit.efficient import efficient
-from cvxshear.loop import close_loop
 from cvxshear.loop.fitter import with_stand_in
 from cvxshear.util.errors import CvxshearError
 from tests import closed

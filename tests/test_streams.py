@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from cvxshear.cli import main
-from cvxshear.files.toml import load
+from cvxshear.fit.identification import identify
+from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.methods import identify
 from cvxshear.util.errors import InputError, LostProcessError
 from cvxshear.util.parallel import each
 from cvxshear.util.text import printable
@@ -128,7 +128,7 @@ def test_help_that_cannot_be_printed(options):
     assert (found.returncode, found.stderr) == (1, FULL)
 
 
-PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan"], ["backends", "--only", "kkt"]]
+PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan"], ["backends", "--names", "kkt"]]
 
 
 WAITING = 120
@@ -226,7 +226,7 @@ def test_a_killed_process_is_told(capsys, monkeypatch):
     def lose(*_, **__):
         raise LostProcessError("one of the processes was ended from outside")
 
-    monkeypatch.setattr("cvxshear.loop.close_loop", lose)
+    monkeypatch.setattr("cvxshear.screening.close_loop", lose)
     monkeypatch.setattr("cvxshear.close_loop", lose)
     with pytest.raises(SystemExit) as stopped:
         main(["loop", "paper", "--jobs", "2"])

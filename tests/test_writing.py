@@ -272,9 +272,9 @@ import json, os, signal, sys
 from pathlib import Path
 from matplotlib.figure import Figure
 from cvxshear.cli.output import deliver
-from cvxshear.files.modes import write_merged
-from cvxshear.files.uff import write_uff
-from cvxshear.modal import IdentifiedRecord, from_arrays
+from cvxshear.io.modes import write_merged
+from cvxshear.io.uff import write_uff
+from cvxshear.records import IdentifiedRecord, from_arrays
 from cvxshear.report import figures
 from cvxshear.util.writing import write_file
 
@@ -386,9 +386,9 @@ REFUSED = {
 @pytest.mark.parametrize("kind", REFUSED)
 def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cvxshear.methods.run", lambda *_, **__: pytest.fail("it ran"))
-    monkeypatch.setattr("cvxshear.loop.close_loop", lambda *_, **__: pytest.fail("it ran"))
-    monkeypatch.setattr("cvxshear.files.modes.identify_modes", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.fit.identification", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.screening.close_loop", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr("cvxshear.io.modes.identify_modes", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.planning.plan", lambda *_, **__: pytest.fail("it ran"))
     monkeypatch.setattr("cvxshear.response.predict", lambda *_, **__: pytest.fail("it ran"))
     Path("m.toml").write_bytes(files.measurement())

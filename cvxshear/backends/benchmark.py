@@ -1,4 +1,4 @@
-"""Every backend on the same programs: how far their answers are apart, their certificates and their times."""
+"""Comparison of backends on the same programs: differences of their answers, certificates and times."""
 
 from __future__ import annotations
 
@@ -8,22 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends.base import Backend
-from cvxshear.backends.certificate import Assembled, Solution
+from cvxshear.backends.canonical import DEPENDENT
 from cvxshear.backends.installed import available, get
-from cvxshear.programs import LeastSquares
+from cvxshear.programs import LeastSquares, Solution
+from cvxshear.programs.certificate import Acceptance, Assembled
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
 REPEATS = 3
-"""Solves of each program of which the fastest counts: one is often disturbed, three seldom all."""
+"""Number of solves of each program; the fastest counts."""
 
 MOST_REPEATS = 10_000
-"""Repeats that are taken: more are a slip of the pen, and run for hours."""
-
-OPEN_DIRECTION = 1e-12
-"""Ratio of the smallest to the largest singular value below which rows leave a direction open."""
+"""Largest number of solves that is accepted; more would run for hours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +44,7 @@ class BenchmarkProgram:
 
 @dataclass(frozen=True)
 class ProgramKind:
-    """What the programs of one kind are like; the largest of them, where there are several.
+    """Sizes of the programs of one kind: the largest of them.
 
     Parameters
     ----------
@@ -57,7 +55,7 @@ class ProgramKind:
         Inequalities are rows of G and finite bounds.
     condition : float or None
         Condition number of the weighted rows, their columns scaled to unit length, on the null space of the
-        equalities; None where they leave a direction open.
+        equalities; None if they leave a direction open.
     """
 
     kind: str
@@ -79,22 +77,25 @@ class BackendResult:
     programs : int
         How many programs of the kind there were.
     difference : float or None
-        Largest relative difference from the reference; None where the backend did not solve them all.
+        Largest relative difference from the reference; None if the backend did not solve all of them.
     reference : str
-        "closed form", or "consensus" (the median of the backends) where the closed form does not apply.
+        "closed form", or "consensus" (the median of the backends) if the closed form does not apply.
     primal_residual, dual_residual, duality_gap, error_bound : float or None
         The worst of the certificates.
     iterations : int or None
-        Sum over the programs; None where the backend does not tell.
+        Sum over the programs; None if the backend does not report it.
     seconds : float or None
-        Sum over the programs, of each the fastest of a few solves; scaling and certificate are part of it.
+        Sum over the programs of the fastest solve, with scaling and certificate.
     relative_time : float or None
-        `seconds` over that of the closed form on the same programs (on the programs of the same kind without bounds,
-        where bounds are active); None where it solves neither.
+        `seconds` divided by the time of the closed form on the same programs (without their bounds, if bounds are
+        active); None if the closed form solves neither.
     tolerance : float or None
-        The loosest accuracy that the solver is asked to reach; None where it takes none.
+        The loosest accuracy that the solver is asked to reach; None if it takes none.
     failure : str
-        Why a program was not solved; empty where all were.
+        Why a program was not solved; empty if all were solved.
+    as_given, polished, replaced : int
+        Number of answers that were accepted as the solver gave them, polished by the closed form on their active
+        constraints, and replaced by it since they did not pass (see `cvxshear.programs.Acceptance`).
     """
 
     kind: str
@@ -111,6 +112,9 @@ class BackendResult:
     relative_time: float | None
     tolerance: float | None
     failure: str
+    as_given: int = 0
+    polished: int = 0
+    replaced: int = 0
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,11 +124,11 @@ class Comparison(Shown):
     Parameters
     ----------
     experiment : str
-        Name of what the programs are of.
+        Name of the experiment that the programs belong to.
     kinds : tuple of ProgramKind
     rows : tuple of BackendResult
     left_out : str
-        Why the programs of the paper are not among them; empty where they are.
+        Why the programs of the paper's methods are left out; empty if they are not.
     """
 
     experiment: str
@@ -150,11 +154,11 @@ def compare(
     ----------
     programs : sequence of BenchmarkProgram
     names : sequence of str or Backend, optional
-        Backends; all that are installed where not given.
+        Backends. Default: all that are installed.
     repeats : int, optional
-        Solves of each program of which the fastest counts.
+        Number of solves of each program; the fastest counts.
     tolerance : float, optional
-        Accuracy that the solvers are asked to reach, in place of their own settings here. A certificate's limit stays.
+        Accuracy that the solvers are asked to reach, in place of their settings here. The certificate's limits stay.
     experiment, left_out : str, optional
         As in `Comparison`.
 
@@ -165,9 +169,9 @@ def compare(
     Raises
     ------
     InputError
-        Where a named backend is not installed, or a number makes no sense.
+        If a named backend is not installed, or a number is out of range.
     """
-    checks.whole(repeats, "repeat", least=1, most=MOST_REPEATS)
+    checks.whole(repeats, "repeats", least=1, most=MOST_REPEATS)
     chosen = [get(name) for name in (available() if names is None else names)]
     if tolerance is not None:
         tolerance = checks.number(tolerance, "tolerance", above=0.0)
@@ -189,18 +193,18 @@ def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
 
 
 def condition_number(program: LeastSquares) -> float | None:
-    """Condition number of a program's weighted rows, see `ProgramKind`; None where they leave a direction open."""
+    """Compute the condition number of weighted rows, see `ProgramKind`; None if they leave a direction open."""
     of = Assembled(program)
     rows = of.R / of.lengths
     if len(of.A):
         # The right singular vectors beyond the rank of A span its null space.
         _, values, directions = np.linalg.svd(of.A / of.lengths)
-        rank = int(np.sum(values > OPEN_DIRECTION * values.max(initial=0.0)))
+        rank = int(np.sum(values > DEPENDENT * values.max(initial=0.0)))
         rows = rows @ directions[rank:].T
     if not rows.shape[1]:
         return 1.0
     values = np.linalg.svd(rows, compute_uv=False)
-    if len(values) < rows.shape[1] or not values[-1] > OPEN_DIRECTION * values[0]:
+    if len(values) < rows.shape[1] or not values[-1] > DEPENDENT * values[0]:
         return None
     return float(values[0] / values[-1])
 
@@ -225,7 +229,7 @@ def _compared(
 
 @dataclass(frozen=True, eq=False)
 class _Answers:
-    """What one backend made of some programs."""
+    """Answers of one backend to some programs."""
 
     values: list[Floats]
     solutions: list[Solution]
@@ -251,6 +255,7 @@ class _Answers:
         figures = ("primal_residual", "dual_residual", "duality_gap", "error_bound")
         certificates = [item.certificate.to_dict() for item in self.solutions]
         iterations = [item.iterations for item in self.solutions]
+        accepted = [item.acceptance for item in self.solutions]
         pairs = zip(self.values, [] if self.failure else reference, strict=True)
         return BackendResult(
             kind=kind,
@@ -264,10 +269,13 @@ class _Answers:
             relative_time=self.seconds / unit if self.seconds is not None and unit else None,
             tolerance=backend.tolerance,
             failure=self.failure,
+            as_given=accepted.count(Acceptance.AS_GIVEN),
+            polished=accepted.count(Acceptance.POLISHED),
+            replaced=accepted.count(Acceptance.REPLACED),
         )
 
 
 def _largest(values: Sequence[float | None]) -> float | None:
-    """Return the largest; None where there is none, or one is None."""
+    """Return the largest value; None if the list is empty or has a None."""
     known = [float(value) for value in values if value is not None]
     return max(known) if known and len(known) == len(values) else None

@@ -1,17 +1,17 @@
-"""The scaled program that solvers work on, and the way back.
+"""The scaled program for the solvers, and the conversion of its answer.
 
-Masses are of order 1e4 kg and stiffnesses of order 1e7 N/m, rows of order 1e-2: no solver's tolerance means
-anything there. With the QR factorization of the rows, in which equalities may be stacked below since they
-vanish at every feasible point,
+Masses are of order 1e4 kg, stiffnesses of order 1e7 N/m and rows of order 1e-2, so that the tolerances of solvers
+have no meaning for the program itself. With a QR factorization of the rows, below which the equalities may be stacked
+since they vanish at every feasible point,
 
     [W R; sigma A] = Q U,        z = U x / tau,
 
-the objective becomes |z - q|^2 with q = Q' [W s; sigma b] / tau. Its Hessian is the identity, nothing was
-squared, and first-order methods converge as fast as the constraints allow. Rows of the constraints are
-scaled to unit length. tau makes q, and what the constraints demand beyond it, of order one.
+the objective becomes |z - q|^2 with q = Q' [W s; sigma b] / tau. Its Hessian is the identity without squaring, and
+first-order methods converge as fast as the constraints allow. Rows of the constraints are scaled to unit length. tau
+makes q and the right sides of the constraints of order one.
 
-Where the stacked rows do not determine x (only inequalities do) U is singular, and the columns are merely
-scaled: C = [W R; sigma A] D, z = D^-1 x / tau, objective |C z - q|^2.
+If the stacked rows do not determine x (only inequalities do), U is singular, and only the columns are scaled:
+C = [W R; sigma A] D, z = D^-1 x / tau, objective |C z - q|^2.
 """
 
 from __future__ import annotations
@@ -23,32 +23,27 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.backends.certificate import Solution
-from cvxshear.programs import LeastSquares
+from cvxshear.programs import LeastSquares, Solution
 from cvxshear.util.errors import InfeasibleError, InputError
 from cvxshear.util.typing import Bools, Floats
 
 DEPENDENT = 1e-12
-"""Length that is left of a row of unit length beside the span of other rows, below which it follows from them."""
-
-SINGULAR_ROWS = 1e-12
-"""Reciprocal condition number of the scaled rows below which they are taken not to determine the unknowns: a few
-thousand roundings, from where whitening would hand rounding to the solver."""
+"""Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
+shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns."""
 
 LAPACK_BLOCK = 64
-"""Columns that LAPACK's factorizations take at a time."""
+"""Block size of LAPACK's factorizations, columns."""
 
 TOUCHED = 1e-9
-"""Violation of an inequality that still counts as none, relative to its right side: what solvers leave at best."""
+"""Violation of an inequality, relative to its right side, that solvers leave at best."""
 
 ZERO_VIOLATION = 1e-13
-"""Violation of an inequality that still counts as none, in scaled units, for right sides near zero: rounding. Where the
-rows are badly conditioned a right side of order one in its own units is a small number in scaled ones."""
+"""Rounding of an inequality with a right side near zero, in scaled units."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """An answer to a scaled program, before anybody has checked it.
+    """An answer to a scaled program, not yet checked.
 
     Parameters
     ----------
@@ -135,7 +130,7 @@ class Canonical:
         ------
         InputError
         """
-        y, w = solution.equality_multipliers, solution.inequality_multipliers
+        y, w = solution.point.y, solution.point.w
         if (len(solution.x), len(y), len(w)) != (len(self.q), len(self._independent), len(self.f)):
             raise InputError(
                 f"start must be a solution of a program of {len(self.q)} unknowns, {len(self._independent)} equalities "
@@ -146,7 +141,7 @@ class Canonical:
         """Take a solution of a program of the same shape as the start, or none."""
         if solution is None:
             return self
-        y, w = solution.equality_multipliers, solution.inequality_multipliers
+        y, w = solution.point.y, solution.point.w
         y = y[self._independent] / (self._tau**2 * self._equality_scale)
         w = w / (self._tau**2 * self._inequality_scale)
         scaled = Answer(self.to_z(solution.x), y, w, solution.status, solution.iterations)
@@ -154,7 +149,7 @@ class Canonical:
 
     def to_z(self, x: Floats) -> Floats:
         """Scale the unknowns x."""
-        # Rows of one length: they differ by as many orders as the units of the unknowns do.
+        # Rows of unit length: otherwise their lengths differ by as many orders as the units of the unknowns.
         lengths = np.linalg.norm(self._inverse, axis=1)
         # The inverse of a triangle is one, and so is a diagonal.
         return np.asarray(lapack.dtrtrs(self._inverse / lengths[:, None], x / lengths)[0] / self._tau)
@@ -201,7 +196,7 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     a_lengths = np.linalg.norm(scaled_A, axis=1)
     sigma = 1.0 / np.where(a_lengths > 0, a_lengths, 1.0)
     n = R.shape[1]
-    # With the right side as a further column, Q' [s; sigma b] is the last column of the triangle: Q is not needed.
+    # With the right side as a further column, the last column of the triangle is Q' [s; sigma b].
     side, more = s[:, None], np.column_stack([sigma[:, None] * scaled_A, sigma * b])
     if len(R) == n and linalg.bandwidth(R)[0] == 0:
         # The rows are a triangle already, into which a few equalities are rotated.
@@ -210,12 +205,12 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
         if len(A):
             triangle = lapack.dtpqrt(0, min(LAPACK_BLOCK, n + 1), triangle, more)[0]
     else:
-        # What stands below the diagonal are reflections, which LAPACK's triangular solvers pass over.
+        # LAPACK's triangular solvers ignore the reflections below the diagonal.
         triangle = lapack.dgeqrf(np.vstack([np.hstack([R * D, side]), more]), lwork=LAPACK_BLOCK * (n + 1))[0]
     triangle = triangle[:n]
     U, q = triangle[:, :n], triangle[:, n]
     # LAPACK estimates the condition number of a triangle, in the 1-norm, at O(n^2) cost.
-    if len(U) == n and float(lapack.dtrcon(U)[0]) > SINGULAR_ROWS:
+    if len(U) == n and float(lapack.dtrcon(U)[0]) > DEPENDENT:
         # From U'X' = I, so that X U is the identity to its last digits, row by row: x = X z is what is needed.
         inverse = lapack.dtrtrs(U, np.eye(n), trans=1)[0].T
         return D[:, None] * inverse, np.eye(n), q.copy(), False

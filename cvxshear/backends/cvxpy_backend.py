@@ -44,8 +44,8 @@ class Cvxpy(CalledSolver):
     ----------
     solver : str
         As cvxpy calls it.
-    options : dict, optional
-        The solver's own, in place of those of `solvers.toml`.
+    **options
+        Options of the solver, in addition to the accurate settings of `solvers.toml`.
 
     Notes
     -----
@@ -56,21 +56,21 @@ class Cvxpy(CalledSolver):
 
     through = "cvxpy"
 
-    def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
-        super().__init__(solver, options)
-        self._compiled: dict[tuple[int, int, int, bool], Parametrised] = {}
+    def __init__(self, solver: str, **options: Any) -> None:
+        super().__init__(solver, **options)
+        self.compiled: dict[tuple[int, int, int, bool], Parametrised] = {}
 
-    def __reduce__(self) -> tuple[type[Cvxpy], tuple[str, dict[str, Any]]]:
-        """Send the backend to another process without what was compiled."""
-        return type(self), (self.solver, self.options)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the backend without its compiled problems."""
+        return _made, (self.solver, self.options)
 
     def answer(self, problem: Canonical) -> Answer:
         inequalities = len(problem.f)
         padding = _padding(len(problem.e), inequalities)
         shape = (len(problem.q), len(problem.e), inequalities + padding, problem.singular)
-        if shape not in self._compiled:
-            self._compiled[shape] = _parametrised(*shape)
-        compiled = self._compiled[shape]
+        if shape not in self.compiled:
+            self.compiled[shape] = parametrised(*shape)
+        compiled = self.compiled[shape]
         F = np.concatenate([problem.F, np.zeros((padding, len(problem.q)))])
         numbers = {"q": problem.q, "C": problem.C, "E": problem.E, "e": problem.e, "F": F}
         numbers["f"] = np.concatenate([problem.f, np.ones(padding)])
@@ -94,6 +94,10 @@ class Cvxpy(CalledSolver):
         return Answer(np.asarray(z), y, w[:inequalities], status, compiled.problem.solver_stats.num_iters)
 
 
+def _made(solver: str, options: dict[str, Any]) -> Cvxpy:
+    return Cvxpy(solver, **options)
+
+
 def _padding(equalities: int, inequalities: int) -> int:
     """Rows that say nothing, to the next power of two, and one where there is no constraint."""
     if not inequalities:
@@ -101,7 +105,7 @@ def _padding(equalities: int, inequalities: int) -> int:
     return (1 << (inequalities - 1).bit_length()) - inequalities
 
 
-def _parametrised(unknowns: int, equalities: int, inequalities: int, singular: bool) -> Parametrised:
+def parametrised(unknowns: int, equalities: int, inequalities: int, singular: bool) -> Parametrised:
     """Build the problem of this shape; |C z - q|^2 / 2 where C is not the identity, else |z|^2 / 2 - q'z."""
     z = cp.Variable(unknowns)
     parameters = {"q": cp.Parameter(unknowns)}

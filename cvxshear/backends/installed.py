@@ -1,28 +1,30 @@
-"""Which backends there are: the closed form, what is installed of qpsolvers' and cvxpy's solvers, and "auto".
+"""The backends: the closed form, the installed solvers of qpsolvers and cvxpy, and "auto".
 
-The order of the general solvers follows the table of `docs/speed.md` (python -m tests.benchmarks solvers). Once
-scaled, a program has the identity for its Hessian and a few active inequalities at most, which a dual active-set
-method walks through in as many steps: DAQP takes a half to an eighth of the time of Clarabel from 3 to 100
-unknowns. Where the data leave a direction open the Hessian is singular, and the interior-point method comes first.
-Every answer is certified; where it fails the next solver is asked.
+"auto" asks the solvers in the order of the table of `docs/speed.md` (python -m tests.benchmarks solvers). A scaled
+program has the identity as its Hessian and few active inequalities, for which a dual active-set method needs few steps:
+DAQP takes a half to an eighth of the time of Clarabel for 3 to 100 unknowns. If the data leave a direction open, the
+Hessian is singular, and the interior-point method comes first. Every answer is certified; if one fails, the next solver
+is asked.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.backends.certificate import Assembled, Solution
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Qpsolvers, Solver
+from cvxshear.programs import LeastSquares, Solution
+from cvxshear.programs.certificate import Assembled
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError, UnsuitableError
 
 DEFINITE = ("daqp", "clarabel")
 SEMIDEFINITE = ("clarabel", "daqp")
-"""General solvers in the order in which "auto" asks them, for the reasons above; Clarabel is always installed."""
+"""Order of the general solvers for "auto", see above; Clarabel is always installed."""
 
 
 class Kkt(Backend):
@@ -77,24 +79,27 @@ class Auto(Backend):
         return self._closed_form.answer(problem)
 
     def certified(self, program: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
-        return dataclasses.replace(self._first(program, problem, start), backend=self.name)
-
-    def _first(self, program: Assembled, problem: Canonical, start: Solution | None) -> Solution:
-        """Return the first certified solution; where there is none, raise the first general solver's failure."""
-        failure: NoSolutionError | None = None
         try:
-            return self._closed_form.certified(program, problem, start)
+            return self._chosen(self._closed_form.certified(program, problem, start), "no inequality is active")
         except UnsuitableError:
-            pass
+            why = "an inequality is active"
         except NoSolutionError:
             if not len(problem.F):
                 raise
+            why = "the closed form fails"
+        failure: NoSolutionError | None = None
         for backend in self._singular if problem.singular else self._definite:
             try:
-                return backend.certified(program, problem, start)
+                return self._chosen(backend.certified(program, problem, start), why)
             except NoSolutionError as error:
                 failure = failure or error
+                why = f"{why}, and {backend.name} fails"
         raise failure if failure is not None else NoSolutionError(self.name, "there is no general solver")
+
+    def _chosen(self, found: Solution, why: str) -> Solution:
+        """Say which backend was chosen and why."""
+        reason = f"auto chose {found.requested}: {why}" + (f"; {found.replaced}" if found.replaced else "")
+        return dataclasses.replace(found, requested=self.name, replaced=reason)
 
 
 _registered: dict[str, Backend] = {}
@@ -131,6 +136,11 @@ def available() -> list[str]:
     """Names of the backends that can be used here, the closed form first."""
     through_cvxpy = [solver.name for solver in THROUGH_CVXPY if solver.installed]
     return [*_direct(), *through_cvxpy, *(name for name in _registered if name not in _direct())]
+
+
+def solve(program: LeastSquares, backend: str | Backend, options: Mapping[str, Any]) -> Solution:
+    """Solve a program with a backend and options of its solver, see `LeastSquares.solve`."""
+    return get(backend).with_options(options).solve(program)
 
 
 def listed() -> list[Solver]:

@@ -1,9 +1,9 @@
 r"""The exact minimizer beside an answer, and a bound on the error of each of its unknowns.
 
-On the inequalities that are active a program has a closed form. Where no other inequality is violated there, and no
-multiplier has the wrong sign, it is the minimizer of the whole program. Which ones are active is guessed from the
-answer and corrected as the primal-dual active-set method does (Hintermüller, Ito and Kunisch 2003): those of a
-negative multiplier leave, those violated enter.
+With its active inequalities as equalities, a program has a closed form. If no other inequality is violated there, and
+no multiplier has the wrong sign, it is the minimizer of the whole program. The active set is guessed from the answer
+and corrected by the primal-dual active-set method (Hintermüller, Ito and Kunisch 2003): inequalities with a negative
+multiplier leave the set, violated ones enter it.
 
 With B x = c the active constraints, Z a basis of the null space of B, H = Z (RZ)^+ and P = (I - H R) B^+, an error
 f in the rows' residual, g in its product with R' and d in the constraints change the minimizer to first order by
@@ -26,26 +26,26 @@ from scipy import linalg
 from scipy.linalg import lapack
 
 from cvxshear.backends.canonical import DEPENDENT, LAPACK_BLOCK, independent_rows
-from cvxshear.backends.certificate import Assembled, Point, length
+from cvxshear.programs.certificate import Assembled, Point, length
 from cvxshear.util.typing import Bools, Floats, Ints
 
 ACTIVE_SETS = 10
-"""Sets of active inequalities that are tried; a guess that is nearly right needs one or two."""
+"""Largest number of active sets that are tried; a good guess needs one or two."""
 
 UNDETERMINED = 1e-13
-"""Reciprocal condition number, on the active constraints' null space, of rows that leave a direction open: rounding."""
+"""Rounding of the reciprocal condition number: rows with a smaller one leave a direction open."""
 
 CORRECTIONS = 2
-"""Corrections of the answer by the closed form. The first one has the rounding of an answer; what the second
-corrects is rounding of the first, so that constraints hold to the last digits of their own terms."""
+"""Number of corrections of the answer by the closed form. The second one corrects the rounding of the first, so that
+constraints hold to the last digits of their terms."""
 
 GRADED = 1e3
-"""Ratio of the longest to the shortest row above which rows are sorted by length and columns are pivoted, which keeps
-the rounding of heavy rows out of light ones (Cox and Higham 1998)."""
+"""Largest ratio of the longest to the shortest row without sorting of rows and pivoting of columns. These keep the
+rounding of heavy rows out of light ones (Cox and Higham 1998)."""
 
 ENTRYWISE = 100
-"""Unknowns up to which the bound is computed entry by entry. Beyond, the products of lengths of rows that are no
-smaller (Cauchy and Schwarz) take its place, since the matrices would cost as much as the solution."""
+"""Largest number of unknowns with a bound entry by entry. For more, the Cauchy-Schwarz inequality gives a larger bound
+from lengths of rows; the matrices would cost as much as the solution."""
 
 EPSILON = float(np.finfo(float).eps)
 """Distance of 1 to the next floating-point number."""
@@ -243,7 +243,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
 
 
 def _unit(terms: int) -> float:
-    """Bound the rounding of a sum of so many terms, relative to the sum of their sizes."""
+    """Bound the rounding of a sum of this number of terms, relative to the sum of their sizes."""
     return 4.0 * math.sqrt(max(terms, 1)) * EPSILON
 
 

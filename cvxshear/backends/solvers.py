@@ -1,6 +1,6 @@
-"""The solvers that backends are made of: what each is called where, how to get it, its options, and qpsolvers' own.
+"""The solvers of qpsolvers and cvxpy: names, packages, options, and the backend that calls qpsolvers.
 
-All of this is known without importing any of them, which takes seconds for all together.
+The table is read without importing a solver; importing all of them takes seconds.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import sys
 import time
 import tomllib
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module, metadata, resources, util
 from typing import TYPE_CHECKING, Any
@@ -77,9 +78,9 @@ class Solver(InJson):
 _TABLES: dict[str, dict[str, Any]] = tomllib.loads(
     resources.files("cvxshear.backends").joinpath("solvers.toml").read_text(encoding="utf-8")
 )
-"""What is known of each solver; the file says what its keys mean, and why its numbers are what they are."""
+"""Table of the solvers; the file explains its keys and numbers."""
 
-TOLERANCES: dict[str, dict[str, float]] = {
+ACCURACY_OPTIONS: dict[str, dict[str, float]] = {
     name: table["tolerances"] for name, table in _TABLES.items() if "tolerances" in table
 }
 TIME_LIMITS = {name: table["time_limit"] for name, table in _TABLES.items() if "time_limit" in table}
@@ -95,7 +96,7 @@ THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in _
 """Solvers that cvxpy brings along and that take a quadratic objective."""
 
 
-def accurate(solver: str) -> dict[str, Any]:
+def default_options(solver: str) -> dict[str, Any]:
     """All options of a solver.
 
     Parameters
@@ -104,7 +105,7 @@ def accurate(solver: str) -> dict[str, Any]:
         As qpsolvers calls it.
     """
     limit = {TIME_LIMITS[solver]: TIME_LIMIT} if solver in TIME_LIMITS else {}
-    return {**TOLERANCES.get(solver, {}), **_TABLES.get(solver, {}).get("options", {}), **limit}
+    return {**ACCURACY_OPTIONS.get(solver, {}), **_TABLES.get(solver, {}).get("options", {}), **limit}
 
 
 class CalledSolver(Backend):
@@ -114,26 +115,34 @@ class CalledSolver(Backend):
     ----------
     solver : str
         As qpsolvers or cvxpy calls it.
-    options : dict, optional
-        The solver's own, in place of those of `solvers.toml`.
+    **options
+        Options of the solver, in addition to the accurate settings of `solvers.toml`.
+
+    Attributes
+    ----------
+    options : dict
+        All options that the solver gets.
     """
 
     time_limit = None
     through = "qpsolvers"
 
-    def __init__(self, solver: str, options: dict[str, Any] | None = None) -> None:
+    def __init__(self, solver: str, **options: Any) -> None:
         self.solver, self._listed = solver, solver.lower()
         self.name = self._listed if self.through == "qpsolvers" else f"{self.through}-{self._listed}"
         further = _TABLES.get(self._listed, {}).get(self.through, {})
-        self.options = {**accurate(self._listed), **further} if options is None else options
+        self.options = {**default_options(self._listed), **further, **options}
 
     @property
     def tolerance(self) -> float | None:
-        given = [float(self.options[name]) for name in TOLERANCES.get(self._listed, {}) if name in self.options]
+        given = [float(self.options[name]) for name in ACCURACY_OPTIONS.get(self._listed, {}) if name in self.options]
         return max(given, default=None)
 
     def with_tolerance(self, tolerance: float) -> CalledSolver:
-        return type(self)(self.solver, {**self.options, **dict.fromkeys(TOLERANCES.get(self._listed, {}), tolerance)})
+        return self.with_options(dict.fromkeys(ACCURACY_OPTIONS.get(self._listed, {}), tolerance))
+
+    def with_options(self, options: Mapping[str, Any]) -> CalledSolver:
+        return type(self)(self.solver, **{**self.options, **options}) if options else self
 
     def unsolved(self, status: str, seconds: float) -> NoSolutionError:
         """Make the error of a solver without a solution: its time was over, or what it says itself."""
@@ -163,8 +172,8 @@ class Qpsolvers(CalledSolver):
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
-                # What a solver warns about (an inaccurate solution, an iteration limit) is either reported by `found`
-                # or measured by the certificate.
+                # A solver's warning (an inaccurate solution, an iteration limit) is in `found`, or the certificate
+                # measures it.
                 warnings.simplefilter("ignore")
                 found = qpsolvers.solve_problem(stated, self.name, initvals=start, **self.options)
         except (qpsolvers.QPError, ValueError, ArithmeticError) as error:
@@ -191,10 +200,9 @@ class Qpsolvers(CalledSolver):
 
 @functools.cache
 def _hear_version_of_highs() -> None:
-    """Make the first instance of HiGHS where nobody reads what it prints.
+    """Create the first instance of HiGHS with standard output closed.
 
-    From 1.16 the first one of a process writes a notice of its version to standard output, before any option can be
-    set; output that others' tools read (``--json``) would begin with it.
+    From 1.16 on it prints its version before any option can be set, and the output of ``--json`` would begin with it.
     """
     try:
         sys.stdout.flush()

@@ -10,7 +10,7 @@ from cvxshear.cli import before, frames, recorded, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.options import documented, used
 from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
-from cvxshear.files.inputs import streams_read_once
+from cvxshear.io.inputs import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
 STATUSES = (
@@ -20,13 +20,22 @@ STATUSES = (
     "130 interrupted."
 )
 
+FORMER_OPTIONS = {
+    "for": "goal", "solver": "backend", "state": "configuration", "check": "leave-out", "no-check": "no-leave-out",
+    "only": "names", "repeat": "repeats",
+}  # fmt: skip
+"""Former names of options, which still work, and their present ones."""
+
 app = typer.Typer(
     name="cvxshear",
     help="Floor masses and story stiffnesses of shear-type frames from measured modes, and what the shear model lacks.",
     epilog=STATUSES,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "token_normalize_func": lambda name: FORMER_OPTIONS.get(name, name),
+    },
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (

@@ -14,13 +14,13 @@ from rich.console import RenderableType
 from cvxshear.cli.options import File, JsonOut, Quiet, ReportOut, TomlOut, input_files, writes
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
-from cvxshear.files.formats import endings_of
+from cvxshear.io.formats import endings_of
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output, write_file
 
 if TYPE_CHECKING:
     from cvxshear import Experiment
-    from cvxshear.modal import IdentifiedRecord
+    from cvxshear.records import IdentifiedRecord
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
 
@@ -54,8 +54,8 @@ def new(
     stories
         How many stories the frame has; 3 where not given.
     """
-    from cvxshear.files.modes import called
-    from cvxshear.files.to_fill_in import record_template, template, template_from
+    from cvxshear.io.modes import called
+    from cvxshear.io.to_fill_in import record_template, template, template_from
 
     given = [
         name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None
@@ -81,7 +81,7 @@ def new(
         write_file(output, text)
 
 
-MISTAKE, DOUBT = 2, 3
+MISTAKE_STATUS, DOUBT_STATUS = 2, 3
 """Statuses of `check`: what the other commands refuse; with --strict what they only warn of."""
 
 
@@ -104,7 +104,7 @@ def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
     found = Screening.of(experiment, (item for each in tests for item in each.modes.findings))
     deliver(found.to_dict(), out, lambda: terminal.shown(found), title=experiment.report.title or experiment.name)
     if found.refused or (strict and found.doubtful):
-        raise typer.Exit(MISTAKE if found.refused else DOUBT)
+        raise typer.Exit(MISTAKE_STATUS if found.refused else DOUBT_STATUS)
 
 
 def modes(
@@ -154,9 +154,9 @@ def modes(
     jobs
         Processes that identify records; -1 takes every core.
     """
-    from cvxshear.files.modes import identify_modes_many, write_merged
-    from cvxshear.files.uff import write_uff
-    from cvxshear.modal import ModalResult
+    from cvxshear.io.modes import identify_modes_many, write_merged
+    from cvxshear.io.uff import write_uff
+    from cvxshear.records import ModalResult
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_modes
 
@@ -210,9 +210,9 @@ def measured(
         Where no mode was found in a record.
     """
     from cvxshear import Experiment, load
-    from cvxshear.files.modes import identify_modes_many
-    from cvxshear.files.toml import is_built_in, is_record_file
-    from cvxshear.modal import merged
+    from cvxshear.io.modes import identify_modes_many
+    from cvxshear.io.toml import is_built_in, is_record_file
+    from cvxshear.records import merged
 
     files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
     if len(files) == 1 and not is_record_file(files[0]):
@@ -231,8 +231,8 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Identify the modes of each record."""
-    from cvxshear.files.modes import UNKNOWN_SCALE, cables_of
-    from cvxshear.modal.result import scale_unknown
+    from cvxshear.io.modes import UNKNOWN_SCALE, cables_of
+    from cvxshear.records.result import scale_unknown
     from cvxshear.report import terminal
 
     for test in tests:
@@ -254,7 +254,7 @@ def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
 
 def _files(names: Sequence[str], written: str | None = None) -> list[str]:
     """Resolve names and patterns to record files; what a pattern matches is not to be written over either."""
-    from cvxshear.files.modes import record_files
+    from cvxshear.io.modes import record_files
 
     files, left_out = record_files(names)
     for path in left_out:

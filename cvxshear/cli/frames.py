@@ -35,7 +35,6 @@ def identify(
     backend: BackendName = "auto",
     initial_mass: str | None = None,
     tolerance: float = 1e-6,
-    accelerate: bool = False,
     units: UnitsOption = None,
     figure: FiguresOut = None,
     csv: CsvOut = None,
@@ -58,8 +57,6 @@ def identify(
         Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself.
     tolerance
         At which relative correction the mass iteration stops.
-    accelerate
-        Reach the end of the mass iteration in a few steps (two-stage).
     """
     # The solvers load slowly, and help needs none of them.
     from cvxshear import Identification, load
@@ -74,9 +71,7 @@ def identify(
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
-    result = run(
-        experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance, accelerate=accelerate
-    )
+    result = run(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
     beside = None
     if method is None and named == "efficient" and out != "-":
         with suppress(UnsuitableError):

@@ -75,7 +75,7 @@ def input_files(context: typer.Context, files: Any) -> Any:
     """Note what a command reads, one file or several, and refuse to write over it."""
     if files is None or context.resilient_parsing:
         return files
-    from cvxshear.files.toml import files_of
+    from cvxshear.io.toml import files_of
 
     for file in [files] if isinstance(files, str) else files:
         used.append(file)

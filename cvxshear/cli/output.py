@@ -126,9 +126,9 @@ def about(files: Sequence[str], title: str | None) -> Json:
 
 def _digest(file: str) -> str | None:
     """SHA-256 of a file's bytes; None where they cannot be read any more, or are a pattern of several."""
-    from cvxshear.files.columns import LIMIT
-    from cvxshear.files.inputs import read_bytes
-    from cvxshear.files.toml import built_in_text, is_built_in
+    from cvxshear.io.columns import LIMIT
+    from cvxshear.io.inputs import read_bytes
+    from cvxshear.io.toml import built_in_text, is_built_in
 
     try:
         content = built_in_text(file).encode() if is_built_in(file) else read_bytes(Path(file), LIMIT, "")

@@ -28,10 +28,10 @@ def plan(
     sensor_noise: float | None = None,
     goal: str = "all",
     criterion: str | None = None,
-    solver: str = "clarabel",
+    backend: str = "clarabel",
     fresh: bool = False,
     loop: bool = False,
-    state: str | None = None,
+    configuration: str | None = None,
     output: TomlOut = None,
     units: UnitsOption = None,
     figure: FigureOut = None,
@@ -40,7 +40,7 @@ def plan(
 ) -> None:
     """Choose the floors to measure and the masses to add, before a test.
 
-    Example: cvxshear plan paper --fresh --tests 2 --added-mass 41 --for gravity
+    Example: cvxshear plan paper --fresh --tests 2 --added-mass 41 --goal gravity
 
     Parameters
     ----------
@@ -70,18 +70,18 @@ def plan(
         Fraction of critical; with --duration.
     sensor_noise
         Noise of a channel over its standard deviation; with --duration.
-    goal : --for
+    goal
         masses, stiffnesses, all, or effects to distinguish: gravity,ground_spring@4=2000 (floor, size).
     criterion
         D (where the plan is for the frame), A, E or worst (where it is for effects).
-    solver
+    backend
         clarabel or scs.
     fresh
         Count nothing that FILE measured as known.
     loop
         Plan for the frame with the effects that the loop finds in FILE.
-    state
-        State of the frame in FILE that is to be tested; its first where not given.
+    configuration
+        Test or state of FILE that is to be tested; its first configuration where not given.
     output
         Write a measurement file to fill in.
     """
@@ -102,8 +102,8 @@ def plan(
         result = run(
             measured or file, sensors, count, modes=_one_or_many(wanted), noise=noise,
             added_mass=_one_or_many(masses),
-            added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop, state=state,
-            solver=solver,
+            added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop,
+            configuration=configuration, backend=backend,
         )  # fmt: skip
     files = pictures.of(result)
     if output is not None:
@@ -122,7 +122,7 @@ def _noise(
 
     stds = zip(("frequency_std", "mode_shape_std"), declared, strict=True)
     given = {name: value for name, value in stds if value is not None}
-    parts = zip(("kind", "damping", "noise"), record, strict=True)
+    parts = zip(("excitation", "damping", "sensor_noise"), record, strict=True)
     of_record = {name: value for name, value in parts if value is not None}
     if duration is None:
         if of_record:
@@ -131,7 +131,7 @@ def _noise(
     if given:
         raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
     # The options go by the names of its fields, and it checks their values; mypy cannot know which is which.
-    return Recorded(**{"kind": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
+    return Recorded(**{"excitation": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
 
 
 def _one_or_many(found: list[Any] | None) -> Any:

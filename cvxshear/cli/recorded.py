@@ -18,7 +18,7 @@ from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from cvxshear.response.sources import ModelSource
-    from cvxshear.screening import Finding
+    from cvxshear.screening import FileFinding
 
 DampingKind = Annotated[
     str | None, typer.Option("--damping", help="modal, story or rayleigh; what FILE declares where not given.")
@@ -89,7 +89,7 @@ def reconstruct(
     assume: Assumed = None,
     detrend: Detrend = True,
     fit: bool = True,
-    check: bool = True,
+    leave_out: bool = True,
     series: SeriesOut = None,
     figure: FiguresOut = None,
     report: ReportOut = None,
@@ -111,8 +111,8 @@ def reconstruct(
         measured that.
     fit
         Fit the frame to the record; otherwise it stays as identified.
-    check
-        Predict each sensor from the others.
+    leave_out
+        Leave each sensor out in turn and predict it from the others.
     """
     from cvxshear.report import terminal
     from cvxshear.report.sheets import sheets_of_response
@@ -126,7 +126,7 @@ def reconstruct(
         source, doubts = screened(file, backend, names(assume) or ())
         result = run(
             source, record, backend, damping=damping, configuration=configuration, detrend=detrend, fit=fit,
-            leave_out=check, progress=advance,
+            leave_out=leave_out, progress=advance,
         )  # fmt: skip
     said = {**result.to_dict(), **in_json(doubts)}
     files: list[Callable[[], None]] = [*pictures.of(result), *(partial(write, result) for write in written)]
@@ -146,11 +146,11 @@ def _series_and_page(context: typer.Context, series: str | None, report: str | N
     return written
 
 
-def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[Finding] | None]:
-    """Load what the model is made of, without mistakes, and its warnings; None where `loop` looked for them before."""
+def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[FileFinding] | None]:
+    """Close the loop on a file and return its models and warnings; return what `loop` wrote as it is, without any."""
     from cvxshear.response import models_of_loop
     from cvxshear.response.sources import load_unscaled
-    from cvxshear.screening import close_loop, refuse_mistakes
+    from cvxshear.screening import close_loop
 
     if Path(file).suffix.lower() == ".json":
         if assume:
@@ -159,10 +159,8 @@ def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[Model
     try:
         experiment, found = measured([file])
     except NoScaleError:
-        # Only forces need the scale of the masses, and the result leaves those out.
+        # Only forces need the scale of the masses; the result leaves forces out.
         experiment, found = load_unscaled(file), []
-    if not found and not assume:
-        return experiment, refuse_mistakes(experiment)
     # A record has no numbers to put right: they are weighed with the effects.
     weighed = [each.name for each in experiment.configurations if found]
     result = close_loop(experiment, assume=assume, backend=backend, weighed=weighed)

@@ -5,7 +5,8 @@ from typing import Annotated
 import typer
 
 from cvxshear.cli.options import FIGURES, BackendName, FigureOut, JsonOut, Quiet, input_files, writes
-from cvxshear.cli.output import deliver, names, progress
+from cvxshear.cli.output import deliver, progress
+from cvxshear.cli.output import names as listed_names
 from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
 
@@ -81,7 +82,8 @@ def noise(
 
     pictures = Pictures.named(NoiseStudy, variation=figure, boxes=boxes)
     with progress("three stories", quiet) as advance:
-        three = noise_study(paper_setups(), tuple(names(methods) or ()), samples, seed, jobs=jobs, progress=advance)
+        of_methods = tuple(listed_names(methods) or ())
+        three = noise_study(paper_setups(), of_methods, samples, seed, jobs=jobs, progress=advance)
     with progress("six stories", quiet) as advance:
         six = six_story_study(samples, seed, jobs=jobs, progress=advance)
     said = {"three_story": three.to_dict(), "six_story": six.to_dict()}
@@ -90,33 +92,30 @@ def noise(
 
 def backends(
     file: Annotated[str | None, typer.Argument(callback=input_files)] = None,
-    only: str | None = None,
-    repeat: int = 3,
+    names: str | None = None,
+    repeats: int = 3,
     tolerance: float | None = None,
-    export: str | None = None,
     figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
     """List the backends; with a file, solve its programs with every one and compare them to the closed form.
 
-    Example: cvxshear backends paper --repeat 10
+    Example: cvxshear backends paper --repeats 10
 
     Parameters
     ----------
     file
         A measurement file (TOML), or 'paper'; without one: what is installed.
-    only
+    names
         Which backends, commas between; all that are installed where not given.
-    repeat
+    repeats
         Solves of each program of which the fastest counts.
     tolerance
         Accuracy asked of the solvers, in place of their settings here.
-    export : DIR
-        Write the programs into this new folder, as NPZ and for qpbenchmark.
     """
     if file is None:
-        given = {"--only": only, "--tolerance": tolerance, "--export": export, "--figure": figure}
+        given = {"--names": names, "--tolerance": tolerance, "--figure": figure}
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option} needs programs: name a measurement file, or 'paper'")
@@ -131,12 +130,7 @@ def backends(
 
     pictures = Pictures.named(Comparison, backends=figure)
     experiment = load(file)
-    if export is not None:
-        from cvxshear.backends.export import export as write
-        from cvxshear.methods import programs_of
-
-        write(programs_of(experiment)[0], export)
     with progress("comparing backends", quiet):
-        result = compare_backends(experiment, names(only), repeats=repeat, tolerance=tolerance)
+        result = compare_backends(experiment, listed_names(names), repeats=repeats, tolerance=tolerance)
     title = experiment.report.title or experiment.name
     deliver(result.to_dict(), out, lambda: terminal.shown(result), *pictures.of(result), title=title)

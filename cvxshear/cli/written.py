@@ -13,7 +13,7 @@ from cvxshear.cli.output import show
 from cvxshear.util.errors import InputError, optional
 
 if TYPE_CHECKING:
-    from cvxshear.files.spreadsheets import Sheet
+    from cvxshear.io.spreadsheets import Sheet
     from cvxshear.report.figures import FigureEntry
 
 
@@ -134,13 +134,13 @@ class Spreadsheets:
     def __init__(self, csv: str | None, xlsx: str | None) -> None:
         self._csv, self._xlsx = csv, xlsx
         if xlsx is not None:
-            from cvxshear.files.spreadsheets import load_openpyxl
+            from cvxshear.io.spreadsheets import load_openpyxl
 
             load_openpyxl()
 
     def of(self, sheets: Callable[[], Sequence[Sheet]]) -> list[Callable[[], None]]:
         """Return what makes the tables and writes each file."""
-        from cvxshear.files.spreadsheets import write_csv, write_xlsx
+        from cvxshear.io.spreadsheets import write_csv, write_xlsx
 
         asked = ((write_csv, self._csv), (write_xlsx, self._xlsx))
         return [partial(_written, write, path, sheets) for write, path in asked if path is not None]

@@ -5,7 +5,7 @@ from cvxshear.data.base import (
     Deviation,
     ErrorFigure,
     Model,
-    Noise,
+    NoiseFactors,
     NoiseKind,
     Residual,
     data_of,
@@ -17,7 +17,7 @@ from cvxshear.data.shapes import Shapes
 from cvxshear.data.static import Static
 
 __all__ = [
-    "Datum", "Deviation", "ErrorFigure", "Frequencies", "Model", "Noise", "NoiseKind", "Residual", "Shapes",
+    "Datum", "Deviation", "ErrorFigure", "Frequencies", "Model", "NoiseFactors", "NoiseKind", "Residual", "Shapes",
     "Static", "data_of", "noise_kinds", "register",
 ]  # fmt: skip
 

@@ -102,7 +102,7 @@ def largest(errors: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseFactors:
     """Factors on the default standard deviations of what declares none.
 
     Parameters

@@ -19,7 +19,7 @@ LEAST_MASS = 1e-6
 """Part of the mean floor mass that the attached mass has more than its parameter says, so that the frame has modes
 where that is zero; it moves a frequency by less than a millionth unless the two are tuned to each other."""
 
-SLOWEST, FASTEST = 0.5, 1.5
+LEAST_FREQUENCY, MOST_FREQUENCY = 0.5, 1.5
 """Bounds of the attachment's frequency, in parts of the lowest and of the highest that was measured: one that is slower
 acts like a missing mass on every mode, one that is faster like an added mass."""
 
@@ -77,7 +77,7 @@ class AttachedMass(Effect):
         mass = Parameter("mass", "kg", lower=0.0, start=START_MASS * floor)
         start = START_FREQUENCY * lowest
         frequency = Parameter(
-            "frequency", "Hz", lower=SLOWEST * lowest, upper=FASTEST * highest, null=start, start=start
+            "frequency", "Hz", lower=LEAST_FREQUENCY * lowest, upper=MOST_FREQUENCY * highest, null=start, start=start
         )
         return self.having((mass, frequency))
 
@@ -85,7 +85,7 @@ class AttachedMass(Effect):
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """One mass, and frequencies among those that were measured."""
         mass, frequency = self.parameters
-        lowest, highest = frequency.start / START_FREQUENCY, frequency.upper / FASTEST
+        lowest, highest = frequency.start / START_FREQUENCY, frequency.upper / MOST_FREQUENCY
         starts = [(mass.start, part * lowest) for part in START_FREQUENCIES]
         # The smaller of two masses, where a fit from the larger one steps over the place.
         starts += [(size * mass.start, part * highest) for part in AMONG_THE_HIGHEST for size in (1.0, 0.5)]

@@ -1,8 +1,7 @@
-"""Where the parameters of a fit may lie: positivity, declared masses, exact priors, what the effects can be."""
+"""The domain of the parameters of a fit: positivity, declared masses, exact priors, limits of the effects."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,37 +10,36 @@ import numpy as np
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.measurement.experiment import Experiment, Frame
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
-from cvxshear.programs.statements import NamedConstraints, refuse_contradictions, statements
+from cvxshear.programs.constraints import NamedConstraints, exact_frame, statements
 from cvxshear.util.typing import Floats, Ints
 
 SMALLEST_VALUE = 1e-3
-PART_OF_START = 0.1
-"""Part of the mean declared floor mass, else of the median at the start: a smaller mass or stiffness does not count as
-positive. Where the start itself is less than half of that, as with stiffnesses that differ by 1e6, this part of it."""
+"""Smallest positive mass or stiffness, relative to the mean declared floor mass or to the median at the start."""
 
+PART_OF_START = 0.1
+"""The same relative to the smallest value at the start, if that is below half of it: stiffnesses can differ by 1e6."""
 
 FARTHEST = 1e5
-"""Times its start that a mass or a stiffness becomes at most: what the data leave so open is as good as infinite, and
-further on rounding would lose what is declared of the others."""
+"""Largest mass or stiffness relative to its start. A value that the data leave so open is as good as infinite, and
+larger values would cost the digits of the others."""
 
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """Where the parameters of a fit may lie.
+    """Constraints and scales of the parameters of a fit.
 
     Parameters
     ----------
     statements : sequence of NamedConstraints
         Exact statements about theta.
     scale : ndarray, shape (P,)
-        Size of each parameter, to which a change is compared: its start or, where that is larger, the size expected of
-        an effect.
+        Size of each parameter: its start, or the expected size of an effect if that is larger.
     interval_std : ndarray, shape (P,)
-        Standard deviation that a parameter's interval of physical values stands for; infinite where it has none.
+        Standard deviation of a uniform distribution over a parameter's physical interval; infinite without interval.
     farthest : ndarray, shape (P,), optional
-        Largest value of each parameter that a step is allowed to reach; no limit where not given.
+        Largest value of each parameter that a step may reach. Default: no limit.
     """
 
     statements: Sequence[NamedConstraints]
@@ -53,25 +51,12 @@ class Domain:
 def spread(
     on_mass: Sequence[NamedConstraints], on_stiffness: Sequence[NamedConstraints], n: int, size: int
 ) -> list[NamedConstraints]:
-    """Statements about the masses and about the stiffnesses as statements about all parameters."""
+    """Write statements about masses and about stiffnesses as statements about all parameters."""
     return [
         NamedConstraints(part.name, embedded(part.constraints, at, size))
         for parts, at in ((on_mass, slice(0, n)), (on_stiffness, slice(n, 2 * n)))
         for part in parts
     ]
-
-
-def refuse_contradicting(experiment: Experiment) -> None:
-    """Raise where the declared masses and the exact priors cannot all be true.
-
-    Raises
-    ------
-    InfeasibleError
-        Naming a smallest set that cannot.
-    """
-    n = experiment.stories
-    refuse_contradictions(statements(experiment.priors, "floor_mass", n, _exact(experiment.frame, ())), n)
-    refuse_contradictions(statements(experiment.priors, "story_stiffness", n), n)
 
 
 def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
@@ -80,7 +65,8 @@ def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) 
     known = experiment.frame.known_total
     mass = _least(theta[:n], float(np.median(theta[:n])) if known is None else known / n)
     stiffness = _least(theta[n : 2 * n], float(np.median(theta[n : 2 * n])))
-    frame = _exact(experiment.frame, effects)
+    released = any("total_mass" in placed.effect.releases for placed in effects)
+    frame = exact_frame(experiment.frame, total_released=released)
     gone = {placed.place.prior for placed in effects if "prior" in placed.effect.releases}
     priors = [prior for words, prior in experiment.stated.items() if words not in gone]
     parts = spread(
@@ -117,16 +103,8 @@ def _least(start: Floats, typical: float) -> float:
     return PART_OF_START * smallest if smallest < 0.5 * least else least
 
 
-def _exact(frame: Frame, effects: Sequence[Placed]) -> Frame:
-    """Return the frame with a total mass only where it holds exactly."""
-    released = any("total_mass" in placed.effect.releases for placed in effects)
-    if frame.floor_masses is None and frame.total_mass is not None and (released or frame.total_mass_std is not None):
-        return dataclasses.replace(frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False)
-    return frame
-
-
 def embedded(said: Constraints, at: slice | Ints, size: int) -> Constraints:
-    """Statements about some of the parameters as statements about all of them."""
+    """Write statements about some of the parameters as statements about all of them."""
 
     def wide(rows: Floats | None) -> Floats | None:
         if rows is None:

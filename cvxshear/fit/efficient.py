@@ -1,4 +1,4 @@
-"""The efficient estimator: one fit over all configurations together, weighted by what the noise is."""
+"""The efficient estimator: one fit to all configurations together, weighted by their noise."""
 
 from __future__ import annotations
 
@@ -12,48 +12,59 @@ from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.data import Noise
+from cvxshear.data import NoiseFactors
 from cvxshear.effects import Placed, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.domain import Domain, domain_of, refuse_contradicting
-from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, ROUGH, Accuracy, Fit, gauss_newton
+from cvxshear.fit.domain import Domain, domain_of
+from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.noise import NoiseEstimate, estimated_noise
+from cvxshear.fit.optimality import local_conditions
 from cvxshear.fit.quality import Quality, quality
-from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions
+from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions, priced
 from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.programs import ActiveConstraint
+from cvxshear.programs.constraints import refuse_contradicting
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MEMORY = 1e9
-"""Bytes that a joint fit may take. It holds the derivatives of all data by all parameters some twelve times over, and
-squares in the parameters some 25 times (measured from 100 to 600 stories)."""
-
-MOST_NOISES = 8
-"""Times that a fit is made again with another estimate of the standard deviations that nobody declared."""
-
-STEPS_A_NOISE = 4
-"""Steps of Gauss-Newton at most before those deviations are estimated anew: a fit followed to the end of a flat valley
-under a noise that is still wrong is thrown away."""
-
-LONGEST_STEP = 1.5
-"""Largest change of the logarithm of such a standard deviation between two fits: a factor of 4.5."""
-
-SHORTENED = 0.75
-"""Part of the largest change of one step that the next may have."""
-
-HELD = 1e-9
-"""Relative standard deviation of what a bound holds: nothing but rounding."""
-
-SAME_NOISE = 0.05
-"""Relative change of such a standard deviation that counts as none: the evidence, stationary there, moves by a
-hundredth."""
+"""Largest memory of a joint fit, bytes. It holds about 12 copies of the derivatives of all data by all parameters, and
+about 25 square matrices in the parameters (measured from 100 to 600 stories)."""
 
 RESIDUAL_LEVEL = 0.01
-"""Probability below which a residual, or a noise, counts as improbable."""
+"""Largest probability of an improbable residual or noise."""
+
+
+@dataclass(frozen=True)
+class NoiseIteration:
+    """How undeclared standard deviations are estimated with the parameters.
+
+    Parameters
+    ----------
+    fits : int
+        Largest number of fits, each with a new estimate.
+    steps : int
+        Largest number of Gauss-Newton steps of a fit, except the last.
+    longest : float
+        Largest change of the logarithm of a standard deviation after the first fit.
+    shortened : float
+        Factor on that limit after each fit.
+    same : float
+        Largest relative change of a converged standard deviation: the evidence, which is stationary, changes by 0.01.
+    """
+
+    fits: int = 8
+    steps: int = 4
+    longest: float = 1.5
+    shortened: float = 0.75
+    same: float = 0.05
+
+
+NOISE_ITERATION = NoiseIteration()
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +91,7 @@ class Estimate:
 
     @property
     def experiment(self) -> Experiment:
-        """What was measured."""
+        """The experiment of the fit."""
         return self.misfit.experiment
 
     @property
@@ -95,7 +106,7 @@ class Estimate:
 
     @property
     def chi2(self) -> float:
-        """Sum of squared residuals of data and priors, in units of the declared or the estimated noise."""
+        """Sum of squared residuals of data and priors, in units of the declared or estimated noise."""
         return self.fit.at.chi2
 
     @cached_property
@@ -177,12 +188,12 @@ class Estimate:
         return IdentifiedFrame(mass, values[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
 
     def own(self, placed: Placed) -> slice:
-        """Where an effect's parameters stand in theta."""
+        """Return the places of an effect's parameters in theta."""
         return next(at for item, at in slices(self.effects, 2 * self.experiment.stories) if item is placed)
 
     @property
     def expected_frame(self) -> IdentifiedFrame:
-        """The frame with what was expected of it counted too, so that nothing of it is undetermined."""
+        """The frame with its own prior, so that every value is determined."""
         names = parameter_names(self.experiment, self.effects)
         n = self.experiment.stories
         std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
@@ -200,14 +211,15 @@ class Estimate:
         return mass, np.sqrt(variance)
 
     def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
-        """List the masses and stiffnesses that bounds leave no freedom.
+        """List the masses and stiffnesses on a bound of their own.
 
-        Not those of which a bound on several together, such as a ratio, is active: they have a deviation still.
+        A value in an active constraint on several of them, such as a ratio, still has a deviation and is not listed.
         """
         n = self.experiment.stories
         names = parameter_names(self.experiment, self.effects)[: 2 * n]
         active = set(self.uncertainty.active)
-        none_left = std[: 2 * n] <= HELD * np.abs(self.theta[: 2 * n])
+        # A value on a bound has a standard deviation of rounding size.
+        none_left = std[: 2 * n] <= 1e-9 * np.abs(self.theta[: 2 * n])
         return tuple(name for name, at_bounds in zip(names, none_left, strict=True) if at_bounds and name in active)
 
     @property
@@ -225,7 +237,14 @@ class Estimate:
             fit=self.quality,
             predictions=self.predictions,
             reason=self.fit.reason,
+            active=self.active,
         )
+
+    @property
+    def active(self) -> tuple[ActiveConstraint, ...]:
+        """The exact priors and bounds that hold with equality at the fit, with the price of each in chi-square."""
+        here = local_conditions(self.theta, self.fit.at, self.domain, LEAST_DAMPING)
+        return priced(here.program.replace(names=parameter_names(self.experiment, self.effects)).active_at(here.point))
 
 
 def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[str, ...]:
@@ -245,24 +264,24 @@ def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[
 def fitted(
     misfit: Misfit, theta: Floats, backend: Backend, accuracy: Accuracy = FULL, start: Evaluation | None = None
 ) -> Estimate:
-    """Find the estimate that Gauss-Newton reaches from a starting point, with the noise that it speaks for.
+    """Fit from a starting point by Gauss-Newton, and estimate the undeclared noise with the parameters.
 
     Parameters
     ----------
     misfit : Misfit
-        Its noise is where the estimate of an undeclared one starts.
+        Its noise is the start of the estimate.
     theta : ndarray, shape (P,)
     backend : Backend
     accuracy : Accuracy, optional
     start : Evaluation, optional
-        At theta, where it was made already.
+        At theta, if it exists.
     """
     if not misfit.unknown:
         return fitted_with(misfit, theta, backend, accuracy, start)
-    few = dataclasses.replace(accuracy, most_steps=STEPS_A_NOISE)
+    few = dataclasses.replace(accuracy, most_steps=NOISE_ITERATION.steps)
     estimate = fitted_with(misfit, theta, backend, few, start)
-    longest, aim = LONGEST_STEP, dict[str, float]()
-    for _ in range(MOST_NOISES):
+    longest, aim = NOISE_ITERATION.longest, dict[str, float]()
+    for _ in range(NOISE_ITERATION.fits):
         noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
         before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
         if _same(estimate.misfit, noise):
@@ -271,35 +290,37 @@ def fitted(
             estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
             continue
         changes = [np.log(factor / before[key]) for key, factor in noise.noise.factors]
-        # A step beyond what the linearised model is good for leads to and fro: each is cut shorter than the last, until
-        # one leaves the aim where it was.
-        steady = aim and all(abs(np.log(factor / aim[key])) < SAME_NOISE for key, factor in noise.noise.factors)
+        # Steps beyond the range of the linearized model oscillate: each is shorter than the last, until the target
+        # stays.
+        same = NOISE_ITERATION.same
+        steady = aim and all(abs(np.log(factor / aim[key])) < same for key, factor in noise.noise.factors)
         cut = 1.0 if steady else min(1.0, longest / max(map(abs, changes)))
-        longest, aim = SHORTENED * longest, dict(noise.noise.factors)
+        longest, aim = NOISE_ITERATION.shortened * longest, dict(noise.noise.factors)
         factors = tuple(
             (key, float(before[key] * np.exp(cut * change)))
             for (key, _), change in zip(noise.noise.factors, changes, strict=True)
         )
-        misfit = estimate.misfit.replaced(noise=Noise(factors))
+        misfit = estimate.misfit.replaced(noise=NoiseFactors(factors))
         estimate = fitted_with(misfit, estimate.theta, backend, few)
     if not estimate.fit.converged:
         estimate = fitted_with(estimate.misfit, estimate.theta, backend, accuracy, estimate.fit.at)
     noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
     if not _same(estimate.misfit, noise):
-        # Where the linearised model has its maximum the model is another one: what is near the fit counts alone.
+        # The maximum of the linearized model is outside its range, so only the neighborhood of the fit counts.
         noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions, here=True)
     return dataclasses.replace(estimate, noise=noise)
 
 
 def _same(misfit: Misfit, noise: NoiseEstimate) -> bool:
     """Whether an estimate of the unknown standard deviations is that with which the fit was made."""
-    return all(abs(np.log(factor / misfit.noise.of(key))) < SAME_NOISE for key, factor in noise.noise.factors)
+    changes = [abs(np.log(factor / misfit.noise.of(key))) for key, factor in noise.noise.factors]
+    return all(change < NOISE_ITERATION.same for change in changes)
 
 
 def fitted_with(
     misfit: Misfit, theta: Floats, backend: Backend, accuracy: Accuracy = FULL, start: Evaluation | None = None
 ) -> Estimate:
-    """Return the estimate that Gauss-Newton reaches from a starting point, the noise held as it is.
+    """Fit from a starting point by Gauss-Newton with a fixed noise.
 
     Parameters
     ----------
@@ -308,7 +329,7 @@ def fitted_with(
     backend : Backend
     accuracy : Accuracy, optional
     start : Evaluation, optional
-        At theta, where it was made already.
+        At theta, if it exists.
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
     fit = gauss_newton(misfit, theta, domain, backend, accuracy, start)
@@ -319,8 +340,7 @@ def fitted_with(
 def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed] = ()) -> Estimate:
     """Fit floor masses, story stiffnesses and effects to all configurations together.
 
-    The starting points are tried, the nearest to the data first, until one leads to a fit that the data do not speak
-    against; the best is kept.
+    The starting points are tried in the order of their misfit until a fit is good; the best fit is kept.
 
     Parameters
     ----------
@@ -353,12 +373,12 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     for start in nearest_first(misfit, own):
         theta = np.concatenate([start, own])
         try:
-            # A further start leads to a better fit or nowhere: a rough one tells.
+            # A rough fit shows whether a further start leads to a better one.
             found = fitted(misfit, theta, backend, FULL if best is None else ROUGH)
             if best is not None and found.chi2 < best.chi2:
                 found = fitted(found.misfit, found.theta, backend)
         except NoModesError as error:
-            # Beside a frequency of 1e12 times the others rounding leaves the lowest mode no positive eigenvalue.
+            # If a frequency is 1e12 times the others, rounding can make the lowest eigenvalue negative.
             failure = failure or error
             continue
         except NoSolutionError as error:
@@ -372,7 +392,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     if best is None:
         raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
     if failure is not None and best.misfit.replaced(noise=misfit.noise).evaluate(best.theta).chi2 > missed:
-        # A point that fits worse than one from which the backend did not get anywhere is no minimum.
+        # The backend failed at a start that fits better than the result: the result is no minimum.
         raise failure
     if backend.name != "auto" and not misfit.open_noises and best.chi2 > HOPELESS * max(best.dof, 1):
         _refuse_local_minimum(best, backend, efficient(experiment, backends.get("auto"), effects))
@@ -380,12 +400,12 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
 
 
 def _refuse_local_minimum(found: Estimate, backend: Backend, reference: Estimate) -> None:
-    """Raise where a fit that is far from the data ended above that of the default backend.
+    """Raise if a fit far from the data has a larger misfit than the default backend's fit.
 
     Raises
     ------
     NoSolutionError
-        Backends that solve every step to a millionth end in different valleys only where the problem magnifies that.
+        Since all backends solve every step to a millionth, different minima mean an ill-conditioned problem.
     """
     above = found.fit.at.objective - reference.fit.at.objective
     if above > FLAT * max(1.0, reference.fit.at.objective / max(len(reference.fit.at.r), 1)):
@@ -396,7 +416,7 @@ def _refuse_local_minimum(found: Estimate, backend: Backend, reference: Estimate
 
 
 def _refuse_large(misfit: Misfit) -> None:
-    """Raise `UnsuitableError`, before anything is allocated, where a fit would not fit into `MEMORY`."""
+    """Raise `UnsuitableError`, before anything is allocated, if a fit would need more than `MEMORY`."""
     rows, P = sum(datum.count for datum in misfit.data), misfit.parameters
     needed = 8.0 * (12 * rows * P + 25 * P**2)
     if needed > MEMORY:

@@ -1,11 +1,10 @@
-"""What is expected before anything is measured: of the effects' parameters, and, vaguely, of the frame itself.
+"""Prior distributions of the effects' parameters and, wide, of the frame.
 
-Sets of effects are compared by the probability that they give to the data, which needs a proper prior of all that
-they leave open. Effects have theirs from their classes: Student's t about the null value, or, for an effect of many
-parameters with one common size, normal with that size, which is estimated with the rest (`fit/noise.py`). The frame
-has the same in every set: the logarithm of each floor mass and of each story stiffness is normal about those of a
-typical floor and story, so wide that it moves an estimate of a few percent by less than a hundredth of its standard
-deviation.
+The evidence of a set of effects needs a proper prior of every parameter. Effects have theirs from their classes:
+Student's t about the null value, or, for an effect with many parameters of one common size, normal with this size,
+which is estimated with the rest (`fit/noise.py`). The frame has the same prior in every set: the logarithm of each
+floor mass and story stiffness is normal about a typical value. It is so wide that it moves an estimate of a few percent
+by less than a hundredth of its standard deviation.
 """
 
 from __future__ import annotations
@@ -20,40 +19,37 @@ from cvxshear.util.typing import Floats
 
 MASS_WIDTH = 1.0
 STIFFNESS_WIDTH = 2.0
-"""Standard deviations of the logarithms of a floor mass and of a story stiffness about those of a typical one: floors
-of one frame seldom differ by more than a factor e; stories do, where one stands on rails or bearings."""
-
-SLOPE_AT_ZERO = 1e-6
-"""Deviation, in standard sizes, below which the slope of Student's residual is that at zero, to rounding."""
+"""Standard deviations of the logarithms of a floor mass and of a story stiffness about a typical value. Floors of one
+frame seldom differ by more than a factor e; stories do, if one stands on rails or bearings."""
 
 Rows = tuple[Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
-class Expectation:
-    """Expected parameters.
+class EffectPrior:
+    """Prior distributions of the parameters.
 
     Parameters
     ----------
     scale : Scale, optional
-        Of a typical floor and story; nothing is expected where it is not given.
+        Of a typical floor and story. Default: no prior.
     stds : dict, optional
-        Standard deviations of the parameters of effects at places where the experiment knows better.
+        Standard deviations of the parameters of effects that the experiment declares, in place of the catalogue's.
     """
 
     scale: Scale | None = None
     stds: dict[Placed, Floats] = field(default_factory=dict)
 
     def of(self, placed: Placed) -> Floats:
-        """Return the standard deviations of an effect's parameters about null, shape (p,); infinite where even."""
-        assert self.scale is not None, "without a scale nothing is expected of an effect"
+        """Return the standard deviations of an effect's parameters about null, shape (p,); infinite if uniform."""
+        assert self.scale is not None, "without a scale an effect has no prior"
         std = self.stds.get(placed)
         return placed.effect.expected_sizes(self.scale) if std is None else std
 
     def residuals(
         self, theta: Floats, effects: Sequence[Placed], factors: Mapping[str, float]
     ) -> tuple[Rows, list[str], Rows]:
-        """Rows about the effects' parameters, and rows about the frame, each with residuals and derivatives.
+        """Compute the rows of the effects' parameters and the rows of the frame, with residuals and derivatives.
 
         Parameters
         ----------
@@ -66,7 +62,7 @@ class Expectation:
         -------
         about_effects : tuple of ndarray
         keys : list of str
-            For each of these rows the label of the effect whose common size is unknown; empty for the others.
+            For each of these rows the label of the effect with an unknown common size; empty for the others.
         about_frame : tuple of ndarray
         """
         size = len(theta)
@@ -101,17 +97,17 @@ class Expectation:
 
 
 def tailed(z: Floats, tail: float) -> tuple[Floats, Floats]:
-    """Residuals whose squares are -2 log of Student's t over its largest value, and their derivatives.
+    """Compute residuals with the squares -2 log of Student's t over its largest value, and their derivatives.
 
-    A normal distribution whose variance is itself unknown is Student's t: sizes that practice meets now and then far
-    out stay possible. With v degrees of freedom r = sign(z) sqrt((v + 1) log(1 + z^2 / v)).
+    A normal distribution with an uncertain variance is Student's t; large sizes, which occur now and then, stay
+    possible. With v degrees of freedom r = sign(z) sqrt((v + 1) log(1 + z^2 / v)).
 
     Parameters
     ----------
     z : ndarray
         Deviations in standard sizes.
     tail : float
-        v; infinite for a normal distribution, whose residual is z.
+        v; infinite for a normal distribution, with the residual z.
 
     Returns
     -------
@@ -120,6 +116,7 @@ def tailed(z: Floats, tail: float) -> tuple[Floats, Floats]:
     if np.isinf(tail):
         return z, np.ones_like(z)
     r = np.sign(z) * np.sqrt((tail + 1.0) * np.log1p(z**2 / tail))
-    near = np.abs(z) < SLOPE_AT_ZERO
+    # Near zero r is proportional to z to rounding.
+    near = np.abs(z) < 1e-6
     slope = (tail + 1.0) * z / (tail + z**2) / np.where(near, 1.0, r)
     return r, np.where(near, np.sqrt((tail + 1.0) / tail), slope)

@@ -1,9 +1,9 @@
-"""Gauss-Newton: every step is one least-squares program, and no step makes the fit worse.
+"""Gauss-Newton: every step is one least-squares program, and every step lowers the misfit.
 
-Where the data hardly determine some direction a plain step leads far along it, out of the range in which the model is
-nearly linear. Where no plain step lowers the misfit it is damped (Levenberg 1944, Marquardt 1963): rows that hold each
-parameter back, weighed against the sensitivity of the data to it, heavier after a step that failed and lighter after
-one that did what the linearised model promised (Nielsen 1999).
+Along a direction that the data hardly determine, a plain step leads out of the range of the linearized model. If no
+plain step lowers the misfit, it is damped (Levenberg 1944, Marquardt 1963): further rows hold each parameter back,
+relative to its sensitivity. Their weight rises after a step that failed and falls after a step that gained as predicted
+(Nielsen 1999).
 """
 
 from __future__ import annotations
@@ -29,78 +29,69 @@ from cvxshear.fit.optimality import (
     sensitivities,
 )  # fmt: skip
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.statements import constrained
+from cvxshear.programs.constraints import constrained
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
-CONVERGED_STEP = 1e-6
-"""Largest change of a residual, in standard deviations and relative to their root mean square where that is above
-one, of a step that counts as none."""
-
 RESIDUAL_ROUNDING = 4.0 * float(np.finfo(float).eps)
-"""Rounding of a residual, relative to the sizes of its terms, |J| |theta|: in 64 bits a ratio declared to 1e-12 is
-known to 1e-3 of its standard deviation, and a step that changes it by less is none."""
-
-MOST_STEPS = 100
-HALVINGS = 2
-"""Times that a step is halved before it is damped."""
-
-LEAST_DAMPING = 1e-7
-"""Weight of the rows that hold a step back, relative to the sensitivity of the data to each parameter. They move no
-stationary point; they keep a step along a direction that the data do not determine from being arbitrary."""
-
-FIRST_DAMPING = 1e-2
-NEGLIGIBLE_DAMPING = 1e-4
-MOST_DAMPING = 1e6
-"""Weights at which a step is damped for the first time, below which it is a plain one again, and beyond which there is
-no step left to try."""
+"""Rounding of a residual, relative to the sizes of its terms, |J| |theta|. In 64 bits a ratio that is declared to 1e-12
+is known to 1e-3 of its standard deviation."""
 
 ROUNDING = 1e-13
-"""Relative violation of a constraint that counts as none."""
-
-NO_GAIN = 1e-12
-"""Part of the misfit that is rounding: a damped step that promises less, and is no better, leads nowhere, and a step
-program about such a point has a gradient of nothing but rounding, which no solver can be held to."""
+"""Rounding of a constraint, relative to its row."""
 
 FLAT = 0.1
-FLAT_STEPS = 3
-"""Decrease of chi-square, where its mean a datum is one, that this many damped steps in a row must bring to go on."""
+"""Smallest decrease of chi-square that matters, for a mean chi-square of one per datum."""
 
 HOPELESS = 25.0
-"""Mean square of the residuals, five standard deviations squared, above which a fit may be given up, see `Accuracy`."""
+"""Mean square of the residuals of a fit far from the data: five standard deviations squared."""
 
-MOST_REFUSED = 6
-"""Step programs of one fit that the backend may leave unsolved: with as many in a row a step is damped to a thousandth,
-where every program is well conditioned. A backend that fails more often does not solve them."""
-
-STATIONARY_STEP = 1e-5
-"""Length of the best step from a stationary point a residual, in standard deviations: ten times `CONVERGED_STEP`."""
+LEAST_DAMPING = 1e-7
+"""Weight of the damping rows of a plain step, relative to the sensitivity of the data to each parameter. They do not
+move a stationary point; they determine the step along directions that the data leave open."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far a fit is followed.
+    """Options of Gauss-Newton.
 
     Parameters
     ----------
     step : float
-        Largest change of a residual, see `CONVERGED_STEP`, of a step that counts as none.
+        Largest change of a residual in the last step, in standard deviations, relative to the root mean square of the
+        residuals if that is above one.
     most_steps : int, optional
-        Step programs at most.
+        Largest number of step programs.
     least_gain : float, optional
-        Share of the misfit that each step must bring while the mean square of the residuals is above `HOPELESS`: a fit
-        ends after `FLAT_STEPS` in a row that bring less. With 0 it follows a curved valley to its end.
+        Smallest relative gain of a step while the mean square of the residuals is above `HOPELESS`.
+    flat_steps : int, optional
+        Number of consecutive steps with a smaller gain that end the fit.
+    halvings : int, optional
+        Number of times that a step is halved before it is damped.
+    first_damping, negligible_damping, most_damping : float, optional
+        Weight of the first damped step, the weight below it that is plain again, and the largest weight.
+    no_gain : float, optional
+        Relative decrease of the misfit that is rounding.
+    most_refused : int, optional
+        Number of step programs that the backend may leave unsolved. This many in a row damp a step to a thousandth,
+        with a well-conditioned program; a backend that fails more often does not solve them.
     """
 
-    step: float
-    most_steps: int = MOST_STEPS
+    step: float = 1e-6
+    most_steps: int = 100
     least_gain: float = 0.0
+    flat_steps: int = 3
+    halvings: int = 2
+    first_damping: float = 1e-2
+    negligible_damping: float = 1e-4
+    most_damping: float = 1e6
+    no_gain: float = 1e-12
+    most_refused: int = 6
 
 
-FULL = Accuracy(CONVERGED_STEP)
-ROUGH = Accuracy(1e-2, 30, 0.02)
-"""While sets of effects are looked for: a model so far from the data is out of the question wherever in a valley it
-ends, and a hundred steps each made wrong files take a minute."""
+FULL = Accuracy()
+ROUGH = Accuracy(step=1e-2, most_steps=30, least_gain=0.02)
+"""Accuracy of the search over sets of effects: a model far from the data needs no exact fit."""
 
 
 class Ending(StrEnum):
@@ -116,13 +107,13 @@ class Ending(StrEnum):
 
     @property
     def converged(self) -> bool:
-        """Whether there was nothing left to gain, or hardly anything."""
+        """Whether the iteration ended at its tolerance, and not at a limit."""
         return self not in (Ending.STEP_LIMIT, Ending.ITERATION_LIMIT)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit(Generic[E]):
-    """The point at which Gauss-Newton stopped.
+    """The final point of Gauss-Newton.
 
     Parameters
     ----------
@@ -133,7 +124,7 @@ class Fit(Generic[E]):
     steps : int
         Number of step programs handed to the backend.
     evaluations : int
-        Number of points at which residuals and derivatives were computed.
+        Number of evaluations of residuals and derivatives.
     optimality : Optimality or None
         Certificate of the final point; None for a rough fit, and for one that did not converge.
     """
@@ -147,37 +138,38 @@ class Fit(Generic[E]):
 
     @property
     def converged(self) -> bool:
-        """Whether it stopped because there was nothing left to gain, or hardly anything."""
+        """Whether it ended at its tolerance, and not at a limit."""
         return self.reason.converged
 
 
-class _Damping:
-    """The weight of the rows that hold a step back."""
+class Damping:
+    """The weight of the damping rows."""
 
-    def __init__(self) -> None:
+    def __init__(self, accuracy: Accuracy) -> None:
         self.weight = LEAST_DAMPING
+        self._accuracy = accuracy
         self._factor = 2.0
 
     @property
     def active(self) -> bool:
-        """Whether it holds a step back by more than rounding."""
+        """Whether the step is damped."""
         return self.weight > LEAST_DAMPING
 
     @property
     def exhausted(self) -> bool:
-        """Whether more would leave nothing of the step."""
-        return self.weight > MOST_DAMPING
+        """Whether more damping would leave no step."""
+        return self.weight > self._accuracy.most_damping
 
     def heavier(self) -> None:
-        """After a step that failed: more, and faster with each that fails."""
-        self.weight = max(self._factor * self.weight, FIRST_DAMPING)
+        """Raise the weight after a step that failed, faster with each failure."""
+        self.weight = max(self._factor * self.weight, self._accuracy.first_damping)
         self._factor *= 2.0
 
     def lighter(self, kept: float) -> None:
-        """After a step that kept this part of what the linearised model promised."""
+        """Lower the weight after a step with this ratio of its gain to the predicted gain."""
         self.weight = max(LEAST_DAMPING, self.weight * max(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3))
         self._factor = 2.0
-        if self.weight < NEGLIGIBLE_DAMPING:
+        if self.weight < self._accuracy.negligible_damping:
             self.weight = LEAST_DAMPING
 
 
@@ -202,37 +194,36 @@ def gauss_newton(
 ) -> Fit[E]:
     """Minimize the sum of squared standardized residuals.
 
-    A fit to full accuracy (a step of at most `CONVERGED_STEP`) is certified at its final point: see
-    `fit.optimality`.
+    A fit to full accuracy is certified at its final point, see `fit.optimality`.
 
     Parameters
     ----------
     problem : Problem
     theta : ndarray, shape (P,)
-        Start, at which the problem has residuals.
+        Start.
     domain : Domain
     backend : Backend
     accuracy : Accuracy, optional
     start : Residuals, optional
-        At theta, where they were computed already.
+        At theta, if they exist.
 
     Returns
     -------
     Fit
-        Of no larger misfit than the start, once the start keeps the exact statements.
+        Its misfit is at most the misfit of the start, once the start keeps the exact statements.
 
     Raises
     ------
     NoSolutionError
-        Where the backend leaves more than `MOST_REFUSED` step programs unsolved, or the final point is not certified.
+        If the backend leaves too many step programs unsolved, or the final point is not certified.
     UnsuitableError
         Where the backend cannot take such a program.
     """
     fit, refused = _descended(problem, theta, domain, backend, accuracy, start)
     if refused is not None and fit.reason is Ending.NO_BETTER_STEP:
-        # A step that nobody solved is no reason to believe that none is better.
+        # The unsolved step could have lowered the misfit.
         raise refused
-    if accuracy.step <= CONVERGED_STEP and fit.converged:
+    if accuracy.step <= FULL.step and fit.converged:
         fit = dataclasses.replace(fit, optimality=_certified(problem, fit, domain, backend.name))
     return fit
 
@@ -240,20 +231,20 @@ def gauss_newton(
 def _descended(
     problem: Problem[E], theta: Floats, domain: Domain, backend: Backend, accuracy: Accuracy, start: E | None
 ) -> tuple[Fit[E], NoSolutionError | None]:
-    """Where the steps end, and the failure of the backend since it last solved an undamped program."""
-    feasible = _made_feasible(theta, domain, backend)
+    """Follow the steps to their end; return the last failure of the backend on an undamped program, too."""
+    feasible = made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else problem.evaluate(feasible)
     theta, evaluations = feasible, 1
-    damping, flat, failures = _Damping(), 0, 0
+    damping, flat, failures = Damping(accuracy), 0, 0
     refused: NoSolutionError | None = None
     solution: Solution | None = None
     for step in range(1, accuracy.most_steps + 1):
         try:
             solution = backend.solve(step_program(at, theta, domain, damping.weight), solution)
         except NoSolutionError as error:
-            # A program so badly conditioned that the solver gives up is better conditioned with more damping.
+            # Damping improves the condition of the program.
             failures += 1
-            if damping.exhausted or failures > MOST_REFUSED:
+            if damping.exhausted or failures > accuracy.most_refused:
                 raise
             refused = error
             damping.heavier()
@@ -265,11 +256,11 @@ def _descended(
         least = accuracy.step * max(1.0, rms) + RESIDUAL_ROUNDING * (np.abs(at.J) @ np.abs(theta))
         if not damping.active and np.all(np.abs(at.J @ d) < least):
             return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
-        taken, trials = _halved(problem, theta, d, at, domain, 0 if damping.active else HALVINGS)
+        taken, trials = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
         evaluations += trials
         promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
         if taken is None:
-            if damping.exhausted or (damping.active and promised < NO_GAIN * at.objective):
+            if damping.exhausted or (damping.active and promised < accuracy.no_gain * at.objective):
                 return Fit(theta, at, Ending.NO_BETTER_STEP, step, evaluations), refused
             damping.heavier()
             continue
@@ -277,7 +268,7 @@ def _descended(
         theta, at = taken
         given_up = rms**2 > HOPELESS and gain < accuracy.least_gain * before.objective
         flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
-        if flat == FLAT_STEPS:
+        if flat == accuracy.flat_steps:
             return Fit(theta, at, Ending.FLAT, step, evaluations), refused
         if damping.active:
             damping.lighter(gain / promised if promised > 0 else 0.0)
@@ -301,19 +292,19 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
             name,
             f"derivatives of the misfit are off their difference quotients by {100 * found.derivative_error:.1g} %",
         )
-    if found.step > STATIONARY_STEP * rms * np.sqrt(len(fit.at.r)):
-        # It may promise more than there is: along what the data hardly determine the model is not linear.
+    if found.step > 10.0 * FULL.step * rms * np.sqrt(len(fit.at.r)):
+        # The model is not linear along directions that the data hardly determine, so the step is tried.
         d, _ = best_step(fit.theta, fit.at, domain, LEAST_DAMPING)
-        trial, _ = _halved(problem, fit.theta, d, fit.at, domain, HALVINGS)
+        trial, _ = halved(problem, fit.theta, d, fit.at, domain, FULL.halvings)
         if trial is not None and fit.at.objective - trial[1].objective > FLAT * rms**2:
             raise NoSolutionError(name, "the fit ended where a step of another solver lowers the misfit further")
     return found
 
 
-def _halved(
+def halved(
     problem: Problem[E], theta: Floats, d: Floats, at: Residuals, domain: Domain, halvings: int
 ) -> tuple[tuple[Floats, E] | None, int]:
-    """theta + d, or + d/2, ...: the first within reach that lowers the misfit, or None; and the points evaluated."""
+    """Try theta + d, theta + d/2, ...: return the first point that lowers the misfit, or None, and the evaluations."""
     evaluations = 0
     for power in range(halvings + 1):
         trial = theta + 0.5**power * d
@@ -321,24 +312,24 @@ def _halved(
             continue
         evaluations += 1
         try:
-            # With derivatives at once: nearly always the first trial is taken, and they are needed then.
+            # With derivatives, since the first trial is nearly always accepted.
             found = problem.evaluate(trial)
         except NoModesError:
-            # Outside the model's domain (a mass not positive, a frame that buckles): too long a step.
+            # The step is too long: a mass is not positive, or the frame buckles.
             continue
         if found.objective < at.objective:
             return (trial, found), evaluations
     return None, evaluations
 
 
-def _made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
+def made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
     """Find the nearest point, in relative change, that keeps the exact statements."""
     nearest = LeastSquares(R=np.diag(1.0 / domain.scale), s=np.zeros(len(theta)))
     program = constrained(nearest, domain.statements, theta)
-    return theta if _kept(program, domain.scale) else theta + backend.solve(program).x
+    return theta if satisfied(program, domain.scale) else theta + backend.solve(program).x
 
 
-def _kept(program: LeastSquares, scale: Floats) -> bool:
+def satisfied(program: LeastSquares, scale: Floats) -> bool:
     """Whether the constraints of a program hold for an unknown of zero, within rounding."""
     G, h = program.inequalities
     A, b = program.equalities

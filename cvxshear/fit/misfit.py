@@ -1,8 +1,7 @@
-"""Measured against modelled: standardized residuals of all data together, and their derivatives.
+"""Standardized residuals of all data, soft priors and parameter priors together, and their derivatives.
 
-Data of every kind, the soft priors, and what is expected of effects and of the frame, each divided by its standard
-deviation. A standard deviation that nobody declared is a factor on a default, which is estimated with the rest: that of
-a kind of noise, and the common size of an effect of many parameters.
+Each residual is divided by its standard deviation. An undeclared standard deviation is a factor on a default, estimated
+with the rest: one factor for each kind of noise, and one for the common size of an effect with many parameters.
 """
 
 from __future__ import annotations
@@ -14,21 +13,20 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit
 
-from cvxshear.data import Datum, Deviation, Model, Noise, NoiseKind, data_of, noise_kinds
+from cvxshear.data import Datum, Deviation, Model, NoiseFactors, NoiseKind, data_of, noise_kinds
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import acting_on, composed, slices
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints
 
 WIDTH = 0.7
-"""Standard deviation of the logarithm of the factor on a default standard deviation of the data: two thirds of what is
-tested lie within half and twice the default, nineteen in twenty within a quarter and four times."""
-
+"""Standard deviation of the logarithm of the factor on a default standard deviation: two thirds of all tests lie
+between half and twice the default, nineteen in twenty between a quarter and four times."""
 
 LEAST_SQUARE = 1e-2
-"""Least square of an error on top of a declared one, relative to that, from which the search for its size starts."""
+"""Smallest start of the square of an additional error, relative to the declared one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +36,18 @@ class Evaluation:
     Parameters
     ----------
     r : ndarray, shape (d,)
-        Model less measurement in standard deviations: data and soft priors, then what is expected of the effects, then
-        what is expected of the frame.
+        Model minus measurement in standard deviations: data and soft priors, then the priors of the effects, then the
+        prior of the frame.
     J : ndarray, shape (d, P)
-        dr/dtheta, its columns those asked for; of no rows where none was.
+        dr/dtheta for the requested columns; without rows if derivatives were not requested.
     models : tuple of Model
-        One a tested state.
+        One per tested state.
     measured, known : int
-        Rows of data and soft priors; those with what is expected of the effects.
+        Number of rows of data and soft priors; the same with the priors of the effects.
     blocks : tuple of int
         Rows of each datum, in the order of `Misfit.data`.
     unknown : ndarray of int, shape (d,)
-        Place in `Misfit.unknown` of a row whose standard deviation is estimated with the rest, -1 for the others.
+        For each row with an estimated standard deviation its place in `Misfit.unknown`, -1 for the others.
     """
 
     r: Floats
@@ -74,7 +72,7 @@ class Evaluation:
     def triangle(self) -> tuple[Floats, Floats]:
         """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x: J = Q U, c = Q' r, at most P rows.
 
-        All that a step and its uncertainty need of J; there are many more data than parameters.
+        A step and its uncertainty need no more of J; there are many more data than parameters.
         """
         whole = np.asarray(np.linalg.qr(np.column_stack([self.J, self.r]), mode="r"))
         P = self.J.shape[1]
@@ -82,25 +80,25 @@ class Evaluation:
 
     @cached_property
     def known_triangle(self) -> Floats:
-        """The triangular factor of J without what is expected of the frame."""
+        """The triangular factor of J without the prior of the frame."""
         return np.asarray(np.linalg.qr(self.J[: self.known], mode="r"))
 
 
 @dataclass(frozen=True)
 class UnknownSize:
-    """A standard deviation that nobody declared: the logarithm of a factor on it is estimated with the rest.
+    """An undeclared standard deviation: the logarithm of a factor on it is estimated with the rest.
 
     Parameters
     ----------
     key : str
-        Kind of noise, or label of the effect whose parameters have this common size or whose data this noise.
+        Kind of noise, or label of the effect with this common size or this noise.
     count : float
         Number of data, or of parameters, that have it.
     width : float
-        Standard deviation of the logarithm of the factor before anything is measured.
+        Prior standard deviation of the logarithm of the factor.
     above_one : bool
-        Whether it is sqrt(1 + s^2), with log s normal: an error that comes on top of a declared one. Else the factor
-        itself has a normal logarithm.
+        Whether the factor is sqrt(1 + s^2) with log s normal: an error in addition to a declared one. Otherwise the
+        factor itself has a normal logarithm.
     """
 
     key: str
@@ -109,13 +107,13 @@ class UnknownSize:
     above_one: bool = False
 
     def log_factor(self, v: float) -> tuple[float, float]:
-        """Return the logarithm of the factor at a value v of what is normal beforehand, and its derivative by v."""
+        """Return the logarithm of the factor and its derivative at a value v of the normal variable."""
         if not self.above_one:
             return v, 1.0
         return 0.5 * float(np.logaddexp(0.0, 2.0 * v)), float(expit(2.0 * v))
 
     def coordinate(self, factor: float) -> float:
-        """Return the value v at which the factor is this one."""
+        """Return the value v of a factor."""
         if not self.above_one:
             return float(np.log(factor))
         return 0.5 * float(np.log(max(np.expm1(2.0 * np.log(factor)), LEAST_SQUARE)))
@@ -129,14 +127,13 @@ class Misfit:
     experiment : Experiment
     effects : sequence of Placed
     leave_out : array of bool for each configuration, optional
-        Modes of a configuration that are not to count, by its name.
-    noise : Noise, optional
-        Factors on the default standard deviations of what declares none.
-    expectation : Expectation, optional
-        What is expected of the effects and of the frame; nothing where not given.
+        Modes of a configuration that do not count, by its name.
+    noise : NoiseFactors, optional
+        Factors on the default standard deviations of undeclared noise.
+    expectation : EffectPrior, optional
+        Priors of the effects and of the frame. Default: none.
     widened : float, optional
-        Factor on all standard deviations of the data, declared ones too: what a residual that nothing explains asks
-        for.
+        Factor on all standard deviations of the data, declared ones too, for a residual without explanation.
     """
 
     def __init__(
@@ -144,15 +141,15 @@ class Misfit:
         experiment: Experiment,
         effects: Sequence[Placed] = (),
         leave_out: dict[str, Bools] | None = None,
-        noise: Noise | None = None,
-        expectation: Expectation | None = None,
+        noise: NoiseFactors | None = None,
+        expectation: EffectPrior | None = None,
         widened: float = 1.0,
     ) -> None:
         self.experiment = experiment
         self.effects = tuple(effects)
         self.leave_out = leave_out or {}
-        self.noise = noise or Noise()
-        self.expectation = expectation or Expectation()
+        self.noise = noise or NoiseFactors()
+        self.expectation = expectation or EffectPrior()
         self.widened = widened
         self.data = [
             datum.without(self.leave_out[datum.tested.name]) if datum.tested.name in self.leave_out else datum
@@ -160,9 +157,9 @@ class Misfit:
         ]
 
     def replaced(
-        self, effects: Sequence[Placed] | None = None, noise: Noise | None = None, widened: float | None = None
+        self, effects: Sequence[Placed] | None = None, noise: NoiseFactors | None = None, widened: float | None = None
     ) -> Misfit:
-        """Return the same data under other effects, another noise, or the noise widened otherwise."""
+        """Return the same data with other effects, another noise, or another noise inflation."""
         return Misfit(
             self.experiment,
             self.effects if effects is None else effects,
@@ -174,7 +171,7 @@ class Misfit:
 
     @property
     def parameters(self) -> int:
-        """Number P of parameters: floor masses, story stiffnesses, and those of the effects."""
+        """Number P of parameters: floor masses, story stiffnesses and parameters of the effects."""
         return 2 * self.experiment.stories + sum(len(placed.effect.parameters) for placed in self.effects)
 
     @cached_property
@@ -183,7 +180,7 @@ class Misfit:
         counts = dict.fromkeys(noise_kinds(), 0.0)
         rescaled = {placed.label: 0.0 for placed in self.effects if placed.effect.rescales}
         for datum, (keys, which) in zip(self.data, self._keys, strict=True):
-            # A scale that each mode leaves free takes as much from the rows of either noise.
+            # The free scale of each mode takes the same share from the rows of both noises.
             share = datum.count / max(datum.entries, 1)
             for place, key in enumerate(keys):
                 if key:
@@ -209,7 +206,7 @@ class Misfit:
 
     @property
     def open_noises(self) -> dict[str, float]:
-        """The kinds of noise that somebody left undeclared, each with its number of data."""
+        """The undeclared kinds of noise, each with its number of data."""
         return {item.key: item.count for item in self.unknown if item.key in self.noises}
 
     def rescaled_rows(self, at: Evaluation, placed: Placed) -> Bools:
@@ -224,9 +221,9 @@ class Misfit:
 
     @cached_property
     def _keys(self) -> list[tuple[list[str], Ints]]:
-        """What the factors on the standard deviations of each datum go by, and which of them each of its rows has.
+        """Keys of the factors on the standard deviations of each datum, and the key of each of its rows.
 
-        Empty where the standard deviation is declared.
+        A key is empty if the standard deviation is declared.
         """
         found = []
         for datum in self.data:
@@ -243,7 +240,7 @@ class Misfit:
         return sum(datum.count for datum in self.data) + len(self._soft(theta)[0])
 
     def evaluate(self, theta: Floats, *, derivatives: bool = True, by: slice = slice(None)) -> Evaluation:
-        """Residuals, and their derivatives unless told otherwise.
+        """Compute the residuals and their derivatives.
 
         Parameters
         ----------
@@ -251,17 +248,17 @@ class Misfit:
             Floor masses without added mass, story stiffnesses, effect parameters.
         derivatives : bool, optional
         by : slice, optional
-            The parameters by which derivatives are wanted, all where not given.
+            The parameters of the derivatives. Default: all.
 
         Raises
         ------
         NoModesError
-            Where the model has no modes there: a mass is not positive, or the frame would buckle.
+            If the model has no modes there: a mass is not positive, or the frame buckles.
         """
         n = self.experiment.stories
         if np.any(theta[: 2 * n] <= 0):
             raise NoModesError("floor masses and story stiffnesses must be positive")
-        # Effects have parameters of their own, by which the matrices' derivatives are made in passing.
+        # With effects the derivatives of the matrices are computed anyway.
         shaped = derivatives or bool(self.effects)
         models = {
             id(each): Model(composed(self.experiment, each, acting, theta, derivatives=shaped), by, derivatives)
@@ -294,7 +291,7 @@ class Misfit:
     def _deviations(self) -> tuple[dict[str, int], list[Ints], list[Floats]]:
         """Places of the unknown standard deviations by their keys; places and factors of each datum's rows."""
         places = {item.key: place for place, item in enumerate(self.unknown)}
-        # Shapes of a single sensor have no declared deviation and no information that would tell it.
+        # Shapes of a single sensor have neither a declared deviation nor information about it.
         unknown = [np.array([places.get(key, -1) for key in keys])[which] for keys, which in self._keys]
         factors = [np.array([self.widened * self.noise.of(key) for key in keys])[which] for keys, which in self._keys]
         return places, unknown, factors
@@ -307,7 +304,7 @@ class Misfit:
     def statement_deviations(self, theta: Floats) -> list[Deviation]:
         """How far each soft prior, and a soft total mass, lies from the model, in its own standard deviations.
 
-        What an effect says of a prior that does not hold is left out of account.
+        An effect that releases a prior does not count.
         """
         plain = Misfit(self.experiment)
         residuals, at = plain._soft(theta[: 2 * self.experiment.stories])[0], 0

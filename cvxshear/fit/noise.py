@@ -1,14 +1,14 @@
-"""Standard deviations that nobody declared: a factor on a default each, estimated with the rest.
+"""Undeclared standard deviations: a factor on each default, estimated with the rest.
 
-They are those of the kinds of noise, and the common size of the parameters of an effect that has many. The logarithm u
-of a factor is normal about 0 before anything is measured: instruments and methods differ by factors of two or four, not
-of a hundred. Given u the parameters are integrated out of the linearised model (MacKay 1992), so that data which the
-parameters can follow do not pass for exact ones:
+Each kind of noise has one, and so has the common size of the parameters of an effect with many parameters. The prior of
+the logarithm u of a factor is normal about 0: instruments and methods differ by factors of two or four, not of a
+hundred. For given u the parameters are integrated out of the linearized model (MacKay 1992), so that data which the
+parameters can fit do not pass for exact data:
 
     log p(data, u) = -chi2(u) / 2 - sum n_g u_g - log det H(u) / 2 - sum u_g^2 / 2 w_g^2 + constant,
 
-w_g the width of that prior, n_g the number of residuals with this factor, H(u) = sum exp(-2 u_g) J_g' J_g, chi2(u) the
-least of the linearised residual, what is expected of the parameters included.
+with the width w_g of the prior, the number n_g of residuals with this factor, H(u) = sum exp(-2 u_g) J_g' J_g, and the
+minimum chi2(u) of the linearized residual with the priors of the parameters.
 """
 
 from __future__ import annotations
@@ -19,27 +19,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg, optimize, special
 
-from cvxshear.data import Noise, noise_kinds
+from cvxshear.data import NoiseFactors, noise_kinds
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.util.typing import Floats, Json
 
-SHARPEST = 1e-12
-"""Least ratio of the curvatures of two directions."""
-
-STEP = 1e-3
-"""Of the differences that give the curvature in u."""
-
 NODES = {1: 7, 2: 7, 3: 5, 4: 3}
-"""Points of the quadrature in each u by the number of them: the marginal is skew where few data are left to tell the
-noise. Where there are more, Laplace's approximation (one point) stands for it."""
+"""Number of quadrature points in each u, by the number of factors: the marginal is skew if few data determine the
+noise. With more factors, one point (Laplace's approximation)."""
 
 LARGEST_LOG_CHANGE = 20.0
-"""Change of a log factor beyond which an exponential is not worth its overflow."""
+"""Largest change of a log factor, so that no exponential overflows."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseEstimate:
-    """Factors on the default standard deviations of what was left undeclared.
+    """Factors on the default standard deviations of undeclared noise.
 
     Parameters
     ----------
@@ -49,7 +43,7 @@ class NoiseEstimate:
     covariance : ndarray, shape (g, g)
         Of the logarithms.
     gain : float
-        log p(data, u) of the linearised fit, u integrated out, without -objective / 2 - log det H / 2 of that fit.
+        log p(data, u) of the linearized fit, u integrated out, without -objective / 2 - log det H / 2 of that fit.
     settled : bool
         Whether the fit was made with these factors.
     """
@@ -61,16 +55,16 @@ class NoiseEstimate:
     settled: bool = True
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> NoiseFactors:
         """The factors."""
-        return Noise(tuple(zip(self.kinds, np.exp(self.log_factors).tolist(), strict=True)))
+        return NoiseFactors(tuple(zip(self.kinds, np.exp(self.log_factors).tolist(), strict=True)))
 
     def to_dict(self) -> Json:
-        """For each kind its factor and the standard deviation of that; null where it was declared."""
+        """Return for each kind its factor and the factor's standard deviation; null if declared."""
         return {kind: self.of(kind) for kind in noise_kinds()}
 
     def of(self, key: str) -> Json | None:
-        """Factor and its standard deviation of a kind of noise, or of an effect's size; None where it was declared."""
+        """Return the factor of a noise or of an effect's size, and its standard deviation; None if declared."""
         if key not in self.kinds:
             return None
         at = self.kinds.index(key)
@@ -79,7 +73,7 @@ class NoiseEstimate:
 
 
 def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool = False) -> NoiseEstimate:
-    """Estimate the noise that a fit speaks for.
+    """Estimate the undeclared noise from a fit.
 
     Parameters
     ----------
@@ -88,9 +82,9 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     at : Evaluation
         At its optimum.
     free : ndarray, shape (P, f)
-        Directions that the parameters are free to go, each of unit effect on the residuals.
+        Free directions of the parameters, each of unit effect on the residuals.
     here : bool, optional
-        Take the factors of the fit as they are, as an estimate that did not settle.
+        Keep the factors of the fit, as an estimate that did not converge.
 
     Returns
     -------
@@ -98,11 +92,11 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     """
     if not misfit.unknown:
         return NoiseEstimate()
-    marginal = _Marginal(misfit, at, free)
+    marginal = NoiseMarginal(misfit, at, free)
     best = marginal.start if here else optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
-    # Where the marginal has no maximum the search runs off.
+    # A marginal without maximum makes the search diverge.
     v: Floats = np.clip(best, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE)
-    covariance: Floats = np.asarray(np.linalg.inv(_curvature(marginal, v)), dtype=np.float64)
+    covariance: Floats = np.asarray(np.linalg.inv(marginal_curvature(marginal, v)), dtype=np.float64)
     kinds = tuple(item.key for item in misfit.unknown)
     u, slope = marginal.log_factors(v)
     spread = slope[:, None] * covariance * slope
@@ -113,8 +107,8 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     return NoiseEstimate(kinds, u, spread, _log_integral(marginal, v, covariance))
 
 
-def _log_integral(marginal: _Marginal, u: Floats, covariance: Floats) -> float:
-    """log of the integral of the marginal over u and its prior's constant, by Gauss and Hermite about its largest."""
+def _log_integral(marginal: NoiseMarginal, u: Floats, covariance: Floats) -> float:
+    """Compute the log of the integral of the marginal over u, by Gauss-Hermite quadrature about its maximum."""
     root = np.sqrt(2.0) * np.linalg.cholesky(covariance)
     nodes, weights = np.polynomial.hermite.hermgauss(NODES.get(len(u), 1))
     points = np.array(list(itertools.product(nodes, repeat=len(u))))
@@ -124,7 +118,7 @@ def _log_integral(marginal: _Marginal, u: Floats, covariance: Floats) -> float:
     return float(special.logsumexp(values)) + log_det - float(np.sum(np.log(marginal.widths * np.sqrt(2 * np.pi))))
 
 
-class _Marginal:
+class NoiseMarginal:
     """log p(data, u) of the linearised model, without the terms -objective / 2 and -log det H / 2 of the fit."""
 
     def __init__(self, misfit: Misfit, at: Evaluation, free: Floats) -> None:
@@ -136,21 +130,21 @@ class _Marginal:
         self._counts = np.array([item.count for item in misfit.unknown], dtype=float)
         rows = [at.unknown == place for place in range(len(misfit.unknown))]
         moved = [at.J[own] @ free for own in rows]
-        # The slope that is left is zero where the fit converged. With it the least of the linearised residual is never
-        # below zero; what a further step would gain at the fit's own factors is not counted, as it was not made.
+        # The remaining slope is zero if the fit converged. It keeps the minimum of the linearized residual from being
+        # negative. The gain of a further step at the fit's own factors does not count, since the step was not made.
         self._left = free.T @ (at.J.T @ at.r)
         self._information = np.array([part.T @ part for part in moved])
         self._gradient = np.array([part.T @ at.r[own] for part, own in zip(moved, rows, strict=True)])
         self._chi2 = np.array([float(at.r[own] @ at.r[own]) for own in rows])
 
     def log_factors(self, v: Floats) -> tuple[Floats, Floats]:
-        """u at a value of what is normal beforehand, and its derivatives, both of shape (g,)."""
+        """Return u and its derivatives at a value of the normal variables, both of shape (g,)."""
         found = [item.log_factor(float(value)) for item, value in zip(self._unknown, v, strict=True)]
         u, slope = np.array(found).T
         return u, slope
 
     def negative(self, v: Floats) -> tuple[float, Floats]:
-        """Minus log p(data, u(v)), without those terms, and its derivative by v."""
+        """Compute minus log p(data, u(v)), without these terms, and its derivative by v."""
         u, slope = self.log_factors(v)
         weight = np.exp(-2.0 * np.clip(u - self.here, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE))
         change = weight - 1.0
@@ -187,13 +181,14 @@ class _Marginal:
         return np.asarray(0.5 * (gained - change @ self._chi2 - log_det - prior) - u @ self._counts)
 
 
-def _curvature(marginal: _Marginal, u: Floats) -> Floats:
-    """Minus the second derivatives of log p(data, u), by differences of the first, shape (g, g).
+def marginal_curvature(marginal: NoiseMarginal, u: Floats) -> Floats:
+    """Compute minus the second derivatives of log p(data, u), by differences of the first, shape (g, g).
 
-    Each eigenvalue is at least a tenth of the prior's, and at least `SHARPEST` times the largest: the inverse exists.
+    Each eigenvalue is at least a tenth of the prior's and 1e-12 of the largest, so that the inverse exists.
     """
-    steps = STEP * np.eye(len(u))
-    rows = [(marginal.negative(u + step)[1] - marginal.negative(u - step)[1]) / (2 * STEP) for step in steps]
+    change = 1e-3
+    steps = change * np.eye(len(u))
+    rows = [(marginal.negative(u + step)[1] - marginal.negative(u - step)[1]) / (2 * change) for step in steps]
     values, vectors = np.linalg.eigh(0.5 * (np.array(rows) + np.array(rows).T))
-    least = max(0.1 / float(np.max(marginal.widths)) ** 2, SHARPEST * float(values[-1]))
+    least = max(0.1 / float(np.max(marginal.widths)) ** 2, 1e-12 * float(values[-1]))
     return np.asarray((vectors * np.maximum(values, least)) @ vectors.T)

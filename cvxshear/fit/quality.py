@@ -1,4 +1,4 @@
-"""How far a model is from the measurement: errors that an engineer reads, and the chi-square of the residual."""
+"""Errors of a model: frequency and shape errors, and the chi-square of the residual."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class Quality(InJson):
     Parameters
     ----------
     errors : mapping of str to float or None
-        Every error figure that a kind of data declares, by its key; None where nothing of the kind was measured.
+        Every error figure that a kind of data declares, by its key; None if the kind was not measured.
     chi2 : float
         Sum of squared standardized residuals, soft priors included.
     dof : int
         Number of data less number of free parameters.
     p_value : float or None
-        Of chi2, where the noise is declared and a degree of freedom is left.
+        Of chi2, if the noise is declared and a degree of freedom is left.
     """
 
     json_keys: ClassVar[str] = "*errors chi2 dof p_value"
@@ -49,12 +49,12 @@ class Quality(InJson):
 
     @property
     def min_mac(self) -> float | None:
-        """Smallest modal assurance criterion; None where no shape was measured at two floors."""
+        """Smallest modal assurance criterion; None if no shape was measured at two floors."""
         return self.errors["min_mac"]
 
     @property
     def max_shape_error(self) -> float | None:
-        """Largest difference of a shape entry; None where no shape was measured.
+        """Largest difference of a shape entry; None without measured shapes.
 
         The measured mode is scaled to a largest entry of 1 and the model's to it by least squares.
         """
@@ -62,7 +62,7 @@ class Quality(InJson):
 
     @property
     def max_displacement_error(self) -> float | None:
-        """Largest difference of a displacement over the largest of its test; None where none was measured."""
+        """Largest difference of a displacement over the largest of its test; None without measured displacements."""
         return self.errors["max_displacement_error"]
 
 
@@ -77,7 +77,7 @@ def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: in
     chi2 : float
     dof : int
     declared : bool
-        Whether chi2 is one, every standard deviation having been declared.
+        Whether every standard deviation is declared, so that chi2 has a chi-square distribution.
     """
     by_tested = {id(model.state.tested): model for model in models}
     found: dict[str, list[Floats]] = {}

@@ -1,4 +1,4 @@
-"""What an identification returns."""
+"""The result of an identification."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cvxshear.backends import SolvedProgram
 from cvxshear.data import Model
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.quality import Quality
 from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.programs import ActiveConstraint
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.quantities import column_name
 from cvxshear.util.results import InJson, Shown, as_json, data_frame
 from cvxshear.util.typing import Bools, Floats, Json
 
@@ -19,9 +23,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+UNITS_OF_FRAME = {"floor_mass": "kg", "story_stiffness": "N/m"}
+
+
 @dataclass(frozen=True, eq=False)
 class IdentifiedFrame(InJson):
-    """Floor masses and story stiffnesses, nan where the data do not determine one.
+    """Floor masses and story stiffnesses, nan if the data do not determine them.
 
     Parameters
     ----------
@@ -29,40 +36,42 @@ class IdentifiedFrame(InJson):
         kg, without added mass.
     story_stiffness : ndarray, shape (N,)
         N/m.
-    floor_mass_std, story_stiffness_std : ndarray, shape (N,), optional
-        Standard deviations in the same units, of the methods that give them.
+    floor_mass_std, story_stiffness_std : ndarray, shape (N,)
+        Standard deviations in the same units; nan where the method gives none.
     at_bounds : tuple of str, optional
-        What only a bound keeps from going on, such as "floor_mass 5": its value is the bound's, and a standard
-        deviation would be nothing but rounding, so that what is written of the frame has none.
+        Values on a bound, such as "floor_mass 5". They have no standard deviation of their own.
     """
 
     floor_mass: Floats
     story_stiffness: Floats
-    floor_mass_std: Floats | None = None
-    story_stiffness_std: Floats | None = None
+    floor_mass_std: Floats
+    story_stiffness_std: Floats
     at_bounds: tuple[str, ...] = ()
 
     json_keys = "*known"
 
     def stopped(self, quantity: str) -> Bools:
-        """Where "floor_mass" or "story_stiffness" is at a bound, shape (N,)."""
+        """Whether each "floor_mass" or "story_stiffness" is on a bound, shape (N,)."""
         return np.array([f"{quantity} {place}" in self.at_bounds for place in range(1, len(self.floor_mass) + 1)])
 
     @property
     def known(self) -> dict[str, Floats | None]:
-        """Values and standard deviations by name, shape (N,); nan where a value stopped at a bound."""
+        """Values and standard deviations by name, shape (N,); deviations are nan for values on a bound."""
         found: dict[str, Floats | None] = {}
         for name in ("floor_mass", "story_stiffness"):
             std = getattr(self, f"{name}_std")
             found[name] = getattr(self, name)
-            found[f"{name}_std"] = None if std is None else np.where(self.stopped(name), np.nan, std)
+            found[f"{name}_std"] = None if np.all(np.isnan(std)) else np.where(self.stopped(name), np.nan, std)
         return found
 
     @property
     def columns(self) -> dict[str, list[float]]:
-        """Values and deviations by name, floor by floor from the lowest; nan where there is no standard deviation."""
+        """Values and deviations by name, from the lowest floor up; nan without standard deviation."""
         unknown = np.full(len(self.floor_mass), np.nan)
-        return {name: (unknown if values is None else values).tolist() for name, values in self.known.items()}
+        return {
+            column_name(name, UNITS_OF_FRAME[name.removesuffix("_std")]): (unknown if each is None else each).tolist()
+            for name, each in self.known.items()
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +94,7 @@ class Prediction(InJson):
     @staticmethod
     def of(model: Model) -> Prediction:
         """Return the prediction of a model of a tested state."""
-        # Sensors' gains are no part of the frame's motion; attached masses stand on no floor.
+        # Gains of sensors are not part of the motion; attached masses are not floors.
         shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
         largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
         return Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None])
@@ -114,6 +123,9 @@ class SingleIdentification(InJson):
         Where a baseline's corrected mass matrix is full; with added mass, kg.
     reason : Ending
         Why the iteration stopped.
+    active : tuple of ActiveConstraint
+        The exact priors and bounds that hold with equality, each with its dual: the misfit (chi-square of the efficient
+        method, else the sum of squares of the program) changes by -dual for each kg or N/m that is added to its side.
     """
 
     name: str
@@ -124,17 +136,23 @@ class SingleIdentification(InJson):
     history: Floats | None = None
     mass_matrix: Floats | None = None
     reason: Ending = Ending.SOLVED
+    active: tuple[ActiveConstraint, ...] = ()
 
-    json_keys = "name converged iterations reason frame fit predictions history"
+    json_keys = "name converged iterations reason frame fit predictions history active"
 
     @property
     def converged(self) -> bool:
-        """Whether the iteration stopped because there was nothing left to gain."""
+        """Whether the iteration stopped at its tolerance."""
         return self.reason.converged
 
     def to_dict(self) -> Json:
-        """Return the documented JSON; the full mass matrix only where there is one."""
+        """Return the documented JSON, with the full mass matrix if there is one."""
         return super().to_dict() | ({} if self.mass_matrix is None else {"mass_matrix": as_json(self.mass_matrix)})
+
+
+def priced(active: Sequence[ActiveConstraint]) -> tuple[ActiveConstraint, ...]:
+    """Leave out the declared masses, which are equalities of every program."""
+    return tuple(each for each in active if each.constraint != "A" or each.source.startswith("prior"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -153,6 +171,8 @@ class Identification(Shown):
     parameter_names : tuple of str
     undetermined : tuple of tuple of str
         For each direction that the data leave open, the parameters that take part in it.
+    programs : tuple of SolvedProgram
+        Every program that was solved, in order, with its solution, if `identify` was asked to keep them.
     """
 
     experiment: Experiment
@@ -163,6 +183,7 @@ class Identification(Shown):
     correlation: Floats | None = None
     parameter_names: tuple[str, ...] = ()
     undetermined: tuple[tuple[str, ...], ...] = field(default=())
+    programs: tuple[SolvedProgram, ...] = ()
 
     @property
     def single(self) -> SingleIdentification | None:
@@ -170,14 +191,35 @@ class Identification(Shown):
         return self.parts[0] if len(self.parts) == 1 else None
 
     @property
-    def frame(self) -> IdentifiedFrame | None:
-        """The identified frame; None where several configurations were identified each by itself."""
-        return None if self.single is None else self.single.frame
+    def frame(self) -> IdentifiedFrame:
+        """The identified frame.
+
+        Raises
+        ------
+        UnsuitableError
+            If the method identified several configurations, each by itself: `parts` has a frame for each.
+        """
+        return self._only("frame").frame
 
     @property
-    def fit(self) -> Quality | None:
-        """Its errors; None where several configurations were identified each by itself."""
-        return None if self.single is None else self.single.fit
+    def fit(self) -> Quality:
+        """The errors of the identified frame.
+
+        Raises
+        ------
+        UnsuitableError
+            If the method identified several configurations, each by itself: `parts` has a fit for each.
+        """
+        return self._only("fit").fit
+
+    def _only(self, attribute: str) -> SingleIdentification:
+        """Return the only part."""
+        if self.single is None:
+            raise UnsuitableError(
+                f"method {self.method} identified {len(self.parts)} configurations, each by itself, so there is no "
+                f"single {attribute}; use parts[0].{attribute}, parts[1].{attribute}, ..., or method efficient"
+            )
+        return self.single
 
     @property
     def converged(self) -> bool:
@@ -190,8 +232,8 @@ class Identification(Shown):
         Returns
         -------
         DataFrame
-            One row a floor of each part: configuration (empty for all together), floor, floor_mass (kg),
-            floor_mass_std, story_stiffness (N/m, of the story below that floor), story_stiffness_std.
+            One row for each floor of each part: configuration (empty for all together), floor, floor_mass_kg,
+            floor_mass_std_kg, story_stiffness_N_per_m (of the story below that floor), story_stiffness_std_N_per_m.
 
         Raises
         ------
@@ -211,7 +253,7 @@ class Identification(Shown):
         single = None if self.single is None else self.single.to_dict()
         top = {
             key: None if single is None else single[key]
-            for key in ("iterations", "reason", "frame", "fit", "predictions", "history")
+            for key in ("iterations", "reason", "frame", "fit", "predictions", "history", "active")
         }
         result: Json = {"method": self.method, "backend": self.backend, "converged": self.converged, **top}
         if single is not None and "mass_matrix" in single:

@@ -8,9 +8,9 @@ its own prediction along columns S, a standard deviation each, so that d has the
 standard deviations apart. Effects before any fit are the same with d what each of them would do to the data, and S what
 the frame's masses and stiffnesses can do.
 
-What such a test says of one effect is the linear model y = G x + e, x the effect's value, G = D^2 at x = 1 and
-var(e) = G; `log_evidence` is the probability of y with the effect over that without it. It is what the Laplace
-approximation of the loop's evidence becomes where it is exact.
+The information of such a test about one effect is the linear model y = G x + e, with the effect's value x, G = D^2 at
+x = 1 and var(e) = G. `log_evidence` is the ratio of the probabilities of y with and without the effect: the evidence of
+the loop, where Laplace's approximation is exact.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from cvxshear.util.typing import Bools, Floats, Ints
 
 
 def separation(differences: Floats, uncertain: Floats) -> Floats:
-    """Squared distances of models, d' (1 + S S')^-1 d, whose entries off the diagonal say how alike two models are.
+    """Compute squared distances of models, d' (1 + S S')^-1 d; entries off the diagonal are their scalar products.
 
     Parameters
     ----------
@@ -48,11 +48,11 @@ def separation(differences: Floats, uncertain: Floats) -> Floats:
     """
     k, q = uncertain.shape
     if k <= q:
-        # Along the left singular vectors of S, which span all k: no inverse of what is very uncertain.
+        # The left singular vectors of S span all k dimensions, and no large variance is inverted.
         left, values, _ = np.linalg.svd(uncertain, full_matrices=False)
         along = (left.T @ differences) / np.hypot(1.0, values)[:, None]
         return np.asarray(along.T @ along, dtype=np.float64)
-    # The same as what is left of d where S follows it as far as its columns' standard deviations let it.
+    # The same as the residual of d after a regularized fit by the columns of S.
     basis = np.linalg.qr(np.concatenate([uncertain, np.eye(q)]))[0]
     left = np.concatenate([differences, np.zeros((q, differences.shape[1]))])
     left = left - basis @ (basis.T @ left)
@@ -60,24 +60,24 @@ def separation(differences: Floats, uncertain: Floats) -> Floats:
 
 
 def log_evidence(information: float, y: Floats, mean: float, std: float, side: int = 0) -> Floats:
-    """Logarithm of the evidence of an effect of one parameter over that of the model without it.
+    """Compute the log evidence ratio of the models with and without an effect of one parameter.
 
-    With the effect's value x normal about `mean` before the test, and data that say y of it, var(y) = G,
+    With a normal prior of the effect's value x about `mean`, and data y with var(y) = G,
 
         (1 + s^2 G)^(-1/2) exp(m^2 / (2 v) - mean^2 / (2 s^2)),  v = 1 / (G + 1 / s^2),  m = v (y + mean / s^2),
 
-    times 2 Phi(m / sqrt(v)) where physics allows values on one side of none alone.
+    times 2 Phi(m / sqrt(v)) if physics allows values on one side of zero only.
 
     Parameters
     ----------
     information : float
-        G, about the effect's value, the frame marginalised.
+        G, about the effect's value, with the frame marginalized.
     y : ndarray
         G x + e.
     mean, std : float
-        Of the effect's value before the test.
+        Prior of the effect's value.
     side : int, optional
-        1 or -1 where the value is on that side of zero for sure, else 0.
+        1 or -1 if the value can only be on that side of zero, else 0.
 
     Returns
     -------
@@ -92,20 +92,20 @@ def log_evidence(information: float, y: Floats, mean: float, std: float, side: i
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """What two models say of a test, were every floor measured in it.
+    """Difference of two models' predictions of a test with sensors at every floor.
 
     Parameters
     ----------
     difference : ndarray, shape (m + m N,)
         In standard deviations of the noise: frequencies, then the entries of each shape.
     uncertain : ndarray, shape (m + m N, q)
-        What the fits leave uncertain, a column a standard deviation.
+        Uncertainty of the fits, one standard deviation per column.
     shapes : ndarray, shape (m, N)
         In standard deviations of the entries.
     seen : ndarray of bool, shape (m, N)
         Entries that a sensor at their floor would show.
     free_scale : bool
-        Whether the shapes say nothing of their scales.
+        Whether the scales of the shapes are free.
     """
 
     difference: Floats
@@ -123,7 +123,7 @@ class Disagreement:
         both = np.column_stack([self.difference, self.uncertain])[rows]
         if self.free_scale:
             for mode in range(m):
-                # What lies along a shape is its scale.
+                # The component along a shape is its scale.
                 own = slice(m + int(measured[:mode].sum()), m + int(measured[: mode + 1].sum()))
                 along = self.shapes[mode, measured[mode]]
                 length = float(along @ along)
@@ -133,7 +133,7 @@ class Disagreement:
 
 
 def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
-    """Compare what two fits say of a test.
+    """Compare the predictions of two fits for a test.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first
     test : Configuration
         As `imagined` gives it.
     first : Configuration
-        The one that it repeats with other masses.
+        The configuration that it repeats with other masses.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
         frequency_std=frequency * first.log_frequency_std,
         mode_shape_std=shape * _everywhere(measured, shapes),
         mode_shape_noise="additive",
-        # The scale is left in: over which floors it is free is for `Disagreement.at` to say.
+        # `Disagreement.at` frees the scale over the measured floors.
         mass_normalized=True,
     )
 
@@ -220,7 +220,7 @@ def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
 
 
 def _carried(J: Floats, estimate: Estimate) -> Floats:
-    """Return the changes of predictions by what a fit leaves uncertain, a column a standard deviation."""
+    """Return the changes of predictions by the uncertainty of a fit, one standard deviation per column."""
     values, axes = np.linalg.eigh(estimate.uncertainty.covariance())
     result: Floats = J @ (axes * np.sqrt(np.maximum(values, 0.0)))
     return result

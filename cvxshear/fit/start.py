@@ -1,22 +1,23 @@
-"""Where the efficient estimator starts.
+"""Starting points of the efficient estimator.
 
-**Story equations**, linear in masses and stiffnesses. The inertia forces of a mode above story i are carried by it,
+**Story equations** are linear in masses and stiffnesses. Story i carries the inertia forces of a mode above it,
 
     k_i (phi_i - phi_(i-1)) - lambda sum over l >= i of m_l phi_l = lambda sum over l >= i of a_l phi_l,
 
-with a the added mass. Every mode of every configuration gives N such rows for the 2N unknowns. A row is as uncertain
-as the shape's error makes its two sides: it weighs 1 / (sqrt(2) k_i + lambda |m + a| above), the masses and
-stiffnesses those found before. So a stiff story, whose drift in the low modes is nothing but error, is found from the
-modes that move it. Floors without a sensor are filled in from the modes of the model found so far.
+with the added mass a. Every mode of every configuration gives N such rows for the 2N unknowns. The error of the shape
+gives each row the weight 1 / (sqrt(2) k_i + lambda |m + a| above), with the masses and stiffnesses of the previous
+pass. So a stiff story, whose drift in the low modes is only error, is determined by the modes that deform it. The modes
+of the current model fill in floors without a sensor.
 
-**Smooth frames**, where no other start is near the data. A tall frame has many local minima: a high mode of the model
-with its nodes half a wave off fits worse on the way to where it fits. The lowest modes have hardly any, and they see
-masses and stiffnesses as smooth functions of the height. So the logarithms of both are polynomials in the height,
+**Smooth frames** are used if no other start is near the data. A tall frame has many local minima, since a high mode of
+the model with shifted nodes fits worse on the way to its correct place. The lowest modes have few local minima, and
+they depend on masses and stiffnesses as smooth functions of the height. So the logarithms of both are polynomials in
+the height,
 
     theta = theta_0 o exp(B c),        B Legendre polynomials up to a degree,
 
-fitted to the first mode, then to twice as many with a degree more, and so on up to all; every stage starts where the
-last one ended. What is not smooth is left to Gauss-Newton, which then starts in the right valley.
+fitted to the first mode, then to twice as many modes with one degree more, and so on to all modes. Every stage starts
+at the result of the previous one. Gauss-Newton then starts near the right minimum.
 """
 
 from __future__ import annotations
@@ -36,44 +37,55 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, mass_matrix, modes, stiffness_matrix, transformation
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.statements import NamedConstraints, constrained, statements
+from cvxshear.programs.constraints import NamedConstraints, constrained, statements
 from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
 START_PASSES = 6
-"""Times that the story equations are weighed, missing entries filled in, and solved: with stiffnesses that differ by
-1e6 the first pass has them wrong by a factor of thirty, the third to the noise."""
+"""Number of passes over the story equations. With stiffnesses that differ by 1e6, the first pass is wrong by a factor
+of thirty, the third to the noise."""
 
 SMALLEST_START = 0.05
-POSITIVE = 1e-9
-"""Start of a mass or stiffness that the equations find not positive, and the least that counts as positive, as parts
-of their mean: a start at zero is none."""
+"""Start of a mass or stiffness for which the equations give a value that is not positive, relative to the mean."""
 
 TAPERS = (0.2, 0.4, 0.6, 0.8)
-"""Parts of the bottom story's stiffness by which the top story's is smaller."""
+"""Relative decreases of the stiffness from the bottom to the top story that are tried."""
 
 FAR_OFF = 100.0
-"""Chi-square a datum beyond which a starting point is not near the data: errors of ten standard deviations."""
+"""Largest chi-square per datum of a starting point near the data: errors of ten standard deviations."""
 
-MOST_DEGREE = 8
-"""Largest degree of the polynomials: with it a profile has a bend every few stories of a tall frame."""
 
-MOST_SMOOTH_STEPS = 20
-SMOOTH_STEP = 1e-2
-"""Steps of a stage at most, and the change of a residual that counts as none: the next stage starts from here."""
+@dataclass(frozen=True)
+class SmoothProfiles:
+    """Options of the smooth frames.
 
-COEFFICIENT_STD = 1.0 / 3.0
-"""Standard deviation of each coefficient about zero: what these data do not determine stays uniform."""
+    Parameters
+    ----------
+    degree : int
+        Largest degree of the polynomials: a bend every few stories of a tall frame.
+    coefficient_std : float
+        Prior standard deviation of each coefficient, so that an undetermined profile stays uniform.
+    largest_change : float
+        Largest |B c| in a stage, so that no trial overflows: factors from 1/20 to 20.
+    step, most_steps
+        `Accuracy` of each stage.
+    """
 
-LARGEST_CHANGE = 3.0
-"""Bound of |B c| in a stage, so that no trial overflows: factors from 1/20 to 20."""
+    degree: int = 8
+    coefficient_std: float = 1.0 / 3.0
+    largest_change: float = 3.0
+    step: float = 1e-2
+    most_steps: int = 20
+
+
+SMOOTH = SmoothProfiles()
 
 
 def starts(experiment: Experiment) -> list[Floats]:
     """List the starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
-    Design values of both, those that priors suggest, where there are any; the story equations; and frames of equal
-    masses, of uniform stiffness and of the stiffness that falls with height as the ratios of the frequencies say.
+    They are the design values of the priors, if these suggest both; the solution of the story equations; and frames of
+    equal masses with uniform stiffness and with the taper that fits the ratios of the frequencies best.
     """
     even = uniform(experiment)
     points = []
@@ -88,7 +100,7 @@ def starts(experiment: Experiment) -> list[Floats]:
 
 
 def _tapered(experiment: Experiment) -> Floats:
-    """Find the frame of `uniform` whose taper suits the frequencies best."""
+    """Find the frame of `uniform` with the taper that fits the frequencies best."""
     return min((uniform(experiment, taper) for taper in TAPERS), key=lambda theta: _frequency_misfit(experiment, theta))
 
 
@@ -108,7 +120,7 @@ def _log_eigenvalue_ratios(configuration: Configuration, mass: Floats, stiffness
 
 
 def _nominal(experiment: Experiment) -> list[Floats]:
-    """Return the design values of masses and stiffnesses, where both are declared, at the right mean frequency."""
+    """Return the design values of masses and stiffnesses, if both are declared, scaled to the mean frequency."""
     values = {}
     for prior in experiment.priors:
         suggested = prior.suggested(experiment.stories)
@@ -124,7 +136,7 @@ def _nominal(experiment: Experiment) -> list[Floats]:
 
 
 def _frequency_factor(experiment: Experiment, mass: Floats, stiffness: Floats) -> float:
-    """By how much the stiffnesses must be multiplied for the mean logarithm of the frequencies to be right."""
+    """Compute the factor on the stiffnesses that makes the mean logarithm of the frequencies right."""
     ratios = [np.mean(_log_eigenvalue_ratios(each, mass, stiffness)) for each in experiment.configurations]
     return float(np.exp(np.mean(ratios)))
 
@@ -146,7 +158,7 @@ def uniform(experiment: Experiment, taper: float = 0.0) -> Floats:
 
 
 def _guessed_total(experiment: Experiment) -> float:
-    """Return a total mass where none is declared: that of the scaled shapes, else the added mass itself."""
+    """Guess an undeclared total mass, from the mass-normalized shapes or else as the added mass."""
     for each in experiment.configurations:
         if each.mass_normalized and each.measured.any():
             known = each.mode_shapes[each.measured.any(axis=1)]
@@ -155,7 +167,7 @@ def _guessed_total(experiment: Experiment) -> float:
 
 
 def _from_story_equations(experiment: Experiment, theta: Floats, *, weighed: bool) -> Floats:
-    """Masses and stiffnesses that meet the story equations best, shapes filled in by the model at theta."""
+    """Solve the story equations, with the shapes filled in by the model at theta."""
     n = experiment.stories
     mass, stiffness = theta[:n], theta[n:]
     shapes, eigenvalues, added = [], [], []
@@ -181,7 +193,7 @@ def solved_story_equations(
     *,
     weighed: bool,
 ) -> Floats:
-    """Masses and stiffnesses that meet the story equations best, by one least-squares program.
+    """Solve the story equations for masses and stiffnesses, by one least-squares program.
 
     Parameters
     ----------
@@ -192,7 +204,7 @@ def solved_story_equations(
     added : ndarray, shape (r, N)
         Added mass of each mode's test, kg.
     theta : ndarray, shape (2N,)
-        Masses (kg) and stiffnesses (N/m) that the weights are made of.
+        Masses (kg) and stiffnesses (N/m) for the weights.
     exact : sequence of NamedConstraints
     weighed : bool
         Whether the stiffnesses of theta count in the weights.
@@ -205,7 +217,7 @@ def solved_story_equations(
     Raises
     ------
     InputError
-        Where the equations have no solution of positive mean.
+        If the solution has no positive mean.
     """
     n = shapes.shape[1]
     rows, sides = [], []
@@ -224,14 +236,14 @@ def solved_story_equations(
     if any(values.mean() <= 0 for values in found):
         raise InputError("the story equations have no solution of positive masses and stiffnesses")
     return np.concatenate(
-        [np.where(values > POSITIVE * values.mean(), values, SMALLEST_START * values.mean()) for values in found]
+        [np.where(values > 1e-9 * values.mean(), values, SMALLEST_START * values.mean()) for values in found]
     )
 
 
 def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
-    """Mode j at every floor, shape (N,): what was measured, and between it what the model's modes make of it.
+    """Return mode j at every floor, shape (N,): the measured entries, and between them an expansion in model modes.
 
-    The measured entries are expanded in the model's modes nearest to mode j, half as many as there are entries.
+    The measured entries are expanded in the modes nearest to mode j; their number is half the number of entries.
     """
     n = len(model.eigenvalues)
     known = configuration.measured[j]
@@ -251,7 +263,7 @@ def filled(configuration: Configuration, j: int, model: Modes) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _SmoothFrames:
-    """The misfit of frames of smooth profiles, as a problem in their coefficients.
+    """The misfit of frames with smooth profiles, as a problem in the coefficients.
 
     Parameters
     ----------
@@ -259,9 +271,9 @@ class _SmoothFrames:
     base : ndarray, shape (2N,)
         theta_0.
     mass, stiffness : ndarray, shapes (N, a) and (N, b)
-        Polynomials of the logarithms; `mass` of no columns where the masses are known.
+        Polynomials of the logarithms; `mass` has no columns if the masses are known.
     total : float or None
-        What the masses add up to, kg, if known.
+        Known total mass, kg.
     """
 
     misfit: Misfit
@@ -271,7 +283,7 @@ class _SmoothFrames:
     total: float | None
 
     def at(self, c: Floats) -> tuple[Floats, Floats]:
-        """theta, and the derivative of its logarithm by c."""
+        """Return theta and the derivative of its logarithm by c."""
         n = len(self.mass)
         theta = self.base * np.exp(block_diag(self.mass, self.stiffness) @ c)
         mass = self.mass
@@ -281,33 +293,33 @@ class _SmoothFrames:
         return theta, block_diag(mass, self.stiffness)
 
     def evaluate(self, c: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
-        """Residuals of the frame and of the coefficients about zero."""
+        """Compute the residuals of the frame and of the coefficients about zero."""
         theta, slope = self.at(c)
         found = self.misfit.evaluate(theta, derivatives=derivatives)
-        r = np.concatenate([found.r, c / COEFFICIENT_STD])
-        J = np.concatenate([(found.J * theta) @ slope, np.eye(len(c)) / COEFFICIENT_STD])
+        r = np.concatenate([found.r, c / SMOOTH.coefficient_std])
+        J = np.concatenate([(found.J * theta) @ slope, np.eye(len(c)) / SMOOTH.coefficient_std])
         return PlainResiduals(r, J if derivatives else np.zeros((0, len(c))))
 
     def best(self) -> Floats:
-        """Return the frame of the smallest misfit, shape (2N,)."""
+        """Return the frame with the smallest misfit, shape (2N,)."""
         profiles = block_diag(self.mass, self.stiffness)
         size = profiles.shape[1]
-        within = Constraints(G=np.concatenate([profiles, -profiles]), h=np.full(2 * len(profiles), LARGEST_CHANGE))
-        domain = Domain(
-            (NamedConstraints("smooth profiles", within),), np.full(size, COEFFICIENT_STD), np.full(size, np.inf)
-        )
-        fit = gauss_newton(self, np.zeros(size), domain, backends.get("auto"), Accuracy(SMOOTH_STEP, MOST_SMOOTH_STEPS))
+        limit = np.full(2 * len(profiles), SMOOTH.largest_change)
+        within = NamedConstraints("smooth profiles", Constraints(G=np.concatenate([profiles, -profiles]), h=limit))
+        domain = Domain((within,), np.full(size, SMOOTH.coefficient_std), np.full(size, np.inf))
+        accuracy = Accuracy(SMOOTH.step, SMOOTH.most_steps)
+        fit = gauss_newton(self, np.zeros(size), domain, backends.get("auto"), accuracy)
         return self.at(fit.theta)[0]
 
 
 def smooth_start(experiment: Experiment, base: Floats) -> Floats:
-    """Find the smooth frame that suits all modes, reached from the lowest.
+    """Find the smooth frame that fits all modes, in stages from the lowest.
 
     Parameters
     ----------
     experiment : Experiment
     base : ndarray, shape (2N,)
-        Masses and stiffnesses of a frame of about the right first frequency.
+        Masses and stiffnesses of a frame with about the right first frequency.
 
     Returns
     -------
@@ -316,23 +328,23 @@ def smooth_start(experiment: Experiment, base: Floats) -> Floats:
     modes = max(int(each.modes.max()) for each in experiment.configurations)
     theta, count, degree = base, 0, 0
     while count < modes:
-        count, degree = min(max(1, 2 * count), modes), min(degree + 1, MOST_DEGREE)
+        count, degree = min(max(1, 2 * count), modes), min(degree + 1, SMOOTH.degree)
         above = {each.name: each.modes > count for each in experiment.configurations}
-        theta = _smooth_frames(Misfit(experiment, (), above), theta, degree).best()
+        theta = smooth_frames(Misfit(experiment, (), above), theta, degree).best()
     return theta
 
 
-def _smooth_frames(misfit: Misfit, base: Floats, degree: int) -> _SmoothFrames:
-    """Profiles about a frame: that of the masses without a constant where their total is known."""
+def smooth_frames(misfit: Misfit, base: Floats, degree: int) -> _SmoothFrames:
+    """Write profiles about a frame; the masses' has no constant if their total is known."""
     n, frame = misfit.experiment.stories, misfit.experiment.frame
     polynomials = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), degree), dtype=float)
-    # A known total takes the constant of the masses, known masses all of their profile.
+    # A known total fixes the constant of the masses, known masses fix their whole profile.
     first = degree + 1 if frame.floor_masses is not None else int(frame.known_total is not None)
     return _SmoothFrames(misfit, base, polynomials[:, first:], polynomials, frame.known_total)
 
 
 def nearest_start(misfit: Misfit) -> Floats:
-    """Find the starting point nearest to the data, the effects' parameters where they start.
+    """Find the starting point nearest to the data, with the effects' parameters at their starts.
 
     Parameters
     ----------
@@ -345,7 +357,7 @@ def nearest_start(misfit: Misfit) -> Floats:
     Raises
     ------
     NoModesError
-        Where no starting point has modes.
+        If no starting point has modes.
     """
     own = np.array([value for placed in misfit.effects for value in placed.start])
     for start in nearest_first(misfit, own):
@@ -354,7 +366,7 @@ def nearest_start(misfit: Misfit) -> Floats:
 
 
 def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
-    """Sort the starting points with modes, the nearest to the data first; a smooth frame leads where none is near.
+    """Sort the starting points with modes by their misfit; if all are far from the data, a smooth frame comes first.
 
     Parameters
     ----------

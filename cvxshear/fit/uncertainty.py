@@ -1,12 +1,12 @@
-"""Standard deviations and correlations from the information matrix, and what the data leave undetermined.
+"""Standard deviations and correlations from the information matrix, and undetermined directions.
 
 With Z an orthonormal basis of the directions that the active constraints leave free, the covariance of the
 parameters is Z (Z' J'J Z)^-1 Z': a Cramer-Rao bound under constraints (Stoica and Ng, 1998), which the
 estimator reaches where the noise is small.
 
-A parameter that physics confines to an interval, such as gravity's gamma to [1, 6/5], is not known exactly where
-the fit ends at an end of it. There the interval counts as knowledge, with the standard deviation of a uniform
-distribution, (upper - lower) / sqrt(12), and the end is not held.
+A parameter with a physical interval, such as gravity's gamma in [1, 6/5], is not known exactly if the fit ends at an
+end of it. The interval then counts as a prior with the standard deviation of a uniform distribution,
+(upper - lower) / sqrt(12), and the end is not held.
 """
 
 from __future__ import annotations
@@ -20,27 +20,23 @@ from scipy import linalg
 
 from cvxshear.fit.domain import Domain
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.statements import constrained
+from cvxshear.programs.constraints import constrained
 from cvxshear.util.typing import Bools, Floats
 
 NULL = 1e-6
-"""A direction along which the data change by less than this, each parameter in units of its own sensitivity, is one
-that they do not determine."""
+"""Smallest change of the data along a determined direction, each parameter in units of its own sensitivity."""
 
 LEAST_UNIT = 1e-4
-"""Least change of a parameter, relative to its size, that it is counted in for `NULL`. In units of its own sensitivity
-alone one that a prior of 1e-9 holds would make all that the other data say of it look like nothing."""
-
-TAKES_PART = 0.1
-"""Share of a null direction's largest entry from which on a parameter is named as part of it."""
+"""Smallest unit of a parameter for `NULL`, relative to its size. A prior of 1e-9 makes the unit of its own sensitivity
+so small that the other data seem to have no influence."""
 
 ON_BOUND = 1e-5
-"""Distance from a bound, in standard deviations of the data, that counts as on it."""
+"""Largest distance from an active bound, in standard deviations of the data."""
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What the data say of each parameter's accuracy.
+    """Accuracy of each parameter.
 
     Parameters
     ----------
@@ -49,11 +45,11 @@ class Uncertainty:
     equalities : ndarray, shape (a, P)
         Rows on which every change is zero.
     touching, ends : ndarray, shapes (t, P) and (e, P)
-        Rows of the inequalities that hold with equality: of bounds, and of the ends of a parameter's interval.
+        Rows of the active inequalities: bounds, and ends of a parameter's interval.
     interval_std : ndarray, shape (P,)
-        Standard deviation that an interval of physical values stands for; infinite where there is none.
+        Standard deviation of a uniform distribution over the physical interval; infinite without interval.
     least_units : ndarray, shape (P,)
-        Least change of each parameter that it is counted in, see `LEAST_UNIT`.
+        Smallest unit of each parameter, see `LEAST_UNIT`.
     names : tuple of str
         Of the parameters.
     """
@@ -68,9 +64,9 @@ class Uncertainty:
 
     @cached_property
     def _divided(self) -> tuple[Floats, tuple[tuple[Floats, Floats], Floats]]:
-        """Units of the parameters, and the directions that the equalities leave free as `_split` divides them.
+        """Units of the parameters, and the free directions of the equalities as `_split` divides them.
 
-        What is even over an interval is known to within it, whatever the data say.
+        A parameter with an interval is determined by it, without any data.
         """
         known = _with_intervals(self.J, self.interval_std)
         unit = _units(known, self.least_units)
@@ -203,7 +199,7 @@ def _split(J: Floats, basis: Floats) -> tuple[tuple[Floats, Floats], Floats]:
 
 
 def _words(direction: Floats, names: Sequence[str]) -> tuple[str, ...]:
-    """List the parameters that take part in a null direction, largest share first."""
+    """List the parameters in a null direction with more than a tenth of its largest entry, largest first."""
     size = np.abs(direction)
     order = np.argsort(-size, kind="stable")
-    return tuple(names[i] for i in order if size[i] > TAKES_PART * size[order[0]])
+    return tuple(names[i] for i in order if size[i] > 0.1 * size[order[0]])

@@ -1,7 +1,6 @@
 """Closing the loop between measurement and model."""
 
-from cvxshear.loop.close import close_loop
 from cvxshear.loop.results import Closure
 from cvxshear.loop.verdicts import VERDICTS
 
-__all__ = ["VERDICTS", "Closure", "close_loop"]
+__all__ = ["VERDICTS", "Closure"]

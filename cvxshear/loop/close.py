@@ -12,7 +12,7 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed, Scale
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.efficient import Estimate, efficient
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.hypotheses import Hypothesis, able_to_take_part, assumed, chosen, hypotheses
 from cvxshear.loop.numbering import Numbering
@@ -30,7 +30,7 @@ MOST_WIDENINGS = 3
 """Times that the noise is widened where nothing explains a residual: under wider noise other sets are best."""
 
 
-def close_loop(
+def search_for_effects(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
     assume: Sequence[str | Placed] = (),
@@ -39,34 +39,9 @@ def close_loop(
     *,
     jobs: int = 1,
 ) -> Closure:
-    """Find the physical effects that the shear model lacks.
+    """Find the effects that the shear model lacks, without screening the measurement first.
 
-    Parameters
-    ----------
-    experiment : Experiment, path or name of a built-in
-    effects : sequence of str or Effect, optional
-        Which effects to look for, names or objects of your own; the whole catalogue where not given. An object brings
-        its own probability and expected size (`Effect.expecting`).
-    assume : sequence of str or Placed, optional
-        Effects that are in the model from the start.
-    backend : str or Backend, optional
-    priors : sequence of Prior, optional
-        Besides those of the experiment.
-    jobs : int, optional
-        Processes over which sets of effects are fitted; -1 takes every core.
-
-    Returns
-    -------
-    Closure
-
-    Raises
-    ------
-    InputError
-        Where an effect is not known, cannot be assumed for this experiment, or does not say how large it may be. As
-        `cvxshear.close_loop` also where `cvxshear.screening` finds a mistake that the file does not accept, such as
-        exchanged sensors.
-    NoSolutionError
-        Where the shear model itself could not be fitted by this backend.
+    The parameters are those of `cvxshear.close_loop`, which screens the measurement and then calls this.
     """
     experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
     wanted, left_out = able_to_take_part(chosen(effects), experiment)
@@ -150,7 +125,7 @@ def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...
     )
 
 
-def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hypothesis]) -> Expectation:
+def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hypothesis]) -> EffectPrior:
     """Gather what is expected of effects and frame, in units of a typical floor and story of a first fit."""
     n = experiment.stories
     mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
@@ -160,7 +135,7 @@ def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hyp
         for item in looked_for
         if item.size is not None
     }
-    found = Expectation(scale, stds)
+    found = EffectPrior(scale, stds)
     for item in looked_for:
         for parameter, std in zip(item.placed.effect.parameters, found.of(item.placed), strict=True):
             if np.isinf(std) and np.isinf(parameter.upper - parameter.lower):

@@ -243,10 +243,9 @@ def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
         said = f"{said}: {significant(factor['factor'], 2)} times"
-    own = [each for each in final.effects if each in posterior.of_effects]
     return AddedEffect(
         placed,
-        posterior.of_effects[placed] * posterior.no_pile(placed, own),
+        posterior.of_effects[placed],
         parameters,
         std,
         said,
@@ -283,7 +282,7 @@ def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[froz
 
 def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
     sums = defaultdict[object, float](float)
-    for model, probability in zip(posterior.models, posterior.probabilities, strict=True):
+    for model, probability in zip(posterior.models, posterior.of_sets, strict=True):
         sums[model.effects, model.changes] += float(probability)
     # A set may explain the data with two frames: it is shown once, as its better one.
     best = {(model.effects, model.changes): model for model in reversed(posterior.models)}

@@ -24,15 +24,15 @@ from scipy import integrate, optimize, special
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import Expectation, tailed
+from cvxshear.fit.expectation import EffectPrior, tailed
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.statements import constrained
+from cvxshear.programs.constraints import constrained
 from cvxshear.util.typing import Floats
 
 FAR = 6.0
 """Standard deviations from an inequality beyond which it cuts nothing off."""
 
-WIDEST, POINTS = 12.0, 401
+INTEGRAL_REACH, POINTS = 12.0, 401
 """Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and its points: those
 of Student's t lie further out than a Gaussian's."""
 
@@ -47,14 +47,14 @@ TOUCHING = 1e-4
 """Distance from an inequality, in standard deviations, at which it counts as active."""
 
 
-def log_evidence(estimate: Estimate, expectation: Expectation) -> float:
+def log_evidence(estimate: Estimate, expectation: EffectPrior) -> float:
     """Logarithm of the evidence, up to a constant that all sets for the same data share.
 
     Parameters
     ----------
     estimate : Estimate
         The penalised optimum.
-    expectation : Expectation
+    expectation : EffectPrior
         The same as that of the fit.
     """
     B = free_basis(estimate, expectation)
@@ -69,7 +69,7 @@ def log_evidence(estimate: Estimate, expectation: Expectation) -> float:
     return float(value + _log_kept(estimate, B, H, moved.T @ c))
 
 
-def _log_size(estimate: Estimate, expectation: Expectation) -> float:
+def _log_size(estimate: Estimate, expectation: EffectPrior) -> float:
     """Sum of the logarithms of masses and stiffnesses in typical units: their prior is one of the logarithms."""
     scale = expectation.scale
     assert scale is not None, "evidence needs an expectation"
@@ -78,7 +78,7 @@ def _log_size(estimate: Estimate, expectation: Expectation) -> float:
     return float(np.sum(np.log(mass)) + np.sum(np.log(stiffness)))
 
 
-def free_basis(estimate: Estimate, expectation: Expectation) -> Floats:
+def free_basis(estimate: Estimate, expectation: EffectPrior) -> Floats:
     """Columns that span what the equalities leave free, shape (P, f).
 
     First orthonormal directions of the frame, in units of a typical floor and story; then one for each parameter of
@@ -114,7 +114,7 @@ def _program(estimate: Estimate) -> LeastSquares:
     return constrained(empty, estimate.domain.statements, estimate.theta)
 
 
-def _log_constant(placed: Placed, expectation: Expectation) -> float:
+def _log_constant(placed: Placed, expectation: EffectPrior) -> float:
     """Logarithm of the constant of an effect's prior, times sqrt(2 pi) for each parameter, as in Laplace's integral."""
     value = 0.0
     tail, normal = placed.effect.tail, placed.effect.common_size
@@ -231,7 +231,7 @@ def log_tailed_interval(
     size, tail : float
         Of the prior.
     """
-    reach = np.arcsinh(np.clip(np.array([lower, upper]) / std, -np.sinh(WIDEST), np.sinh(WIDEST)))
+    reach = np.arcsinh(np.clip(np.array([lower, upper]) / std, -np.sinh(INTEGRAL_REACH), np.sinh(INTEGRAL_REACH)))
     y = np.linspace(reach[0], reach[1], POINTS)
     t = std * np.sinh(y)
     r, _ = tailed((deviation + t) / size, tail)

@@ -12,7 +12,7 @@ from cvxshear.backends import Backend
 from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate, fitted
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
@@ -109,7 +109,7 @@ class Fitter:
     hypotheses : sequence of Hypothesis
     assumed : tuple of Placed
         In every set.
-    expectation : Expectation
+    expectation : EffectPrior
     jobs : int
         Processes over which sets are fitted.
     fits, programs : int
@@ -124,7 +124,7 @@ class Fitter:
     backend: Backend
     hypotheses: Sequence[Hypothesis]
     assumed: tuple[Placed, ...]
-    expectation: Expectation
+    expectation: EffectPrior
     jobs: int = 1
     fits: int = 0
     programs: int = 0

@@ -17,7 +17,7 @@ from cvxshear.effects import Placed
 from cvxshear.effects.composition import slices
 from cvxshear.fit.domain import domain_of
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_interval
 from cvxshear.util.typing import Floats
@@ -48,10 +48,10 @@ class Linearised:
     ----------
     base : Estimate
     lacking : sequence of Placed
-    expectation : Expectation
+    expectation : EffectPrior
     """
 
-    def __init__(self, base: Estimate, lacking: Sequence[Placed], expectation: Expectation) -> None:
+    def __init__(self, base: Estimate, lacking: Sequence[Placed], expectation: EffectPrior) -> None:
         self.base = base
         self.lacking = list(lacking)
         self.expectation = expectation
@@ -271,7 +271,7 @@ class _Singles:
         Of the normal parts of each prior, and the logarithms of their weights, constants of the priors included.
     """
 
-    def __init__(self, lacking: Sequence[Placed], expectation: Expectation) -> None:
+    def __init__(self, lacking: Sequence[Placed], expectation: EffectPrior) -> None:
         alone = np.array(
             [len(p.effect.parameters) == 1 and not (p.effect.common_size or p.effect.rescales) for p in lacking],
             dtype=bool,

@@ -27,12 +27,11 @@ RAISED = 3.0
 RIVAL = 0.05
 """Probability, relative to that of the best set, of a set whose effects count as rivals."""
 
-PILED = 3
-UNTHOUGHT_OF, WITH_EACH_MORE = 1e-4, 10.0
-"""Kinds of effects in one place, the frame or a state of it, from which on they are a pile; and the probability of one
-cause that the catalogue lacks and that so many do the work of, with the factor by which each kind more raises it. One
-frame in fifty has such a cause, and the more effects are free to be added, the more of these causes they can imitate:
-three kinds one in two hundred, five half of them."""
+MANY_CAUSES = 3
+UNKNOWN_CAUSE, WITH_EACH_MORE = 1e-4, 10.0
+"""Number of kinds of effects in a state, those of the frame included, that one unknown cause can imitate; prior
+probability of such a cause for that number of kinds; factor on it for each further kind. One frame in fifty has a cause
+that the catalogue lacks. Three kinds of effects imitate one in two hundred of these causes, five kinds half of them."""
 
 AS_PROBABLE = 0.01
 """Relative difference of two probabilities below which they are one: fits end within some such distance of their
@@ -91,12 +90,26 @@ class Posterior:
         return self.models[0]
 
     @cached_property
+    def within_sets(self) -> list[dict[Placed, float]]:
+        """For each set, the probability that it is right about each of its effects, the unknown cause included."""
+        return [
+            {placed: float(probability) * chance for placed, chance in self.many_causes_penalty(model.effects).items()}
+            for model, probability in zip(self.models, self.probabilities, strict=True)
+        ]
+
+    @cached_property
+    def of_sets(self) -> Floats:
+        """The probability that each set is right about all of its effects, shape (sets,)."""
+        pairs = zip(self.within_sets, self.probabilities, strict=True)
+        return np.array([min(effects.values(), default=float(probability)) for effects, probability in pairs])
+
+    @cached_property
     def of_effects(self) -> dict[Placed, float]:
         """The probability of each effect: the sum over the sets that hold it."""
         result = dict.fromkeys(self._prior, 0.0)
-        for model, probability in zip(self.models, self.probabilities, strict=True):
-            for placed in model.effects:
-                result[placed] += float(probability)
+        for effects in self.within_sets:
+            for placed, probability in effects.items():
+                result[placed] += probability
         return {placed: min(probability, 1.0) for placed, probability in result.items()}
 
     @cached_property
@@ -116,24 +129,34 @@ class Posterior:
         """Return the same probabilities, with what no datum tells known."""
         return Posterior(self.models, self._hypotheses, twins)
 
-    def no_pile(self, placed: Placed, effects: Iterable[Placed]) -> float:
-        """Return the probability of an effect's kinds of company, against one cause that nobody thought of.
+    def many_causes_penalty(self, effects: Iterable[Placed]) -> dict[Placed, float]:
+        """Return the factor on the probability of each effect of a set: many kinds against one unknown cause.
 
-        Parameters
-        ----------
-        placed : Placed
-        effects : iterable of Placed
-            Among which it is in the model; those in its state, or in the frame as it, may be a pile with it.
+        Effects of a state and of the frame act together there. With P the prior probability of their kinds and u that
+        of an unknown cause that imitates them, the factor is P / (P + u). An effect has the smallest factor of the
+        states that it acts in; with fewer than `MANY_CAUSES` kinds the factor is 1.
         """
-        kinds = {each.effect.name for each in effects if each.place.state == placed.place.state}
-        if len(kinds) < PILED:
-            return 1.0
-        absent = dict.fromkeys(kinds, 1.0)
+        present = list(effects)
+        factors = dict.fromkeys(present, 1.0)
+        for state in {placed.place.state for placed in present}:
+            together = [placed for placed in present if placed.place.state in (state, None)]
+            kinds = {placed.effect.name for placed in together}
+            if len(kinds) >= MANY_CAUSES:
+                known = float(np.prod([self._prior_of_kind[name, state] for name in kinds]))
+                unknown = UNKNOWN_CAUSE * WITH_EACH_MORE ** (len(kinds) - MANY_CAUSES)
+                factors |= {placed: min(factors[placed], known / (known + unknown)) for placed in together}
+        return factors
+
+    @cached_property
+    def _prior_of_kind(self) -> Mapping[tuple[str, str | None], float]:
+        """The prior probability that an effect of a kind is anywhere in a state or in the frame, by name and state."""
+        absent = defaultdict[tuple[str, str | None], float](lambda: 1.0)
+        states = {item.placed.place.state for item in self._hypotheses}
         for item in self._hypotheses:
-            if item.placed.effect.name in kinds and item.placed.place.state == placed.place.state:
-                absent[item.placed.effect.name] *= 1.0 - item.probability
-        there = float(np.prod([1.0 - each for each in absent.values()]))
-        return there / (there + UNTHOUGHT_OF * WITH_EACH_MORE ** (len(kinds) - PILED))
+            own = item.placed.place.state
+            for state in states | {None} if own is None else {own}:
+                absent[item.placed.effect.name, state] *= 1.0 - item.probability
+        return {key: 1.0 - probability for key, probability in absent.items()}
 
     def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
         """Effects, the most probable first; of those as probable, what changed from state to state comes first."""
@@ -250,7 +273,7 @@ class Posterior:
     def _in_place_of(self, placed: Placed, best: ModelClass) -> dict[Placed, float]:
         """Find what replaces an effect of a set in the others, with its probability there."""
         found: dict[Placed, float] = {}
-        for model, probability in zip(self.models, self.probabilities, strict=True):
+        for model, probability, own in zip(self.models, self.probabilities, self.within_sets, strict=True):
             if probability < RIVAL * self.probabilities[0]:
                 break
             if placed in model.effects or placed not in best.effects:
@@ -258,7 +281,7 @@ class Posterior:
             gone, come = best.effects - model.effects, model.effects - best.effects
             other = replacement(placed, gone - (self._indifferent - {placed}), come - self._indifferent)
             if other is not None:
-                found[other] = found.get(other, 0.0) + float(probability)
+                found[other] = found.get(other, 0.0) + own[other]
         return found
 
     def deviations_about(self, estimate: Estimate, placed: Placed) -> Floats:
@@ -288,10 +311,9 @@ class Posterior:
         )
         return IdentifiedFrame(mass[0], stiffness[0], mass[1], stiffness[1])
 
-    def _mixture(self, values: Sequence[Floats], stds: Sequence[Floats | None]) -> tuple[Floats, Floats]:
-        x = np.array(values)
-        s = np.array([np.zeros_like(value) if std is None else std for value, std in zip(values, stds, strict=True)])
-        weights = self.probabilities[:, None]
+    def _mixture(self, values: Sequence[Floats], stds: Sequence[Floats]) -> tuple[Floats, Floats]:
+        x, s = np.array(values), np.array(stds)
+        weights = self.of_sets[:, None] / self.of_sets.sum()
         mean = np.sum(weights * x, axis=0)
         return mean, np.sqrt(np.sum(weights * (s**2 + (x - mean) ** 2), axis=0))
 

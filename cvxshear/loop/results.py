@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.noise import NoiseEstimate
+from cvxshear.fit.quality import Quality
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.numbering import Changes, NumberingProbability, changes_to_dict
@@ -46,6 +47,11 @@ class Step(InJson):
     held_out: float | None = None
 
     json_keys = "*estimate.quality p_value held_out_frequency_error=held_out"
+
+    @property
+    def quality(self) -> Quality:
+        """Errors and chi-square of the fit."""
+        return self.estimate.quality
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,8 +249,8 @@ class Closure(Shown):
         Returns
         -------
         DataFrame
-            One row a floor: floor, floor_mass (kg), floor_mass_std, story_stiffness (N/m, of the story below that
-            floor), story_stiffness_std, and the same four with `averaged_` before their names.
+            One row for each floor: floor, floor_mass_kg, floor_mass_std_kg, story_stiffness_N_per_m (of the story
+            below that floor), story_stiffness_std_N_per_m, and the same four with `averaged_` before their names.
 
         Raises
         ------

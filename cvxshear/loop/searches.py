@@ -17,7 +17,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.effects import Placed
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
@@ -58,7 +58,7 @@ class Searches:
     there : tuple of Placed
         Effects that are in the model from the start.
     looked_for : sequence of Hypothesis
-    expectation : Expectation
+    expectation : EffectPrior
     start : Estimate
         The shear model with the modes as given.
     jobs : int
@@ -70,7 +70,7 @@ class Searches:
     backend: Backend
     there: tuple[Placed, ...]
     looked_for: Sequence[Hypothesis]
-    expectation: Expectation
+    expectation: EffectPrior
     start: Estimate
     jobs: int = 1
     widened: float = 1.0

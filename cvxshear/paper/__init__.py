@@ -2,9 +2,16 @@
 
 from cvxshear.paper.reproduce import Reproduction, reproduce
 from cvxshear.paper.scatter import NoiseStudy, Scatter, noise_study, paper_setups, six_story_study
-from cvxshear.paper.tables import Row, Section
+from cvxshear.paper.tables import PaperRow, PaperSection
 
 __all__ = [
-    "NoiseStudy", "Reproduction", "Row", "Scatter", "Section", "noise_study", "paper_setups", "reproduce",
+    "NoiseStudy",
+    "PaperRow",
+    "PaperSection",
+    "Reproduction",
+    "Scatter",
+    "noise_study",
+    "paper_setups",
+    "reproduce",
     "six_story_study",
 ]  # fmt: skip

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.methods.paper_methods import MOST_ITERATIONS, TOLERANCE
+from cvxshear.fit.paper_methods import MOST_ITERATIONS, TOLERANCE
 from cvxshear.model.shear import transformation
-from cvxshear.programs.orthogonality import pair_normal
+from cvxshear.programs.pair_rows import pair_normal
 from cvxshear.util.typing import Bools, Floats, Ints
 
 

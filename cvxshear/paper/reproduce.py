@@ -7,7 +7,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.paper import steel_frame, three_story
 from cvxshear.paper.scatter import SEED
-from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, Section
+from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, PaperSection
 from cvxshear.util.results import InJson
 
 
@@ -17,14 +17,14 @@ class Reproduction(InJson):
 
     Parameters
     ----------
-    sections : tuple of Section
+    sections : tuple of PaperSection
     backend : str
     samples : tuple of int
         Numbers of random samples of Table 3.
     seed : int
     """
 
-    sections: tuple[Section, ...]
+    sections: tuple[PaperSection, ...]
     backend: str
     samples: tuple[int, ...]
     seed: int

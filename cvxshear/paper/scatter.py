@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.methods import METHODS, identify
+from cvxshear.fit.identification import METHODS, identify
 from cvxshear.paper.batch import one_shot_batch, two_stage_batch
 from cvxshear.paper.setups import Setup, bound, six_story, three_story
 from cvxshear.util import checks
@@ -276,11 +276,10 @@ def _identified(setup: Setup, method: str, backend: str, measured: tuple[Floats,
     """Masses and stiffnesses of one sample and their standard deviations, shape (2, 2N), nan where there are none."""
     result = np.full((2, 2 * setup.stories), np.nan)
     try:
-        found = identify(setup.experiment(*measured), method, backend).frame
+        (part,) = identify(setup.experiment(*measured), method, backend).parts
     except NoSolutionError:
         return result  # counted: a row of nan is a sample without an answer
-    if found is not None:
-        result[0] = np.concatenate([found.floor_mass, found.story_stiffness])
-        if found.floor_mass_std is not None and found.story_stiffness_std is not None:
-            result[1] = np.concatenate([found.floor_mass_std, found.story_stiffness_std])
+    found = part.frame
+    result[0] = np.concatenate([found.floor_mass, found.story_stiffness])
+    result[1] = np.concatenate([found.floor_mass_std, found.story_stiffness_std])
     return result

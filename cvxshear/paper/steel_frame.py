@@ -7,13 +7,12 @@ import numpy as np
 from scipy import optimize
 
 from cvxshear.backends import Backend
-from cvxshear.files.toml import load
-from cvxshear.methods import identify
+from cvxshear.fit.identification import identify
+from cvxshear.io.toml import load
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.paper import tables
-from cvxshear.paper.tables import KILO, Row, Section
-from cvxshear.programs import story_stiffnesses
-from cvxshear.programs.orthogonality import normalized
+from cvxshear.paper.tables import KILO, PaperRow, PaperSection
+from cvxshear.programs.pair_rows import normalized, stiffness_rows
 from cvxshear.util.typing import Floats
 
 PerStructure = Mapping[str, Any]
@@ -59,7 +58,7 @@ def recovered_shapes(floor_mass: Floats, story_stiffness: Floats, frequencies: F
 
     def misfit(ratio: Floats) -> Floats:
         shapes = np.array([[ratio[0], second(ratio[0])], [1.0, 1.0]])
-        program = story_stiffnesses(normalized(shapes, floor_mass), eigenvalues)
+        program = stiffness_rows(normalized(shapes, floor_mass), eigenvalues)
         return np.asarray(np.linalg.lstsq(program.R, program.s, rcond=None)[0] / story_stiffness - 1.0)
 
     model = modes(mass_matrix(floor_mass), stiffness_matrix(story_stiffness)).shapes[0]
@@ -92,35 +91,35 @@ class SteelFrame:
         return recovered_shapes(mass, KILO * stiffness, frequencies)
 
 
-def sections(ours: SteelFrame) -> Iterator[Section]:
+def sections(ours: SteelFrame) -> Iterator[PaperSection]:
     """Tables 4 to 8, Fig. 8, and what Section 7 concludes from them."""
     added = {name: each.added_mass for name, each in ours.tested.items()}
     measured = {name: each.frequencies for name, each in ours.tested.items()}
     inputs = (
         *_rows("Table 4", "counterweight of floor {}, kg", tables.TABLE_4, added),
         *_rows("Table 5", "f{}, Hz", tables.TABLE_5, measured),
-        Row("net total mass, kg", "Section 6", tables.TOTAL_NET_MASS, ours.experiment.frame.known_total or np.nan),
+        PaperRow("net total mass, kg", "Section 6", tables.TOTAL_NET_MASS, ours.experiment.frame.known_total or np.nan),
     )
-    yield Section("Tables 4 and 5: what is identified from", inputs, (tables.note("inputs"),), counted=False)
+    yield PaperSection("Tables 4 and 5: what is identified from", inputs, (tables.note("inputs"),), counted=False)
     shapes = {name: ours.recovered(name) for name in tables.STRUCTURES}
     in_file = {name: [f"{low / high:.5f}" for low, high in each.mode_shapes] for name, each in ours.tested.items()}
     ratios = _rows("Fig. 8", "mode {}, floor 1 / floor 2", in_file, {name: each[:2] for name, each in shapes.items()})
     notes = (tables.note("figure_8", misfit=max(each.misfit for each in shapes.values())),)
     title, source = "Fig. 8: mode shapes recovered from Table 6", "in the file `paper`"
-    yield Section(title, tuple(ratios), notes, printed_in=source, counted=False)
+    yield PaperSection(title, tuple(ratios), notes, printed_in=source, counted=False)
     identified = (
         *_rows("Table 6", "m{}, kg", tables.TABLE_6_MASS, ours.mass),
         *_rows("Table 6", "net m{}, kg", tables.TABLE_6_NET_MASS, ours.net_mass),
         *_rows("Table 6", "k{}, kN/m", tables.TABLE_6_STIFFNESS, ours.stiffness),
     )
-    yield Section("Table 6: identified masses and stiffnesses", identified)
+    yield PaperSection("Table 6: identified masses and stiffnesses", identified)
     frequencies = _rows("Table 7", "f{}, Hz", tables.TABLE_7, ours.frequencies)
-    yield Section("Table 7: analytical frequencies", tuple(frequencies))
+    yield PaperSection("Table 7: analytical frequencies", tuple(frequencies))
     printed = {name: tables.values(texts) for name, texts in tables.TABLE_7.items()}
     both = ours.frequencies, printed
     errors, rounded = ({name: 100 * (each[name] / seen - 1) for name, seen in measured.items()} for each in both)
     rows = tuple(_rows("Table 8", "f{}, %", tables.TABLE_8, errors, rounded))
-    yield Section("Table 8: errors of the analytical frequencies", rows, (tables.note("table_8"),))
+    yield PaperSection("Table 8: errors of the analytical frequencies", rows, (tables.note("table_8"),))
     conclusions = (
         ("difference of a net mass", tables.NET_MASS_DIFFERENCE, _spread, ours.net_mass, tables.TABLE_6_NET_MASS),
         ("difference of a story stiffness", tables.STIFFNESS_DIFFERENCE, _spread, ours.stiffness,
@@ -128,15 +127,15 @@ def sections(ours: SteelFrame) -> Iterator[Section]:
         ("error of a frequency", tables.LARGEST_FREQUENCY_ERROR, _largest, errors, rounded),
     )  # fmt: skip
     largest = (
-        Row(f"largest {what}, %", "Section 7", text, measure(found), from_rounded=measure(of_printed))
+        PaperRow(f"largest {what}, %", "Section 7", text, measure(found), from_rounded=measure(of_printed))
         for what, text, measure, found, of_printed in conclusions
     )
-    yield Section("Section 7: largest differences", tuple(largest))
+    yield PaperSection("Section 7: largest differences", tuple(largest))
 
 
 def _rows(
     table: str, what: str, printed: PerStructure, found: PerStructure, rounded: PerStructure | None = None
-) -> Iterator[Row]:
+) -> Iterator[PaperRow]:
     for name in tables.STRUCTURES:
         own = None if rounded is None else rounded[name]
         yield from tables.rows(f"{table}, {name}", what, printed[name], found[name], own)

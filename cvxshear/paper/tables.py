@@ -111,7 +111,7 @@ DIFFERS = "differs"
 
 
 @dataclass(frozen=True)
-class Row(InJson):
+class PaperRow(InJson):
     """One figure.
 
     Parameters
@@ -176,13 +176,13 @@ class Row(InJson):
 
 
 @dataclass(frozen=True)
-class Section(InJson):
+class PaperSection(InJson):
     """The rows of one table or statement of the paper.
 
     Parameters
     ----------
     title : str
-    rows : tuple of Row
+    rows : tuple of PaperRow
     notes : tuple of str, optional
         What a reader of the rows should know.
     printed_in : str, optional
@@ -192,7 +192,7 @@ class Section(InJson):
     """
 
     title: str
-    rows: tuple[Row, ...]
+    rows: tuple[PaperRow, ...]
     notes: tuple[str, ...] = ()
     printed_in: str = "printed"
     counted: bool = True
@@ -202,11 +202,11 @@ class Section(InJson):
 
 def rows(
     where: str, what: str, printed: Sequence[str], found: Sequence[float] | Floats, rounded: Floats | None = None
-) -> Iterator[Row]:
+) -> Iterator[PaperRow]:
     """Set the figures of one line of a table beside ours; `what` has a place for their numbers from 1."""
     from_rounded = [None] * len(printed) if rounded is None else rounded.tolist()
     for place, each in enumerate(zip(printed, found, from_rounded, strict=True), 1):
-        yield Row(what.format(place), where, each[0], float(each[1]), each[2])
+        yield PaperRow(what.format(place), where, each[0], float(each[1]), each[2])
 
 
 def same_digits(number: float, printed: str) -> bool:

@@ -7,13 +7,15 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
+from cvxshear.fit.identification import identify
+from cvxshear.fit.paper_methods import identified_stiffness
+from cvxshear.fit.results import SingleIdentification
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-from cvxshear.methods import SingleIdentification, identify
-from cvxshear.methods.separate import complete_test, identified_stiffness
 from cvxshear.paper import tables
 from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
 from cvxshear.paper.setups import three_story
-from cvxshear.paper.tables import KILO, Row, Section
+from cvxshear.paper.tables import KILO, PaperRow, PaperSection
+from cvxshear.programs.formulations import complete_test
 from cvxshear.util.typing import Floats
 
 FIGURE_6_SAMPLES = 2000
@@ -57,35 +59,35 @@ class ThreeStory:
 
     def stiffness_of(self, mass_matrix: Floats) -> Floats:
         """Eq. 24 on the modes normalized by a mass matrix, shape (3,), N/m."""
-        test = complete_test(self.experiment, self.experiment.configurations[0], "berman")
-        return identified_stiffness(test, mass_matrix, backends.get(self.backend))
+        test = complete_test(self.experiment, self.experiment.configurations[0], "method berman")
+        return identified_stiffness(test, mass_matrix, backends.get(self.backend)).x
 
 
-def sections(ours: ThreeStory) -> Iterator[Section]:
+def sections(ours: ThreeStory) -> Iterator[PaperSection]:
     """Tables 1 and 2, the numbers of iterations, and the errors stated in the text."""
-    yield Section("Table 1: corrected floor masses", tuple(_table_1(ours)), (_misprint(ours),))
-    yield Section("Table 2: identified story stiffnesses", tuple(_table_2(ours)))
+    yield PaperSection("Table 1: corrected floor masses", tuple(_table_1(ours)), (_misprint(ours),))
+    yield PaperSection("Table 2: identified story stiffnesses", tuple(_table_2(ours)))
     iterations = (
-        Row("iterations", f"Section 5.1, Case {case}, present", printed, ours.parts["two-stage", case].iterations)
+        PaperRow("iterations", f"Section 5.1, Case {case}, present", printed, ours.parts["two-stage", case].iterations)
         for case, printed in tables.ITERATIONS.items()
     )
-    yield Section("Section 5.1: iterations to Eq. 15", tuple(iterations))
+    yield PaperSection("Section 5.1: iterations to Eq. 15", tuple(iterations))
     title, notes = "Section 5.1: largest errors of the two earlier methods", (tables.note("largest_errors"),)
-    yield Section(title, tuple(_largest_errors(ours)), notes)
+    yield PaperSection(title, tuple(_largest_errors(ours)), notes)
 
 
 def _place(table: str, method: str, case: int) -> str:
     return f"{table}, Case {case}, {tables.PAPER_METHODS[method]}"
 
 
-def _table_1(ours: ThreeStory) -> Iterator[Row]:
+def _table_1(ours: ThreeStory) -> Iterator[PaperRow]:
     for (method, case), entries in tables.TABLE_1.items():
         matrix = ours.mass_matrix(method, case)
         for (i, j), printed in entries.items():
             what = f"m{i}, kg" if i == j else f"mass matrix entry ({i}, {j}), kg"
             misprint = (method, case, (i, j)) == tables.MISPRINT
             where, found = _place("Table 1", method, case), float(matrix[i - 1, j - 1])
-            yield Row(what, where, printed, found, misprint=misprint)
+            yield PaperRow(what, where, printed, found, misprint=misprint)
 
 
 def _misprint(ours: ThreeStory) -> str:
@@ -106,13 +108,13 @@ def _misprint(ours: ThreeStory) -> str:
     )  # fmt: skip
 
 
-def _table_2(ours: ThreeStory) -> Iterator[Row]:
+def _table_2(ours: ThreeStory) -> Iterator[PaperRow]:
     for (method, case), printed in tables.TABLE_2.items():
         stiffness = ours.parts[method, case].frame.story_stiffness / KILO
         yield from tables.rows(_place("Table 2", method, case), "k{}, kN/m", printed, stiffness)
 
 
-def _largest_errors(ours: ThreeStory) -> Iterator[Row]:
+def _largest_errors(ours: ThreeStory) -> Iterator[PaperRow]:
     for (method, case), printed in tables.LARGEST_ERRORS.items():
         frame, truth = ours.parts[method, case].frame, ours.truth
         diagonal = tables.values([text for (i, j), text in tables.TABLE_1[method, case].items() if i == j])
@@ -124,14 +126,14 @@ def _largest_errors(ours: ThreeStory) -> Iterator[Row]:
         for text, (what, found, rounded, true) in zip(printed, quantities, strict=True):
             errors = _largest(found, true), _largest(rounded, true)
             where = _place("Section 5.1", method, case)
-            yield Row(f"largest error of a {what}, %", where, text, errors[0], from_rounded=errors[1])
+            yield PaperRow(f"largest error of a {what}, %", where, text, errors[0], from_rounded=errors[1])
 
 
 def _largest(found: Floats, truth: Floats) -> float:
     return 100 * float(np.max(np.abs(found / truth - 1)))
 
 
-def noise_sections(samples: Sequence[int], seed: int) -> Iterator[Section]:
+def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:
     """Table 3 with each number of samples, and Fig. 6.
 
     Parameters
@@ -143,11 +145,11 @@ def noise_sections(samples: Sequence[int], seed: int) -> Iterator[Section]:
         study = noise_study(paper_setups(tuple(tables.TABLE_3)), ("two-stage",), count, seed)
         rows = tuple(_table_3(study))
         title = f"Table 3: error of the mean, {count:,} samples"
-        yield Section(title, rows, (_chance(rows), *_systematic(study)))
+        yield PaperSection(title, rows, (_chance(rows), *_systematic(study)))
     yield _figure_6(noise_study(paper_setups((tables.FIGURE_6_SIGMA,)), ("two-stage",), FIGURE_6_SAMPLES, seed))
 
 
-def _table_3(study: NoiseStudy) -> Iterator[Row]:
+def _table_3(study: NoiseStudy) -> Iterator[PaperRow]:
     for scatter, (sigma, printed) in zip(study.scatters, tables.TABLE_3.items(), strict=True):
         spread = scatter.errors.std(axis=0, ddof=1)
         # The paper's mean and ours are of samples that have nothing to do with each other.
@@ -156,10 +158,10 @@ def _table_3(study: NoiseStudy) -> Iterator[Row]:
             figures = (scatter.bias[place], scatter.bias_error[place], chance[place])
             bias, std_error, by_chance = (100 * float(each) for each in figures)
             where = f"Table 3, σ = {sigma:g}"
-            yield Row(f"{name}, %", where, printed[place], bias, std_error=std_error, chance=by_chance)
+            yield PaperRow(f"{name}, %", where, printed[place], bias, std_error=std_error, chance=by_chance)
 
 
-def _chance(rows: Sequence[Row]) -> str:
+def _chance(rows: Sequence[PaperRow]) -> str:
     distances = np.array([row.distance for row in rows if row.distance is not None])
     beyond = int(np.sum(np.abs(distances) > UNLIKELY))
     farthest = float(np.max(np.abs(distances)))
@@ -181,7 +183,7 @@ def _systematic(study: NoiseStudy) -> Iterator[str]:
         yield tables.note("systematic", sigma=scatter.setup.mode_shape_std, listed=listed)
 
 
-def _figure_6(study: NoiseStudy) -> Section:
+def _figure_6(study: NoiseStudy) -> PaperSection:
     scatter = study.scatters[0]
     sigma = scatter.setup.mode_shape_std
     variation = 100 * scatter.variation
@@ -189,9 +191,9 @@ def _figure_6(study: NoiseStudy) -> Section:
     # Standard errors of the standard deviation of normal samples.
     errors = (variation / np.sqrt(2 * study.samples)).tolist()
     rows = tuple(
-        Row(f"{name}, %", where, tables.FIGURE_6, found, std_error=error)
+        PaperRow(f"{name}, %", where, tables.FIGURE_6, found, std_error=error)
         for name, found, error in zip(tables.PARAMETERS, variation.tolist(), errors, strict=True)
     )
     times = variation[largest] / (100 * sigma)
     note = tables.note("figure_6", parameter=tables.PARAMETERS[largest], times=times)
-    return Section(f"Fig. 6: coefficients of variation, {study.samples:,} samples", rows, (note,))
+    return PaperSection(f"Fig. 6: coefficients of variation, {study.samples:,} samples", rows, (note,))

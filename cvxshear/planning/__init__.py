@@ -2,14 +2,14 @@
 
 from cvxshear.planning.design import Design, measurement_of, read_design
 from cvxshear.planning.expected_noise import Declared, Recorded, TestNoise
-from cvxshear.planning.planner import Limits, plan
+from cvxshear.planning.planner import MassLimits, plan
 from cvxshear.planning.results import ExpectedAccuracy, Plan, predicted, write_template
 
 __all__ = [
     "Declared",
     "Design",
     "ExpectedAccuracy",
-    "Limits",
+    "MassLimits",
     "Plan",
     "Recorded",
     "TestNoise",

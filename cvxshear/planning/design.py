@@ -12,13 +12,13 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.effects import Place, Placed, Scale, catalogue, compose
-from cvxshear.files.toml import is_built_in, load, read_result, read_tables
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop import close_loop
+from cvxshear.io.toml import is_built_in, load, read_result, read_tables
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Measurement, Prior, opened
 from cvxshear.model.shear import modes
 from cvxshear.priors import Value, check_prior
+from cvxshear.screening import close_loop
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed
@@ -205,7 +205,7 @@ class Design:
 
     @staticmethod
     def of_experiment(
-        experiment: Measurement, *, fresh: bool = False, loop: bool = False, state: str | None = None
+        experiment: Measurement, *, fresh: bool = False, loop: bool = False, configuration: str | None = None
     ) -> Design:
         """Take the frame from a measurement.
 
@@ -217,13 +217,14 @@ class Design:
             Take the values from it, and its priors, but count none of its measurements as known.
         loop : bool, optional
             Take the frame with the effects that the loop finds, in place of the shear frame.
-        state : str, optional
-            State of the frame that is to be tested; that of the first configuration where not given.
+        configuration : str, optional
+            Configuration or state of the frame that is to be tested; the first configuration if None.
         """
         experiment = opened(experiment)
-        states = list(dict.fromkeys(each.state for each in experiment.configurations))
-        if state is not None:
-            checks.choice(state, states, "state")
+        state_of = {each.state: each.state for each in experiment.configurations}
+        state_of |= {each.name: each.state for each in experiment.configurations}
+        if configuration is not None:
+            checks.choice(configuration, list(state_of), "configuration")
         found: Estimate = close_loop(experiment).estimate if loop else efficient(experiment, backends.get("auto"))
         n = experiment.stories
         determined = found.uncertainty.determined[: 2 * n]
@@ -233,7 +234,7 @@ class Design:
                 f"{experiment.name} does not determine {open_ones}, so there is no frame to plan for; declare design "
                 "values (a nominal prior with std)"
             )
-        local = state is not None or any(placed.place.state is not None for placed in found.effects)
+        local = configuration is not None or any(placed.place.state is not None for placed in found.effects)
         return Design(
             experiment.frame,
             found.theta[:n],
@@ -245,7 +246,7 @@ class Design:
             found.effects,
             found.theta[2 * n :],
             found.std[2 * n :],
-            (state or states[0]) if local else None,
+            state_of[configuration or experiment.configurations[0].name] if local else None,
         )
 
     @staticmethod
@@ -351,7 +352,7 @@ def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Flo
 
 
 def read_design(
-    source: str | Path | Experiment, *, fresh: bool = False, loop: bool = False, state: str | None = None
+    source: str | Path | Experiment, *, fresh: bool = False, loop: bool = False, configuration: str | None = None
 ) -> Design:
     """Read the frame before the test from a source.
 
@@ -363,8 +364,8 @@ def read_design(
         Count nothing of what was measured as known.
     loop : bool, optional
         Close the loop on what was measured, and plan for the frame with the effects that it finds.
-    state : str, optional
-        State of the frame that is to be tested.
+    configuration : str, optional
+        Configuration or state of the frame that is to be tested.
 
     Raises
     ------
@@ -373,11 +374,11 @@ def read_design(
     """
     measured = source if isinstance(source, Experiment) else measurement_of(source)
     if measured is not None:
-        return Design.of_experiment(measured, fresh=fresh, loop=loop, state=state)
+        return Design.of_experiment(measured, fresh=fresh, loop=loop, configuration=configuration)
     path = Path(str(source))
     try:
-        if loop or state:
-            raise InputError("a loop, or a state of the frame, needs a file with measured modes ([[configuration]])")
+        if loop or configuration:
+            raise InputError("loop and configuration need a file with measured modes ([[configuration]])")
         if path.suffix.lower() == ".json":
             return Design.of_result(read_result(path), path.stem)
         return Design.of_file(read_tables(path), path.stem)

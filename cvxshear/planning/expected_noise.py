@@ -124,29 +124,29 @@ class Recorded(TestNoise):
 
     Parameters
     ----------
-    kind : str
+    excitation : str
         "ambient": forces of equal strength on all floors that nobody records; "shaker": a recorded motion of the base;
         "hammer": recorded blows, as many on every floor.
     duration : float
         s, of all records of a test together.
     damping : float, optional
         Fraction of critical, every mode.
-    noise : float, optional
-        Of each channel, over its standard deviation.
+    sensor_noise : float, optional
+        Standard deviation of the noise of a channel, relative to that of its signal.
     """
 
-    kind: str
+    excitation: str
     duration: float
     damping: float = 0.01
-    noise: float = 0.05
+    sensor_noise: float = 0.05
 
     least_periods: ClassVar[float] = 10.0
 
     def __post_init__(self) -> None:
-        checks.choice(self.kind, EXCITATIONS, "excitation")
+        checks.choice(self.excitation, EXCITATIONS, "excitation")
         checks.number(self.duration, "duration", above=0.0)
         checks.number(self.damping, "damping", above=0.0)
-        checks.number(self.noise, "sensor noise", above=0.0)
+        checks.number(self.sensor_noise, "sensor noise", above=0.0)
 
     def of(self, found: Modes, mass: Floats, which: Ints) -> tuple[Floats, Floats]:
         periods = self.duration * found.frequencies[which]
@@ -160,11 +160,11 @@ class Recorded(TestNoise):
     @property
     def _unrecorded(self) -> float:
         """The part of the force that nothing recorded, over the whole."""
-        return {"ambient": 1.0, "shaker": self.noise, "hammer": HAMMER * self.noise}[self.kind]
+        return {"ambient": 1.0, "shaker": self.sensor_noise, "hammer": HAMMER * self.sensor_noise}[self.excitation]
 
     def _modal_force(self, found: Modes, mass: Floats) -> Floats:
         """Spectral densities of the modal forces and between them, shape (N, N), up to a factor."""
-        if self.kind == "shaker":
+        if self.excitation == "shaker":
             participation = found.shapes @ mass
             return np.outer(participation, participation)
         return found.shapes @ found.shapes.T
@@ -177,8 +177,8 @@ class Recorded(TestNoise):
         phi, f = found.shapes.T, found.frequencies
         own = np.diag(force)
         variance = phi**2 @ (own * np.pi * f / (4 * self.damping))
-        spread = np.diag(self.noise**2 * variance / band)
-        if self.kind == "ambient":
+        spread = np.diag(self.sensor_noise**2 * variance / band)
+        if self.excitation == "ambient":
             ratio = f[mode] / np.delete(f, mode)
             gain = ratio**4 / ((1 - ratio**2) ** 2 + (2 * self.damping * ratio) ** 2)
             unexplained = np.delete(own - force[mode] ** 2 / own[mode], mode)
@@ -196,8 +196,8 @@ class Recorded(TestNoise):
     @property
     def words(self) -> str:
         return (
-            f"{self.kind} records of {self.duration:g} s, damping {100 * self.damping:g} %, sensor noise "
-            f"{100 * self.noise:g} %"
+            f"{self.excitation} records of {self.duration:g} s, damping {100 * self.damping:g} %, sensor noise "
+            f"{100 * self.sensor_noise:g} %"
         )
 
     def damping_std(self, frequencies: Floats) -> Floats:

@@ -56,7 +56,7 @@ MASS_DIGITS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class MassLimits:
     """What can be added to the frame.
 
     Parameters
@@ -71,15 +71,15 @@ class Limits:
     total: float
 
     @staticmethod
-    def of(floor: object, total: object, stories: int) -> Limits:
+    def of(floor: object, total: object, stories: int) -> MassLimits:
         """Read the limits that options declare: one number or one a floor, and a number or nothing for all together."""
         if floor is None:
             if total is not None:
                 raise InputError("a limit of the added mass in all needs one of each floor: give added_mass as well")
-            return Limits(np.zeros(stories), 0.0)
+            return MassLimits(np.zeros(stories), 0.0)
         each = checks.one_or_many(floor, "added_mass", stories, each=", one a floor", least=0.0)
         whole = float(each.sum()) if total is None else checks.number(total, "added_mass_total", least=0.0)
-        return Limits(each, min(whole, float(each.sum())))
+        return MassLimits(each, min(whole, float(each.sum())))
 
     @property
     def any(self) -> bool:
@@ -120,8 +120,8 @@ def plan(
     criterion: str | None = None,
     fresh: bool = False,
     loop: bool = False,
-    state: str | None = None,
-    solver: str = "clarabel",
+    configuration: str | None = None,
+    backend: str = "clarabel",
 ) -> Plan:
     """Choose the floors to measure and the masses to add before a test.
 
@@ -152,9 +152,9 @@ def plan(
     loop : bool, optional
         Close the loop on what the source measured, and plan for the frame with the effects that it finds; the shear
         frame that fits best where not.
-    state : str, optional
-        State of the source that is to be tested again; that of its first configuration where not given.
-    solver : str, optional
+    configuration : str, optional
+        Test or state of the source that is tested again; its first configuration if None.
+    backend : str, optional
         "clarabel" or "scs".
 
     Returns
@@ -166,31 +166,31 @@ def plan(
     InputError
         Naming the option, the value found and what would be right.
     NoSolutionError
-        Where the solver finds no solution.
+        Where the backend finds no solution.
     """
-    checks.choice(solver, SOLVERS, "solver")
+    checks.choice(backend, SOLVERS, "backend")
     declared = tests == DECLARED
     if not declared:
         if isinstance(tests, str):
             raise InputError(f"tests must be a whole number or {DECLARED!r}, not {checks.shown(tests)}")
         checks.whole(tests, "tests", least=1, most=MOST_TESTS)
-    design = (
-        source if isinstance(source, Design) else read_design(source, fresh=fresh or declared, loop=loop, state=state)
-    )
+    design = source
+    if not isinstance(design, Design):
+        design = read_design(design, fresh=fresh or declared, loop=loop, configuration=configuration)
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
     model = AveragedModel.around(_model(design, goal, modes, noise or Declared.of_tests(design.declared)))
     by = criterion_named(criterion or ("worst" if model.frames[0].targets else "D"))
-    limits = Limits.of(added_mass, added_mass_total, n)
+    limits = MassLimits.of(added_mass, added_mass_total, n)
     if declared:
         if not design.declared:
             raise InputError(f"{design.name} declares no tests; say how many to plan")
         masses = [each.added_mass for each in design.declared]
-        return _finished(model, masses, [each.name for each in design.declared], number, by, solver, None)
+        return _finished(model, masses, [each.name for each in design.declared], number, by, backend, None)
     names = _names(design, int(tests))
     if not limits.any:
-        return _finished(model, [np.zeros(n)] * int(tests), names, number, by, solver, None)
-    return _finished(model, _masses(model, number, int(tests), by, limits, solver), names, number, by, solver, limits)
+        return _finished(model, [np.zeros(n)] * int(tests), names, number, by, backend, None)
+    return _finished(model, _masses(model, number, int(tests), by, limits, backend), names, number, by, backend, limits)
 
 
 def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: TestNoise) -> TestModel:
@@ -221,7 +221,9 @@ def _names(design: Design, count: int) -> list[str]:
     return [next(free) for _ in range(count)]
 
 
-def _masses(model: AveragedModel, number: int, count: int, by: Criterion, limits: Limits, solver: str) -> list[Floats]:
+def _masses(
+    model: AveragedModel, number: int, count: int, by: Criterion, limits: MassLimits, backend: str
+) -> list[Floats]:
     """Choose the masses of so many tests, kg, the lightest first; floors and masses chosen by turns."""
     n = len(limits.floor)
     grid = limits.grid()
@@ -230,13 +232,13 @@ def _masses(model: AveragedModel, number: int, count: int, by: Criterion, limits
     expected = [model.expected(test) for test in grid]
     floors = np.arange(n)
     for _ in range(TURNS):
-        found = choose(model.choices(expected, floors, count), count, by, solver)
+        found = choose(model.choices(expected, floors, count), count, by, backend)
         if number == n:
             break
         before = floors
         # On the way the choice is wanted, not how far it is from the best.
         problem = model.sensors([expected[i] for i in found.chosen], number)
-        floors = choose(problem, number, by, solver, widths=()).chosen
+        floors = choose(problem, number, by, backend, widths=()).chosen
         if np.array_equal(floors, before):
             break
     tests = refined(model, [grid[i] for i in found.chosen], floors, by, limits)
@@ -249,7 +251,9 @@ def value_of(model: AveragedModel, tests: Sequence[Test], floors: Ints, by: Crit
     return float(by.value(problem, problem.information(np.ones(len(tests)))))
 
 
-def refined(model: AveragedModel, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: Limits) -> list[Floats]:
+def refined(
+    model: AveragedModel, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: MassLimits
+) -> list[Floats]:
     """Move the masses of the tests between the grid's points, where that is better.
 
     The masses are looked for on the frame as designed, and judged on all that the design values allow.
@@ -262,7 +266,7 @@ def refined(model: AveragedModel, tests: Sequence[Floats], floors: Ints, by: Cri
     floors : ndarray of int
         Measured, zero-based.
     by : Criterion
-    limits : Limits
+    limits : MassLimits
     """
     free = np.flatnonzero(limits.floor > 0)
     count, size = len(tests), len(free)
@@ -304,24 +308,24 @@ def _finished(
     names: Sequence[str],
     number: int,
     by: Criterion,
-    solver: str,
-    limits: Limits | None,
+    backend: str,
+    limits: MassLimits | None,
 ) -> Plan:
     """Make the plan with the accuracy expected of it, of one sensor more, of one less, and of sensors everywhere."""
     designed = model.frames[0]
     n = designed.design.stories
     expected = [model.expected(test) for test in masses]
     wanted = [count for count in (number - 1, number, number + 1) if 1 <= count <= n]
-    found = {count: choose(model.sensors(expected, count), count, by, solver) for count in {*wanted, n}}
+    found = {count: choose(model.sensors(expected, count), count, by, backend) for count in {*wanted, n}}
     seen = {count: expected_accuracy(model, expected, choice) for count, choice in found.items()}
     grid = None
     if limits is not None:
         tests = [model.expected(test) for test in limits.grid()]
-        grid = choose(model.choices(tests, found[number].chosen, len(masses)), len(masses), by, solver)
+        grid = choose(model.choices(tests, found[number].chosen, len(masses)), len(masses), by, backend)
     information = model.of_targets(expected, found[number].chosen) if designed.targets else None
     return Plan(
         criterion=by.name,
-        solver=solver,
+        backend=backend,
         tests=tuple(masses),
         names=tuple(names),
         chosen=seen[number],

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cvxshear.files.toml import write_measurement
+from cvxshear.fit.results import UNITS_OF_FRAME
+from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import MeasuredFrequency
 from cvxshear.planning.tested_model import AveragedModel, Expected, TestModel
-from cvxshear.util.quantities import listed
+from cvxshear.util.quantities import column_name, listed
 from cvxshear.util.results import InJson, Shown, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
 
@@ -107,7 +108,7 @@ class Plan(Shown):
     ----------
     averaged : AveragedModel
         The frames that the design values allow, over which the objective and the standard deviations are averaged.
-    criterion, solver : str
+    criterion, backend : str
     tests : tuple of ndarray, shape (N,)
         Added mass of each, kg.
     names : tuple of str
@@ -127,7 +128,7 @@ class Plan(Shown):
 
     averaged: AveragedModel
     criterion: str
-    solver: str
+    backend: str
     tests: tuple[Floats, ...]
     names: tuple[str, ...]
     chosen: ExpectedAccuracy
@@ -140,7 +141,7 @@ class Plan(Shown):
 
     json_keys = (
         "sensors tests=planned_tests modes=model.numbers noise=model.noise.words expected_modes for=goal criterion "
-        "solver objective bound gap floors_arbitrary grid_bound masses_arbitrary=arbitrary_masses "
+        "solver=backend objective bound gap floors_arbitrary grid_bound masses_arbitrary=arbitrary_masses "
         "averaged_over=frames frame std=chosen.std one_sensor_less=fewer one_sensor_more=more every_floor=everywhere "
         "apart"
     )
@@ -232,9 +233,9 @@ class Plan(Shown):
         Returns
         -------
         DataFrame
-            One row a floor: floor, sensor (whether it carries one), floor_mass (kg) and story_stiffness (N/m, of the
-            story below that floor) of the design, their expected deviations floor_mass_std and story_stiffness_std,
-            and `added_mass: NAME` (kg) for each test.
+            One row for each floor: floor, sensor (whether it carries one), floor_mass_kg and story_stiffness_N_per_m
+            (of the story below that floor) of the design, their expected standard deviations floor_mass_std_kg and
+            story_stiffness_std_N_per_m, and `added_mass_kg: NAME` for each test.
 
         Raises
         ------
@@ -245,9 +246,11 @@ class Plan(Shown):
         floors = range(1, design.stories + 1)
         columns: dict[str, Sequence[object]] = {"floor": floors, "sensor": [floor in self.sensors for floor in floors]}
         for name, std in self.chosen.std.items():
-            columns |= {name: getattr(design, name).tolist(), f"{name}_std": std.tolist()}
+            unit = UNITS_OF_FRAME[name]
+            columns[column_name(name, unit)] = getattr(design, name).tolist()
+            columns[column_name(f"{name}_std", unit)] = std.tolist()
         masses = zip(self.names, self.tests, strict=True)
-        return data_frame(columns | {f"added_mass: {name}": mass.tolist() for name, mass in masses})
+        return data_frame(columns | {f"added_mass_kg: {name}": mass.tolist() for name, mass in masses})
 
 
 def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
@@ -262,7 +265,7 @@ def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
     spread = np.unique(np.linspace(1, n, min(n, MOST_POINTS)).round().astype(int))
     points = []
     for count in sorted({*spread.tolist(), len(plan.sensors)}):
-        found = choose(plan.averaged.sensors(tests, count), count, by, plan.solver)
+        found = choose(plan.averaged.sensors(tests, count), count, by, plan.backend)
         points.append((count, found.value, found.bound))
     return points
 

@@ -1,1 +1,13 @@
-"""A record, what its file says of it, and what it gets wrong."""
+"""Records to modes: what was recorded, how modes are identified from it, and what it got wrong."""
+
+from cvxshear.records.adapters import from_arrays, from_pyoma, from_sdypy
+from cvxshear.records.agreement import second_opinion
+from cvxshear.records.identify import identify_modes
+from cvxshear.records.record import Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.records.result import IdentifiedRecord, ModalResult, merged
+from cvxshear.records.stabilization import Criteria
+
+__all__ = [
+    "Channel", "Criteria", "Finding", "FrfRecord", "FrfRun", "IdentifiedRecord", "ModalResult", "Record", "Run",
+    "TimeRecord", "from_arrays", "from_pyoma", "from_sdypy", "identify_modes", "merged", "second_opinion",
+]  # fmt: skip

@@ -3,7 +3,7 @@
 A channel whose clock is late by tau shows every component of angular frequency w turned by -w tau. Between two
 channels of a lightly damped frame the phase is otherwise nearly nought or half a turn, at the modes and in the band
 between them: over the whole band the delay is the one straight line through the origin that leaves no more than that,
-and the modes' own phases make it finer (`modal.clock_offsets`). A damper turns single modes, not the band.
+and the modes' own phases make it finer (`records.clock_offsets`). A damper turns single modes, not the band.
 """
 
 from __future__ import annotations

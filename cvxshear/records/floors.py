@@ -81,7 +81,7 @@ def _beside_the_center(record: Record, groups: Sequence[Ints]) -> Iterator[Findi
             seen = (
                 "its entries are as uncertain as the other floors turn" if half else "no floor shows how much it turns"
             )
-            # The sensor's place is known, where that of a center between two is anywhere: see `modal.identify`.
+            # The sensor's place is known, where that of a center between two is anywhere: see `records.identify`.
             arm = off * np.sqrt(3.0) / np.mean(half) if half else 0.0
             numbers = {"floor": channel.floor, "channels": [channel.name], "placed": False, "arm": float(arm)}
             yield finding("rotation/one sensor", numbers, off=off, seen=seen)

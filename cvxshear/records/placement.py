@@ -50,7 +50,7 @@ DOUBTFUL = 0.3
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class ChannelMistake:
     """What may be wrong with the channels.
 
     Parameters
@@ -89,7 +89,7 @@ class Hypothesis:
         return result
 
 
-def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> list[Hypothesis]:
+def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> list[ChannelMistake]:
     """Weigh the hypotheses against each other, and sort them by probability, the most probable first.
 
     Parameters
@@ -103,20 +103,20 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     """
     count = len(floors)
     pairs = list(itertools.combinations(range(count), 2))
-    prior: list[tuple[Hypothesis, float]] = [(Hypothesis("sound"), 1.0)]
+    prior: list[tuple[ChannelMistake, float]] = [(ChannelMistake("sound"), 1.0)]
     # All channels but some reversed is the same as those reversed.
-    prior += [(Hypothesis("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
-    prior += [(Hypothesis("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
-    prior += [(Hypothesis("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
+    prior += [(ChannelMistake("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
+    prior += [(ChannelMistake("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
+    prior += [(ChannelMistake("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
     if count > 2:
         # Whoever exchanges two cables may have reversed one as well.
         prior += [
-            (Hypothesis("swapped channels", pair, turned=(i,)), PRIOR_EXCHANGED / (count - 1) * REVERSED)
+            (ChannelMistake("swapped channels", pair, turned=(i,)), PRIOR_EXCHANGED / (count - 1) * REVERSED)
             for pair in pairs
             for i in range(count)
         ]
     prior += [
-        (Hypothesis("unit", (i,), factor, turned=turned), OTHER_UNIT * REVERSED ** len(turned))
+        (ChannelMistake("unit", (i,), factor, turned=turned), OTHER_UNIT * REVERSED ** len(turned))
         for i in range(count)
         for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
         for turned in ((), *((j,) for j in range(count if count > 2 else 0)))
@@ -200,12 +200,12 @@ def _changes(shape: Floats) -> int:
     return int(np.sum(np.sign(sure[1:]) != np.sign(sure[:-1])))
 
 
-def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], first: Floats) -> list[Finding]:
+def findings_of(hypotheses: Sequence[ChannelMistake], channels: Sequence[Channel], first: Floats) -> list[Finding]:
     """Report what the hypotheses say of the channels: nothing, one thing that is sure, or several that may be.
 
     Parameters
     ----------
-    hypotheses : sequence of Hypothesis
+    hypotheses : sequence of ChannelMistake
         The most probable first.
     channels : sequence of Channel
     first : ndarray, shape (n,)
@@ -240,14 +240,14 @@ def findings_of(hypotheses: Sequence[Hypothesis], channels: Sequence[Channel], f
     return [Finding(rivals[0].kind, said, numbers)]
 
 
-def _named(item: Hypothesis, channels: Sequence[Channel]) -> list[str]:
+def _named(item: ChannelMistake, channels: Sequence[Channel]) -> list[str]:
     """List the names of the channels that a hypothesis is about; of two channels either may be the reversed one."""
     if item.kind == "sign" and len(channels) == 2:
         return [channel.name for channel in channels]
     return list(dict.fromkeys(channels[place].name for place in (*item.places, *item.turned)))
 
 
-def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
+def _in_words(item: ChannelMistake, channels: Sequence[Channel]) -> str:
     named = listed([str(channels[place]) for place in item.places])
     reversed_ = "".join(f" and {channels[place]} is reversed" for place in item.turned)
     if item.kind == "sign" and len(channels) == 2:
@@ -263,7 +263,7 @@ def _in_words(item: Hypothesis, channels: Sequence[Channel]) -> str:
     return f"{named} are in each other's place{reversed_}"
 
 
-def _said(item: Hypothesis, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
+def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
     shape = "(" + ", ".join(f"{entry:.3f}" for entry in first / first[np.argmax(np.abs(first))]) + ")"
     odds = f"odds {min(item.probability / max(sound, 1e-9), 1e9):.2g} to 1 against a mode that was missed"
     names = _named(item, channels)

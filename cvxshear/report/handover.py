@@ -10,9 +10,9 @@ import numpy as np
 from scipy import io
 
 from cvxshear.data import Deviation
-from cvxshear.files.spreadsheets import Cell, Sheet, workbook
-from cvxshear.files.uff import load_pyuff, universal_file
 from cvxshear.fit.misfit import Misfit
+from cvxshear.io.spreadsheets import Cell, Sheet, workbook
+from cvxshear.io.uff import load_pyuff, universal_file
 from cvxshear.report.describe.consequences import MODELS
 from cvxshear.response import Fitted, Reconstruction, RecordPrediction, Response
 from cvxshear.response.damped import DampedModel
@@ -224,8 +224,8 @@ def _links(matrix: Floats) -> list[tuple[int, int, float]]:
     return [link for link in (*ground, *between) if abs(link[2]) > 1e-12 * np.abs(matrix).max()]
 
 
-TIME, X_TRANSLATION = 1, 1
-ACCELERATION, DISPLACEMENT, FORCE = 12, 8, 13
+TIME_HISTORY, ALONG_X = 1, 1
+ACCELERATION, DISPLACEMENT, EXCITATION_FORCE = 12, 8, 13
 """Numbers of universal files: function type, direction, and kinds of ordinate."""
 
 
@@ -322,14 +322,14 @@ def _uff(result: Moved) -> bytes:
     pyuff = load_pyuff()
     sets: list[Json] = []
     forced = _driven(result) == "force"
-    driven, kind_of_drive = ("force", FORCE) if forced else ("base acceleration", ACCELERATION)
+    driven, kind_of_drive = ("force", EXCITATION_FORCE) if forced else ("base acceleration", ACCELERATION)
     for run, (excitation, response, _) in enumerate(_runs(result), 1):
         sets.append(_function(pyuff, f"{driven}, run {run}", kind_of_drive, 0, response.time, excitation))
         for name, kind, values in (
             ("acceleration", ACCELERATION, response.acceleration),
             ("displacement", DISPLACEMENT, response.displacement),
             ("drift", DISPLACEMENT, response.drift),
-            ("story shear", FORCE, response.story_shear),
+            ("story shear", EXCITATION_FORCE, response.story_shear),
         ):
             for floor, history in enumerate(() if values is None else values.T, 1):
                 sets.append(_function(pyuff, f"{name}, run {run}", kind, floor, response.time, history))
@@ -338,7 +338,7 @@ def _uff(result: Moved) -> bytes:
 
 def _function(pyuff: object, name: str, kind: int, floor: int, time: Floats, values: Floats) -> Json:
     made: Json = pyuff.prepare_58(  # type: ignore[attr-defined]  # pyuff has no types
-        binary=0, func_type=TIME, rsp_node=floor, rsp_dir=X_TRANSLATION, ref_node=0, ref_dir=X_TRANSLATION,
+        binary=0, func_type=TIME_HISTORY, rsp_node=floor, rsp_dir=ALONG_X, ref_node=0, ref_dir=ALONG_X,
         data=values, x=time, id1=(f"{name}, floor {floor}" if floor else name)[:80], rsp_ent_name="floor",
         ref_ent_name="ground",
         abscissa_spacing=1, abscissa_min=0.0, abscissa_inc=float(time[1] - time[0]), num_pts=len(values),

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.backends import Comparison
-from cvxshear.files.inputs import read_bytes
+from cvxshear.fit.identification import compare_backends
+from cvxshear.io.inputs import read_bytes
 from cvxshear.loop import Closure
 from cvxshear.measurement.declaration import Heading
-from cvxshear.methods import compare_backends
-from cvxshear.modal import ModalResult
+from cvxshear.records import ModalResult
 from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
@@ -167,7 +167,7 @@ def _record(result: ModalResult, place: int) -> Json:
 MOST_MODES = 6
 """Modes of a configuration that are drawn in motion, from the lowest."""
 
-ROOF, GROUND = 12.0, 158.0
+ROOF_HEIGHT, GROUND_HEIGHT = 12.0, 158.0
 """Heights of the roof and of the ground in the drawing of a mode, from its top; the template has its other measures."""
 
 MovingShape = tuple[str, list[tuple[float, float]]]
@@ -177,7 +177,7 @@ MovingShape = tuple[str, list[tuple[float, float]]]
 def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:
     """List the lowest modes of the final model, by configuration."""
     z, _ = elevations(result.experiment)
-    heights = (GROUND - (GROUND - ROOF) * np.concatenate([[0.0], z]) / z[-1]).round(2).tolist()
+    heights = (GROUND_HEIGHT - (GROUND_HEIGHT - ROOF_HEIGHT) * np.concatenate([[0.0], z]) / z[-1]).round(2).tolist()
     return [
         (found.configuration, [
             (f"mode {mode}: {frequency:.4g} Hz", list(zip([0.0, *sway.round(4).tolist()], heights, strict=True)))

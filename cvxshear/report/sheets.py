@@ -5,14 +5,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cvxshear.files.spreadsheets import Cell, Sheet
+from cvxshear.fit.results import Identification
+from cvxshear.io.spreadsheets import Cell, Sheet
 from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.methods import Identification
-from cvxshear.modal import ModalResult
+from cvxshear.records import ModalResult
 from cvxshear.report.describe.consequences import MODELS, compared_errors
+from cvxshear.response.peaks import RESPONSES
 from cvxshear.util.typing import Json
 
+EFFECTS = ("effect", "floor", "story", "configuration", "parameter", "unit", "value", "std")
 FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffness, N/m", "story stiffness std, N/m")
 
 
@@ -41,7 +43,7 @@ def sheets_of_closure(result: Closure) -> list[Sheet]:
     ]
     return [
         Sheet("frame", FRAME, list(_frame_rows(said["frame"]))),
-        Sheet("effects", ("effect", "floor", "story", "configuration", "parameter", "value", "std"), _effects(said)),
+        Sheet("effects", EFFECTS, list(_effects(result))),
         Sheet("errors", ("error", *MODELS), errors),
         _frequencies(result.experiment, said["predictions"]),
     ]
@@ -56,9 +58,9 @@ def sheets_of_response(said: Json) -> list[Sheet]:
         The result's own JSON.
     """
     peaks = {name: values for name, values in said["peaks"].items() if isinstance(values, list)}
-    header = ("floor / story", *(_words(name) for name in peaks))
+    header = ("floor / story", *map(_with_unit, peaks))
     rows: list[tuple[Cell, ...]] = [(place, *row) for place, row in enumerate(zip(*peaks.values(), strict=True), 1)]
-    alone = [(_words(name), value) for name, value in said["peaks"].items() if not isinstance(value, list)]
+    alone = [(_with_unit(name), value) for name, value in said["peaks"].items() if not isinstance(value, list)]
     frame = said.get("frame")
     sheets = [Sheet("peaks", header, rows), Sheet("base", ("quantity", "value"), [*alone])]
     if frame is not None:
@@ -74,14 +76,23 @@ def sheets_of_response(said: Json) -> list[Sheet]:
 
 def _modes(result: ModalResult) -> Sheet:
     floors = result.floors.tolist()
-    header = ["mode", "frequency, Hz", "frequency std", "damping"]
-    # The unit is the scale: who reads the table again need not ask how heavy the frame is.
+    # The unit says that the shapes carry the scale of the masses; without it the largest entry is 1.
     unit = ", 1/sqrt(kg)" if result.mass_normalized else ""
-    header += [f"floor {floor}{unit}" for floor in floors] + [f"floor {floor} std" for floor in floors]
-    known = [result.frequencies, result.frequency_std, result.damping_ratios, result.mode_shapes, result.entry_std]
-    numbers = np.column_stack(known).tolist()
-    rows = [(int(mode), *row) for mode, row in zip(result.modes, numbers, strict=True)]
-    return Sheet(result.name, tuple(header), rows)
+    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
+    scale = np.ones_like(largest) if result.mass_normalized else 1.0 / largest
+    columns = {
+        "mode": result.modes,
+        "frequency, Hz": result.frequencies,
+        "frequency std, Hz": result.frequencies * result.frequency_std,
+        "damping ratio": result.damping_ratios,
+        **{f"floor {floor}{unit}": each for floor, each in zip(floors, (scale * result.mode_shapes).T, strict=True)},
+        **{
+            f"floor {floor} std{unit}": each
+            for floor, each in zip(floors, (scale * largest * result.entry_std).T, strict=True)
+        },
+    }
+    given = {name: each.tolist() for name, each in columns.items() if np.any(np.isfinite(each))}
+    return Sheet(result.name, tuple(given), list(zip(*given.values(), strict=True)))
 
 
 def _frame_rows(frame: Json) -> Iterator[tuple[Cell, ...]]:
@@ -102,13 +113,21 @@ def _frequencies(experiment: Experiment, predictions: Sequence[Json]) -> Sheet:
     return Sheet("modes", ("configuration", "mode", "measured, Hz", "model, Hz", "relative error"), rows)
 
 
-def _effects(said: Json) -> list[tuple[Cell, ...]]:
-    place = ("floor", "story", "configuration")
-    return [
-        (_words(found["name"]), *(found[key] for key in place), _words(name), value, found["std"][name])
-        for found in said["effects"]
-        for name, value in found["parameters"].items()
-    ]
+def _effects(result: Closure) -> Iterator[tuple[Cell, ...]]:
+    """List each parameter of each effect with its unit, value and standard deviation."""
+    for found in result.effects:
+        said = found.to_dict()
+        names = (item.name for item in found.placed.effect.parameters)
+        units = dict(zip(names, found.placed.units(result.experiment), strict=True))
+        where = (_words(said["name"]), said["floor"], said["story"], said["configuration"])
+        for name, value in said["parameters"].items():
+            yield (*where, _words(name), units.get(name, ""), value, said["std"][name])
+
+
+def _with_unit(name: str) -> str:
+    """Write the name of a peak, or of its standard deviation, with its unit."""
+    unit = RESPONSES[name.removesuffix("_std")].unit
+    return f"{_words(name)}, {unit}" if unit else _words(name)
 
 
 def _words(name: str) -> str:

@@ -18,15 +18,15 @@ from rich.text import Text
 from cvxshear.backends import Solver
 from cvxshear.data import noise_kinds
 from cvxshear.effects import catalogue
+from cvxshear.fit.results import Identification
 from cvxshear.loop import VERDICTS
-from cvxshear.methods import Identification
-from cvxshear.modal import ModalResult
+from cvxshear.records import ModalResult
 from cvxshear.report.describe import Facts, Points, Row, Section, Sentence, Table, describe, line
 from cvxshear.report.describe.from_records import doubts_section, poles_table
 from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import plain_rows
 from cvxshear.response import IdentifiedDamping
-from cvxshear.screening import Finding
+from cvxshear.screening import FileFinding
 from cvxshear.util.errors import optional
 from cvxshear.util.quantities import AUTOMATIC, Units
 from cvxshear.util.text import printable
@@ -136,7 +136,7 @@ def identification(
                 yield from _section(section)
 
 
-def doubts(found: Sequence[Finding]) -> Iterator[RenderableType]:
+def doubts(found: Sequence[FileFinding]) -> Iterator[RenderableType]:
     """Doubts above a result that was computed all the same."""
     yield from _section(doubts_section(found))
 

@@ -31,8 +31,8 @@ UNCOUPLED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Poles:
-    """Poles of a damped frame, one of each conjugate pair.
+class DampedPoles:
+    """DampedPoles of a damped frame, one of each conjugate pair.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def modal_damping(real: Modes, C: Floats) -> Floats:
     return real.shapes @ C @ real.shapes.T
 
 
-def poles(M: Floats, C: Floats, K: Floats) -> Poles:
+def poles(M: Floats, C: Floats, K: Floats) -> DampedPoles:
     """Compute the complex modes of a damped frame, of symmetric matrices.
 
     Raises
@@ -81,8 +81,8 @@ def poles(M: Floats, C: Floats, K: Floats) -> Poles:
     return coupled(real, gamma)
 
 
-def classical(real: Modes, own: Floats) -> Poles:
-    """Poles of modes that damping does not couple; own is 2 zeta omega of each, rad/s."""
+def classical(real: Modes, own: Floats) -> DampedPoles:
+    """DampedPoles of modes that damping does not couple; own is 2 zeta omega of each, rad/s."""
     omega = np.sqrt(real.eigenvalues)
     half = 0.5 * own
     root = np.sqrt((half**2 - omega**2).astype(np.complex128))
@@ -91,11 +91,11 @@ def classical(real: Modes, own: Floats) -> Poles:
     which = np.concatenate([np.arange(len(omega)), np.flatnonzero(over)])
     order = np.argsort(np.abs(values), kind="stable")
     values, which = values[order], which[order]
-    return Poles(values, real.shapes[which].T.astype(np.complex128), np.asarray(2 * values + own[which]))
+    return DampedPoles(values, real.shapes[which].T.astype(np.complex128), np.asarray(2 * values + own[which]))
 
 
-def coupled(real: Modes, gamma: Floats) -> Poles:
-    """Poles of modes that damping couples.
+def coupled(real: Modes, gamma: Floats) -> DampedPoles:
+    """DampedPoles of modes that damping couples.
 
     The state is (omega q, q') of the modal coordinates q, in which the undamped part is skew and of even scale.
     """
@@ -112,7 +112,7 @@ def coupled(real: Modes, gamma: Floats) -> Poles:
     s: Complexes = np.asarray(values[kept], dtype=np.complex128)
     q = states[:n, kept] / omega[:, None]
     scales = 2 * s * np.sum(q * q, axis=0) + np.sum(q * (gamma @ q), axis=0)
-    return Poles(s, np.asarray(real.shapes.T @ q, dtype=np.complex128), scales)
+    return DampedPoles(s, np.asarray(real.shapes.T @ q, dtype=np.complex128), scales)
 
 
 SMALL = 0.1
@@ -196,7 +196,7 @@ class DampedModel:
         return modes(self.M, self.K)
 
     @cached_property
-    def poles(self) -> Poles:
+    def poles(self) -> DampedPoles:
         """Complex modes."""
         return poles(self.M, self.C, self.K)
 

@@ -18,8 +18,8 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.orthogonality import pair_products
-from cvxshear.programs.statements import constrained, refuse_contradictions, softened, statements
+from cvxshear.programs.constraints import constrained, refuse_contradictions, softened, statements
+from cvxshear.programs.pair_rows import pair_products
 from cvxshear.response.damped import coupled, modal_damping
 from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged

@@ -19,7 +19,7 @@ from cvxshear.backends import Backend
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.priors import Constraints
-from cvxshear.programs.statements import NamedConstraints
+from cvxshear.programs.constraints import NamedConstraints
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.frame_prior import (
     FORM_STDS,
@@ -28,7 +28,7 @@ from cvxshear.response.frame_prior import (
     NO_DASHPOT_STD,
     NOISE_STD,
     SCATTER_STDS,
-    Answer,
+    FrameChange,
     FramePrior,
     Gaussian,
     Linear,
@@ -78,7 +78,7 @@ class FittedFrame:
         Unknowns of `PredictionErrors`.
     covariance : ndarray, shape (P, P)
         Averaged over the answers.
-    answers : tuple of Answer
+    answers : tuple of FrameChange
         Most probable first.
     inflation : float
         Of the covariance, for innovations that are not white.
@@ -92,7 +92,7 @@ class FittedFrame:
     prior: FramePrior
     p: Floats
     covariance: Floats
-    answers: tuple[Answer, ...]
+    answers: tuple[FrameChange, ...]
     inflation: float
     converged: bool
     along: Directions
@@ -309,7 +309,7 @@ def fit_frame(
         Whether the rough fit has a dashpot in every story.
     """
     p = np.zeros(errors.size) if start is None else start
-    answer = Answer((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], GAIN_STDS[0], 1.0)
+    answer = FrameChange((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], GAIN_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
@@ -392,7 +392,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
 
 
 def _mixed(
-    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[Answer], converged: bool
+    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[FrameChange], converged: bool
 ) -> FittedFrame:
     """Return the frame with the covariance of the mixture of the answers."""
     total = sum(each.probability for each in answers)
@@ -405,7 +405,7 @@ def _mixed(
     return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)
 
 
-def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[Answer]) -> float:
+def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[FrameChange]) -> float:
     """Log of the probability of the record, all answers together: that of the best one over its share."""
     best = answers[0]
     linear = Linear(at.likelihood, at.p, prior.gaussian(*best.prior))

@@ -222,7 +222,7 @@ class FramePrior:
         self, changed: Sequence[int], form_std: float, scatter_std: float, mass_std: float, gain_std: float, *,
         same: bool = False,
     ) -> Gaussian:  # fmt: skip
-        """Return the prior of an `Answer`.
+        """Return the prior of an `FrameChange`.
 
         Parameters
         ----------
@@ -309,7 +309,7 @@ Widths = tuple[tuple[int, ...], float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class FrameChange:
     """One possible way in which the frame differs from the identified one.
 
     Parameters
@@ -404,7 +404,7 @@ class Linear:
         return self.prior.mean + gain @ self.data, self.covariance - gain @ spread
 
 
-def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
+def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[FrameChange, ...]:
     """Which stories and gains may have changed and how much the form may miss, by the linearised likelihood's evidence.
 
     Sets of each size grow from the best of the size before. All sizes of the form's errors, of the scatter of the
@@ -429,4 +429,4 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     kept = {each: np.exp(score - best) for each, score in scores.items() if score > best + np.log(LEAST_WEIGHT)}
     total = sum(kept.values())
     order = sorted(kept, key=lambda each: -kept[each])
-    return tuple(Answer(*each, float(kept[each] / total)) for each in order)
+    return tuple(FrameChange(*each, float(kept[each] / total)) for each in order)

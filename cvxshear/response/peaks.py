@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cvxshear.response.damped import DampedModel, Response, driven_poles
+from cvxshear.util.quantities import column_name
 from cvxshear.util.results import InJson, as_json, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
 
@@ -75,11 +76,16 @@ class Peaks:
         return result
 
     def to_dataframe(self, more: Mapping[str, Floats] | None = None) -> pd.DataFrame:
-        """Return a row a floor or story, each quantity beside its `_std`, then more; what is one number is left out."""
+        """Return a row for each floor or story: each quantity and its `_std` with their unit, then more columns.
+
+        Quantities of the whole frame, such as the base shear, are left out.
+        """
         columns: dict[str, Sequence[object]] = {}
         for name, values in self.values.items():
-            if not RESPONSES[name].single:
-                columns |= {name: values.tolist(), f"{name}_std": self.std[name].tolist()}
+            quantity = RESPONSES[name]
+            if not quantity.single:
+                columns[column_name(name, quantity.unit)] = values.tolist()
+                columns[column_name(f"{name}_std", quantity.unit)] = self.std[name].tolist()
         columns |= {name: values.tolist() for name, values in (more or {}).items()}
         count = len(self.values["story_drift"])
         return data_frame({"story": range(1, count + 1), **columns}).set_index("story")

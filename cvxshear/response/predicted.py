@@ -12,6 +12,7 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
+from cvxshear.effects import Placed
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
@@ -127,7 +128,7 @@ class RecordPrediction(Shown):
         Returns
         -------
         pandas.DataFrame
-            Columns by the names of the JSON, in SI units; those that apply.
+            Columns by the names of the JSON and their SI unit, such as story_drift_m; those that apply.
 
         Raises
         ------
@@ -150,6 +151,7 @@ def predict(
     *,
     damping: str | None = None,
     configuration: str | None = None,
+    assume: Sequence[str | Placed] = (),
     detrend: bool = True,
 ) -> RecordPrediction:
     """Predict how every floor answers to a record, and compare it with what was measured.
@@ -166,6 +168,8 @@ def predict(
         "modal", "story" or "rayleigh"; what the experiment declares where not given.
     configuration : str, optional
         Which state the frame is in. Where not given, the one with the record's added mass.
+    assume : sequence of str or Placed, optional
+        Effects that are in the model from the start, where the loop is closed here.
     detrend : bool, optional
         Whether the straight line through each acceleration of the record is taken for its sensor's, and off.
 
@@ -182,7 +186,7 @@ def predict(
     """
     solver = backends.get(backend)
     recorded = motion_of(record)
-    models = models_of(source, solver)
+    models = models_of(source, solver, assume)
     experiment = models.after.experiment
     state = state_of(experiment, recorded, configuration)
     frame_after = UncertainFrame.of(models.after, state, damping, solver)

@@ -19,6 +19,7 @@ from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
+from cvxshear.effects import Placed
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
@@ -260,7 +261,7 @@ class Reconstruction(Shown):
         Returns
         -------
         pandas.DataFrame
-            Columns by the names of the JSON, in SI units; those that apply.
+            Columns by the names of the JSON and their SI unit, such as story_drift_m; those that apply.
 
         Raises
         ------
@@ -437,6 +438,7 @@ def reconstruct(
     *,
     damping: str | None = None,
     configuration: str | None = None,
+    assume: Sequence[str | Placed] = (),
     detrend: bool = True,
     fit: bool = True,
     leave_out: bool = True,
@@ -457,6 +459,8 @@ def reconstruct(
         "modal", "story" or "rayleigh"; what the experiment declares where not given.
     configuration : str, optional
         Which state the frame is in.
+    assume : sequence of str or Placed, optional
+        Effects that are in the model from the start, where the loop is closed here.
     detrend : bool, optional
         Whether the straight line through each acceleration is taken for its sensor's, and off.
     fit : bool, optional
@@ -478,7 +482,7 @@ def reconstruct(
         Where the backend does not solve a program.
     """
     solver = backends.get(backend)
-    models = models_of(source, solver)
+    models = models_of(source, solver, assume)
     experiment = models.after.experiment
     recording = recording_of(record, experiment.stories)
     state = state_of(experiment, recording, configuration)

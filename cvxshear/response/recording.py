@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from cvxshear.files.columns import Columns
-from cvxshear.files.record_file import RecordTables
-from cvxshear.files.record_tables import ChannelDeclaration, placed
+from cvxshear.io.columns import Columns
+from cvxshear.io.record_file import RecordTables
+from cvxshear.io.record_tables import ChannelDeclaration, placed
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
 from cvxshear.records.record import Channel, TimeRecord
 from cvxshear.response.sensor_faults import SensorRecord

@@ -28,12 +28,12 @@ covariance."""
 CHECKED_DIRECTIONS = 4
 """Directions propagated to a floor whose sensor was left out."""
 
-COLOURED, BY_CHANCE = 0.1, 0.01
+COLOURED, WHITE_P_VALUE = 0.1, 0.01
 """Correlation of an innovation with an earlier one from which on the model misses something at its floor, where chance
 leaves as much in less than so many records. Of long records correlations of 0.02 are significant, and are nothing that
 moves a drift."""
 
-LAGS = 20
+WHITENESS_LAGS = 20
 """Lags of the test of whiteness (Ljung and Box 1978)."""
 
 
@@ -94,7 +94,7 @@ class Whiteness:
     @property
     def coloured(self) -> bool:
         """Whether the model misses a part of the motion at this floor."""
-        return abs(self.correlation) > COLOURED and self.p_value < BY_CHANCE
+        return abs(self.correlation) > COLOURED and self.p_value < WHITE_P_VALUE
 
 
 def as_predicted(model: DampedModel, recording: Recording) -> Recording:
@@ -216,7 +216,7 @@ def widening(checks: Sequence[SensorCheck]) -> float:
 def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whiteness, ...]:
     """Test whether the innovations of each floor are white, over all runs."""
     found = []
-    lags = np.arange(1, min(LAGS, min(len(each.weights) for each in smoothed) - 1) + 1)
+    lags = np.arange(1, min(WHITENESS_LAGS, min(len(each.weights) for each in smoothed) - 1) + 1)
     for channel, floor in enumerate(work.recording.floors):
         # A spike is no sign of a model that is wrong.
         runs = [np.clip(np.nan_to_num(each.innovations[:, channel]), -SPIKE, SPIKE) for each in smoothed]

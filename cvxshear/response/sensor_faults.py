@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from cvxshear.modal.identify import identify_modes
 from cvxshear.records.data_frames import FEWEST_SAMPLES, sound_pieces
 from cvxshear.records.examination import examined
 from cvxshear.records.floors import ACROSS, center_weights
+from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.records.sick_channels import spikes_in, stuck_in

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,17 +17,18 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.effects import Place, Placed, catalogue, open_classes
 from cvxshear.effects.readings import WrongPrior
-from cvxshear.files.modes import experiment_from_file
-from cvxshear.files.record_file import read_motion
-from cvxshear.files.toml import is_record_file, load, read_result, read_tables, with_modes_read
 from cvxshear.fit.efficient import Estimate
-from cvxshear.loop import Closure, close_loop
+from cvxshear.fit.results import Identification
+from cvxshear.io.modes import experiment_from_file
+from cvxshear.io.record_file import read_motion
+from cvxshear.io.toml import is_record_file, load, read_result, read_tables, with_modes_read
+from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.methods import Identification
-from cvxshear.modal import Record
+from cvxshear.records import Record
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.recording import Recording
+from cvxshear.screening import close_loop
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.quantities import listed, percent
@@ -86,11 +87,11 @@ class Fitted(InJson):
     @staticmethod
     def of_identification(result: Identification) -> Fitted | None:
         """Take over a joint identification; None for other methods, and where values were left open."""
-        frame = result.frame
-        if not result.joint or frame is None or result.correlation is None:
+        if not result.joint or result.correlation is None:
             return None
+        frame = result.frame
         theta = np.concatenate([frame.floor_mass, frame.story_stiffness])
-        if frame.floor_mass_std is None or frame.story_stiffness_std is None or not np.isfinite(theta).all():
+        if not np.isfinite(theta).all():
             return None
         std = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
         covariance = np.nan_to_num(result.correlation) * np.outer(std, std) if np.isfinite(std).all() else None
@@ -223,19 +224,24 @@ ModelSource = str | Path | Experiment | Closure | Estimate | Models
 MotionSource = str | Path | Record | DrivenRecord
 
 
-def models_of(source: ModelSource, backend: Backend) -> Models:
+def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Placed] = ()) -> Models:
     """Return the models before and after closing the loop, which is closed here where it was not before.
 
     Parameters
     ----------
     source : str, Path, Experiment, Closure, Estimate or Models
         A file is a measurement file, a record file, or what `loop --json` wrote.
+    backend : Backend
+    assume : sequence of str or Placed, optional
+        Effects that are in the model from the start, where the loop is closed here.
 
     Raises
     ------
     InputError
-        Where a file cannot be read, or is none of these.
+        Where a file cannot be read or is none of these, or effects are assumed for a model that is already there.
     """
+    if assume and (not isinstance(source, Experiment | str | Path) or Path(str(source)).suffix.lower() == ".json"):
+        raise InputError("assume needs a measurement; for a model that is already there, give it to close_loop")
     match source:
         case Models():
             found = source
@@ -244,9 +250,9 @@ def models_of(source: ModelSource, backend: Backend) -> Models:
         case Estimate():
             found = Models(None, Fitted.of(source))
         case Experiment():
-            found = models_of_loop(close_loop(source, backend=backend))
+            found = models_of_loop(close_loop(source, assume=assume, backend=backend))
         case str() | Path():
-            found = _of_file(source, backend)
+            found = _of_file(source, backend, assume)
         case _:
             raise InputError(
                 "the model of a prediction is a file, an Experiment, a Closure, an Estimate or Models, not "
@@ -255,12 +261,14 @@ def models_of(source: ModelSource, backend: Backend) -> Models:
     return found
 
 
-def _of_file(source: str | Path, backend: Backend) -> Models:
+def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Placed]) -> Models:
     """Read the models of a measurement file, a record file, or what `loop --json` wrote."""
     if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
-    experiment = experiment_from_file(source) if is_record_file(source) else load_unscaled(source)
-    return models_of_loop(close_loop(experiment, backend=backend))
+    recorded = is_record_file(source)
+    experiment = experiment_from_file(source) if recorded else load_unscaled(source)
+    names = [each.name for each in experiment.configurations]
+    return models_of_loop(close_loop(experiment, assume=assume, backend=backend, weighed=names if recorded else ()))
 
 
 def load_unscaled(path: str | Path) -> Experiment:

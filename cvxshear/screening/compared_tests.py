@@ -10,7 +10,7 @@ from cvxshear.data.pairing import mac
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import NUMBERS_OF_A_COPY, repeated_configurations
 from cvxshear.screening.doubts import near
-from cvxshear.screening.finding import Finding, doubt, in_words
+from cvxshear.screening.finding import FileFinding, doubt, in_words
 from cvxshear.screening.shear_fit import modes_of
 from cvxshear.util.quantities import significant
 
@@ -21,7 +21,7 @@ ONE_FACTOR_STD = 0.1
 """Standard deviation of the logarithms of the modes' ratios below which they are one factor: what changes a frame
 between two tests changes its modes differently."""
 
-ALIKE, TOLD_APART = 0.9, 0.5
+SAME_SHAPE_MAC, TOLD_APART = 0.9, 0.5
 """Modal assurance criteria of adjacent modes: measured ones that look alike above the first, where those of a frame of
 equal floors and stories differ by the second. Of 15,000 sound random frames two have such modes."""
 
@@ -40,7 +40,7 @@ def by_state(tests: Iterable[Configuration]) -> list[list[Configuration]]:
     return list(states.values())
 
 
-def repeats(experiment: Experiment) -> Iterator[Finding]:
+def repeats(experiment: Experiment) -> Iterator[FileFinding]:
     """Two tests never agree to the last digit."""
     copies = repeated_configurations(experiment)
     for names in copies:
@@ -86,7 +86,7 @@ def _same_shapes(tests: Sequence[Configuration]) -> bool:
     )
 
 
-def state_names(experiment: Experiment) -> Iterator[Finding]:
+def state_names(experiment: Experiment) -> Iterator[FileFinding]:
     """Doubt that two states whose names differ by one letter of a word are two."""
     declared = {each.state for each in experiment.tested if each.state != each.name}
     for first, second in combinations(experiment.states, 2):
@@ -112,7 +112,7 @@ def _one_slip(name: str, other: str) -> bool:
     return False
 
 
-def look_alike(experiment: Experiment) -> Iterator[Finding]:
+def look_alike(experiment: Experiment) -> Iterator[FileFinding]:
     """Adjacent sway modes differ at the sensors, if there are as many as modes.
 
     Two that do not are one motion with another beside it: torsion seen by sensors off the centre, another direction, a
@@ -126,12 +126,12 @@ def look_alike(experiment: Experiment) -> Iterator[Finding]:
             there = np.isfinite(measured).all(axis=0)
             if following != mode + 1 or there.sum() < max(3, following):
                 continue
-            if mac(*measured[:, there]) > ALIKE and mac(*others[:, there]) < TOLD_APART:
+            if mac(*measured[:, there]) > SAME_SHAPE_MAC and mac(*others[:, there]) < TOLD_APART:
                 yield doubt("look_alike", each.name, mode=mode, following=following, sensors=there.sum())
                 break
 
 
-def frequency_units(experiment: Experiment) -> Iterator[Finding]:
+def frequency_units(experiment: Experiment) -> Iterator[FileFinding]:
     """One configuration's frequencies are all off from those of the others by a factor between units.
 
     The same modes of other configurations are compared with, the median where there are several.
@@ -143,7 +143,7 @@ def frequency_units(experiment: Experiment) -> Iterator[Finding]:
         # Of two that differ either can be wrong.
         either = " (or those of the other are smaller by it)" if len(tests) == 2 else ""
         name, found, change = in_words("frequency_unit", ratio=significant(ratio, 3), words=words, either=either)
-        yield Finding(name, each.name, found, change, refuses=True)
+        yield FileFinding(name, each.name, found, change, refuses=True)
         if len(tests) == 2:
             return
 

@@ -23,7 +23,7 @@ from cvxshear.priors import Nominal
 from cvxshear.screening import shear_fit
 from cvxshear.screening.compared_tests import by_state
 from cvxshear.screening.doubts import right_in_kg
-from cvxshear.screening.finding import Finding, doubt, in_words
+from cvxshear.screening.finding import FileFinding, doubt, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, REFITTED, RIVAL_COST, SUSPICIOUS, UNEXPLAINED, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.quantities import quantity
@@ -37,7 +37,7 @@ SLIP = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Declared:
+class DeclaredMasses:
     """Masses, and design values of stiffnesses, as declared or changed.
 
     Parameters
@@ -74,12 +74,12 @@ class Declared:
 class MassFit:
     """Masses as declared or changed, and the frame nearest to the readings with them."""
 
-    declared: Declared
+    declared: DeclaredMasses
     frame: NearestFrame
     cost: float
 
 
-def masses_declared(experiment: Experiment) -> Iterator[Finding]:
+def masses_declared(experiment: Experiment) -> Iterator[FileFinding]:
     """Find a mistake in the masses, by the configurations of the state that has most of them."""
     states = by_state(each for each in experiment.configurations if each.measured.any())
     if not states or experiment.frame.total_mass_placeholder or experiment.stories > TALLEST_FITTED:
@@ -107,10 +107,10 @@ def masses_declared(experiment: Experiment) -> Iterator[Finding]:
         f"with the masses as declared the nearest frame is {np.sqrt(given.frame.cost):.0f} standard deviations from "
         f"the modes, with the change {np.sqrt(best.frame.cost):.0f}"
     )
-    yield Finding.of_changes(None, changes, evidence, refuses=changes[0][0] == "masses_from_top")
+    yield FileFinding.of_changes(None, changes, evidence, refuses=changes[0][0] == "masses_from_top")
 
 
-def _shared(given: MassFit, changed: Declared) -> float:
+def _shared(given: MassFit, changed: DeclaredMasses) -> float:
     """Return how much less the values that a change exchanges cost as declared if all err by one cause.
 
     Design values come of one calculation: where all are off, that is as probable as what the farthest is off by.
@@ -122,7 +122,7 @@ def _shared(given: MassFit, changed: Declared) -> float:
     return float(costs.sum() - costs.max(initial=0.0))
 
 
-def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> Declared | None:
+def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> DeclaredMasses | None:
     """Read off what is declared, even floors where only the total is; None where nothing says how heavy they are."""
     N, frame = experiment.stories, experiment.frame
     expected, width = np.zeros(2 * N), shear_fit.usual_width(N)
@@ -139,10 +139,12 @@ def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> Declare
             known |= prior.quantity == "floor_mass" and not prior.free_scale
     if frame.floor_masses is not None:
         expected[:N], width[:N] = np.log(frame.floor_masses), AS_DECLARED_STD
-    return Declared(expected, width, tuple(each.added_mass for each in tests)) if known else None
+    return DeclaredMasses(expected, width, tuple(each.added_mass for each in tests)) if known else None
 
 
-def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: Declared) -> Iterator[Declared]:
+def _changes(
+    experiment: Experiment, tests: Sequence[Configuration], declared: DeclaredMasses
+) -> Iterator[DeclaredMasses]:
     """Every single change of the declaration that can mend it."""
     N = experiment.stories
     for part, key, place in ((slice(0, N), "floor masses", "floor"), (slice(N, 2 * N), "stiffnesses", "story")):
@@ -174,7 +176,7 @@ def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: D
 
 
 def _nearest(
-    readings: Sequence[MeasuredModes], declared: Declared, stiffness: Sequence[Floats], most_steps: int
+    readings: Sequence[MeasuredModes], declared: DeclaredMasses, stiffness: Sequence[Floats], most_steps: int
 ) -> NearestFrame:
     """Fit a frame from the declared masses and these logarithms of stiffnesses, shape (N,)."""
     each = list(zip(readings, declared.added, strict=True))
@@ -183,7 +185,7 @@ def _nearest(
     return min((problem.nearest(problem.tuned(start), most_steps) for start in starts), key=lambda item: item.cost)
 
 
-def _fitted(readings: Sequence[MeasuredModes], declared: Declared, stiffness: Sequence[Floats]) -> MassFit:
+def _fitted(readings: Sequence[MeasuredModes], declared: DeclaredMasses, stiffness: Sequence[Floats]) -> MassFit:
     """Fit with each tolerance and take the best by the likelihood, as `shear_fit.distance` does for one reading."""
     fits = []
     for part in (1.0, CLOSER, FARTHER):
@@ -233,7 +235,7 @@ UNIT_OFF = 0.5
 """Difference of logarithms within which the ratio of two totals is taken for 1000 or its inverse, a unit."""
 
 
-def total_mass(experiment: Experiment) -> Iterator[Finding]:
+def total_mass(experiment: Experiment) -> Iterator[FileFinding]:
     """Compare the declared total with that of the configurations.
 
     Added masses lower the frequencies the more, the lighter the frame is, lambda = phi' K phi / phi' (M + A) phi. So

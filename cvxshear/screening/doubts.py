@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.screening.finding import Finding, doubt
+from cvxshear.screening.finding import FileFinding, doubt
 from cvxshear.screening.shear_fit import modes_of
 from cvxshear.util.quantities import quantity, significant
 from cvxshear.util.typing import Floats
@@ -60,12 +60,12 @@ BEST_LABORATORY_STD = 1e-6
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 """Relative standard deviations beyond which nothing is measured any more, so that percent are suspected."""
 
-ROUNDED, FEWEST_ROUNDED = 2.0, 4
+COARSE_STEP, FEWEST_ROUNDED = 2.0, 4
 """Times the stated standard deviation that rounding alone makes, from which on it is worth a word; and so many numbers
 that end at the same decimal place, which of numbers that were not rounded one set in ten thousand does."""
 
 
-def gravity(experiment: Experiment) -> Iterator[Finding]:
+def gravity(experiment: Experiment) -> Iterator[FileFinding]:
     """Gravity is known."""
     value = experiment.frame.gravity
     if EARTH[0] <= value <= EARTH[1]:
@@ -74,14 +74,14 @@ def gravity(experiment: Experiment) -> Iterator[Finding]:
     yield doubt("gravity", value=value, unit=unit)
 
 
-def heights(experiment: Experiment) -> Iterator[Finding]:
+def heights(experiment: Experiment) -> Iterator[FileFinding]:
     """No story is as high as a tower."""
     found = experiment.frame.story_heights
     if found is not None and found.max() > HIGHEST_STORY:
         yield doubt("heights", highest=found.max())
 
 
-def masses(experiment: Experiment) -> Iterator[Finding]:
+def masses(experiment: Experiment) -> Iterator[FileFinding]:
     """Floors of a building weigh tons, those of a model that stands on a table do not."""
     frame = experiment.frame
     if frame.story_heights is None or frame.known_total is None or frame.total_mass_placeholder:
@@ -92,7 +92,7 @@ def masses(experiment: Experiment) -> Iterator[Finding]:
         yield doubt("masses", floor=quantity(floor, "kg", 3), height=significant(height, 3), unit=unit)
 
 
-def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
+def angular_frequency(experiment: Experiment) -> Iterator[FileFinding]:
     """Design values of masses and stiffnesses give the frequencies; else a tall building's height tells their order."""
     ratio = _over_nominal(experiment)
     lowest = next((each.frequencies[0] for each in experiment.configurations if each.modes[0] == 1), None)
@@ -107,7 +107,7 @@ def angular_frequency(experiment: Experiment) -> Iterator[Finding]:
             yield doubt("angular_frequency/height", **sizes)
 
 
-def added_up(experiment: Experiment) -> Iterator[Finding]:
+def added_up(experiment: Experiment) -> Iterator[FileFinding]:
     """Story heights that grow by one story height from each to the next are the floors' elevations."""
     found = experiment.frame.story_heights
     if found is None or len(found) < 2:
@@ -121,14 +121,14 @@ def added_up(experiment: Experiment) -> Iterator[Finding]:
         yield doubt("elevations", first=found[0], last=found[-1])
 
 
-def slow(experiment: Experiment) -> Iterator[Finding]:
+def slow(experiment: Experiment) -> Iterator[FileFinding]:
     """No structure swings once a minute."""
     lowest = min(float(each.frequencies[0]) for each in experiment.configurations)
     if lowest < SLOWEST:
         yield doubt("time_unit", lowest=significant(lowest, 3))
 
 
-def deviations(experiment: Experiment) -> Iterator[Finding]:
+def deviations(experiment: Experiment) -> Iterator[FileFinding]:
     """Doubt standard deviations that no instrument has, of measurements and of soft statements."""
     for each in experiment.configurations:
         for key, largest in LARGEST_STD.items():
@@ -152,7 +152,7 @@ def deviations(experiment: Experiment) -> Iterator[Finding]:
             yield doubt("deviations/stated", words=words, std=float(value))
 
 
-def rounding(experiment: Experiment) -> Iterator[Finding]:
+def rounding(experiment: Experiment) -> Iterator[FileFinding]:
     """Numbers that were rounded are known no better than that."""
     for each in experiment.configurations:
         for key, values, std in (
@@ -162,7 +162,7 @@ def rounding(experiment: Experiment) -> Iterator[Finding]:
             step = next(
                 (10.0**-digits for digits in range(4) if np.allclose(values, np.round(values, digits), 0, 1e-9)), 0
             )
-            coarse = step / np.sqrt(12.0) > ROUNDED * np.median(std) if len(values) >= FEWEST_ROUNDED else False
+            coarse = step / np.sqrt(12.0) > COARSE_STEP * np.median(std) if len(values) >= FEWEST_ROUNDED else False
             if getattr(each, key) is not None and coarse:
                 of = "frequencies" if key == "frequency_std" else "shapes"
                 yield doubt("deviations/rounded", each.name, of=of, step=step, key=key)

@@ -12,7 +12,7 @@ from cvxshear.util.typing import Json
 
 
 @dataclass(frozen=True)
-class Finding(InJson):
+class FileFinding(InJson):
     """One thing that looks wrong, and what to change.
 
     Parameters
@@ -41,12 +41,12 @@ class Finding(InJson):
     @staticmethod
     def of_changes(
         configuration: str | None, changes: Sequence[tuple[str, str, str]], evidence: str, *, refuses: bool
-    ) -> Finding:
+    ) -> FileFinding:
         """Make a finding of changes of which one is needed: what each mends, what was found, and what to do."""
         names = list(dict.fromkeys(name for name, _, _ in changes))
         found = f"{' or '.join(found for _, found, _ in changes)}: {evidence}"
         change = f"{'One of: ' if len(changes) > 1 else ''}{'; or '.join(change for _, _, change in changes)}"
-        return Finding(names[0], configuration, found, change, refuses, tuple(names[1:]))
+        return FileFinding(names[0], configuration, found, change, refuses, tuple(names[1:]))
 
     def accepted(self, names: Collection[str]) -> bool:
         """Whether it is among these names."""
@@ -58,7 +58,7 @@ class Finding(InJson):
         return f'[frame] accept = ["{self.name}"]'
 
 
-def in_json(found: Iterable[Finding] | None) -> Json:
+def in_json(found: Iterable[FileFinding] | None) -> Json:
     """List what the findings add to a result's JSON; nothing where nobody looked for any."""
     return {} if found is None else {"warnings": [item.to_dict() for item in found]}
 
@@ -75,7 +75,7 @@ def in_words(key: str, /, **gaps: object) -> tuple[str, str, str]:
     return key.partition("/")[0], words["found"].format(**gaps), words["change"].format(**gaps)
 
 
-def doubt(key: str, configuration: str | None = None, /, **gaps: object) -> Finding:
+def doubt(key: str, configuration: str | None = None, /, **gaps: object) -> FileFinding:
     """Make a finding that warns, in the words of its key."""
     name, found, change = in_words(key, **gaps)
-    return Finding(name, configuration, found, change, refuses=False)
+    return FileFinding(name, configuration, found, change, refuses=False)

@@ -33,7 +33,7 @@ RIVAL_COST = 9.0
 UNEXPLAINED = 0.25
 """Share of the cost as given that a repair may leave at most, where that is more."""
 
-FITTED = 6
+MOST_FITTED = 6
 """Repairs of the least misfit to each reference frame that are fitted."""
 
 REFITTED = 6

@@ -13,16 +13,16 @@ is refused where the repairs together leave less than `LEFT_TO_GIVEN` to it, and
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cvxshear import loop
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, Placed
+from cvxshear.loop import Closure
+from cvxshear.loop.close import search_for_effects
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
 from cvxshear.measurement.reading import MeasuredModes, violations
@@ -31,7 +31,7 @@ from cvxshear.screening import repairs, shear_fit
 from cvxshear.screening.compared_tests import frequency_units, look_alike, repeats, state_names
 from cvxshear.screening.declared_masses import masses_declared, total_mass
 from cvxshear.screening.doubts import DECLARED_DOUBTS
-from cvxshear.screening.finding import Finding
+from cvxshear.screening.finding import FileFinding
 from cvxshear.screening.repairs import Repair
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, NearestFrame
 from cvxshear.screening.wrong_frequency import wrong_frequency
@@ -68,7 +68,7 @@ class Screening(Shown):
         Of the experiment.
     accepted : tuple of str
         Findings that the file declares to be known and right.
-    findings : tuple of Finding
+    findings : tuple of FileFinding
         Mistakes first, then doubts.
     record : tuple of records.record.Finding
         What the records behind it say of themselves; empty for a measurement file.
@@ -76,7 +76,7 @@ class Screening(Shown):
 
     name: str
     accepted: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[FileFinding, ...]
     record: tuple[RecordFinding, ...] = ()
 
     json_keys = "name refused doubtful findings record"
@@ -98,7 +98,7 @@ class Screening(Shown):
         return bool(self.findings) or any(item.kind in MISDECLARED for item in self.record)
 
 
-def screen(experiment: Measurement) -> tuple[Finding, ...]:
+def screen(experiment: Measurement) -> tuple[FileFinding, ...]:
     """Find what looks wrong in an experiment.
 
     Parameters
@@ -107,7 +107,7 @@ def screen(experiment: Measurement) -> tuple[Finding, ...]:
 
     Returns
     -------
-    tuple of Finding
+    tuple of FileFinding
         Mistakes first, then warnings; without those that `[frame] accept` lists.
     """
     experiment = opened(experiment)
@@ -121,7 +121,7 @@ def screen(experiment: Measurement) -> tuple[Finding, ...]:
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
-def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> tuple[Finding, ...]:
+def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> tuple[FileFinding, ...]:
     """Return the warnings of `screen`, where nothing refuses.
 
     Parameters
@@ -149,7 +149,6 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     return found
 
 
-@functools.wraps(loop.close_loop)
 def close_loop(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
@@ -159,15 +158,46 @@ def close_loop(
     *,
     jobs: int = 1,
     weighed: Collection[str] = (),
-) -> loop.Closure:
-    """Close the loop on what `refuse_mistakes` lets pass, and keep its warnings with the result."""
+) -> Closure:
+    """Find the physical effects that the shear model lacks.
+
+    The measurement is screened first. A mistake is an error; doubts are `warnings` of the result.
+
+    Parameters
+    ----------
+    experiment : Experiment, path or name of a built-in
+    effects : sequence of str or Effect, optional
+        The effects to look for, as names or as objects of your own; the whole catalogue if None. An object brings its
+        own probability and expected size (`Effect.expecting`).
+    assume : sequence of str or Placed, optional
+        Effects that are in the model from the start.
+    backend : str or Backend, optional
+    priors : sequence of Prior, optional
+        Priors in addition to those of the experiment.
+    jobs : int, optional
+        Number of processes that fit sets of effects; -1 uses every core.
+    weighed : collection of str, optional
+        Names of the configurations whose mode numbers come from a record and not from a file. The loop weighs other
+        numbers for them, so a number that looks wrong is a warning there and not a mistake.
+
+    Returns
+    -------
+    Closure
+
+    Raises
+    ------
+    InputError
+        If the file holds a mistake that `[frame] accept` does not list, such as exchanged sensors; if an effect is not
+        known, cannot be assumed for this experiment, or does not say how large it may be.
+    NoSolutionError
+        If this backend could not fit the shear model.
+    """
     experiment = opened(experiment)
-    # Who names modes that the file does not number asks for their numbers to be weighed with the effects.
+    # A configuration with other_modes asks for its mode numbers to be weighed together with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
     doubts = refuse_mistakes(experiment, {*weighed, *numbered_anew})
-    return dataclasses.replace(
-        loop.close_loop(experiment, effects, assume, backend, priors, jobs=jobs), warnings=doubts
-    )
+    found = search_for_effects(experiment, effects, assume, backend, priors, jobs=jobs)
+    return dataclasses.replace(found, warnings=doubts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +239,7 @@ def judge(reading: MeasuredModes) -> tuple[NearestFrame, list[WeighedRepair]]:
     frames = [shear_fit.modes_at(theta) for theta in references]
     candidates = [repair for kind in repairs.KINDS for repair in kind(reading, frames)]
     misfits = np.array([[shear_fit.misfit(repair.reading, frame) for frame in frames] for repair in candidates])
-    nearest = np.unique(np.argsort(misfits, axis=0, kind="stable")[: repairs.FITTED])
+    nearest = np.unique(np.argsort(misfits, axis=0, kind="stable")[: repairs.MOST_FITTED])
     first = {
         place: shear_fit.fit(candidates[place].reading, [references[np.argmin(misfits[place])]], most_steps=ROUGH_STEPS)
         for place in nearest.tolist()
@@ -231,7 +261,7 @@ def _may_stand(reading: MeasuredModes, given: NearestFrame) -> bool:
     return given.cost < repairs.SUSPICIOUS or shear_fit.farthest(reading.closer, given.modes) < FAR_DATUM
 
 
-def mistakes(configuration: Configuration) -> list[Finding]:
+def mistakes(configuration: Configuration) -> list[FileFinding]:
     """Find the mistake in one configuration's modes, if there is one."""
     if not configuration.measured.any():
         return []
@@ -247,14 +277,14 @@ def mistakes(configuration: Configuration) -> list[Finding]:
     change = "no single change mends it: look for more than one mistake" if tried else "look for a mistake"
     found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
     change += " in mode_shapes and modes, or leave out a mode that is of no shear frame: torsion, a swing on a floor"
-    return [Finding("signs", configuration.name, found, change, refuses=True)]
+    return [FileFinding("signs", configuration.name, found, change, refuses=True)]
 
 
-def _explained(name: str, given: NearestFrame, explaining: list[WeighedRepair], broken: list[str]) -> Finding:
+def _explained(name: str, given: NearestFrame, explaining: list[WeighedRepair], broken: list[str]) -> FileFinding:
     """Describe a mistake that one change mends, or one of several."""
     best = explaining[0]
     changes = [(item.repair.name, item.repair.found, item.repair.change) for item in explaining]
     evidence = broken[0] if broken else "no shear frame has these modes"
     before, after = (float(np.sqrt(cost)) for cost in (given.cost, best.cost - best.repair.prior_cost))
     distances = f"(the nearest frame is {before:.0f} standard deviations away, with the change {after:.0f})"
-    return Finding.of_changes(name, changes, f"{evidence} {distances}", refuses=True)
+    return FileFinding.of_changes(name, changes, f"{evidence} {distances}", refuses=True)

@@ -33,7 +33,7 @@ from cvxshear.fit.start import START_PASSES, solved_story_equations
 from cvxshear.measurement.reading import CLOSER, FARTHER, MeasuredModes
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
-from cvxshear.programs.statements import NamedConstraints
+from cvxshear.programs.constraints import NamedConstraints
 from cvxshear.util.errors import CvxshearError, NoModesError
 from cvxshear.util.typing import Floats
 

@@ -28,7 +28,7 @@ from cvxshear.loop.fitter import ModelClass
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, MeasuredModes
 from cvxshear.screening.compared_tests import by_state
-from cvxshear.screening.finding import Finding, in_words
+from cvxshear.screening.finding import FileFinding, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util.errors import CvxshearError
@@ -71,7 +71,7 @@ class Freed:
     std: float
 
 
-def wrong_frequency(experiment: Experiment) -> Iterator[Finding]:
+def wrong_frequency(experiment: Experiment) -> Iterator[FileFinding]:
     """Find a frequency that no other datum agrees with, in the tests of one state or in all of them."""
     groups = by_state(experiment.configurations)
     if len(groups) > 1:
@@ -93,7 +93,7 @@ def _noise_stated(test: Configuration) -> bool:
     return test.frequency_std is not None and (test.mode_shape_std is not None or not test.measured.any())
 
 
-def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> Finding | None:
+def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> FileFinding | None:
     """Say which frequency of these tests is wrong; None where it may be none."""
     readings = [dataclasses.replace(MeasuredModes.of(each), part=0.0) for each in tests]
     count = sum(len(each.modes) for each in tests)
@@ -213,7 +213,7 @@ def _rivals(
     return [(model, each) for model, each in odds if each >= np.log(LEFT_TO_GIVEN)]
 
 
-def _beside_a_mass(found: Finding, test: str, rivals: Sequence[tuple[ModelClass, float]]) -> Finding:
+def _beside_a_mass(found: FileFinding, test: str, rivals: Sequence[tuple[ModelClass, float]]) -> FileFinding:
     """Say what mass on a spring explains the data as well; unless it is improbable the finding is a doubt."""
     model, _ = max(rivals, key=lambda item: item[1])
     assert model.estimate is not None, "a set that was weighed has a fit"
@@ -228,7 +228,7 @@ def _beside_a_mass(found: Finding, test: str, rivals: Sequence[tuple[ModelClass,
     return dataclasses.replace(found, found=said, change=change, refuses=share < 1.0 - WRONG_FOR_SURE)
 
 
-def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> Finding:
+def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> FileFinding:
     """Name the frequency, or those of which one is wrong, with what the other data say."""
     changes = []
     for item in named:
@@ -241,4 +241,4 @@ def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: Nearest
     before, after = (float(np.sqrt(each.cost)) for each in (given, named[0].frame))
     evidence = f"the nearest frame is {before:.0f} standard deviations away, without it {after:.0f}"
     where = tests[named[0].test].name if len(named) == 1 else None
-    return Finding.of_changes(where, changes, evidence, refuses=True)
+    return FileFinding.of_changes(where, changes, evidence, refuses=True)

@@ -171,6 +171,19 @@ def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]
     return ["–" if value is None or math.isnan(value) else f"{signed(100 * value, digits)} %" for value in values]
 
 
+def column_name(name: str, unit: str = "") -> str:
+    """Name a column of a table for programs, with its unit, such as story_stiffness_std_N_per_m.
+
+    Parameters
+    ----------
+    name : str
+    unit : str, optional
+        Empty for a quantity without a unit.
+    """
+    plain = unit.replace("²", "2").replace("/", "_per_").replace(" ", "_")
+    return f"{name}_{plain}" if plain else name
+
+
 def probability(value: float | None) -> str:
     """Write a p-value, short where it is tiny."""
     if value is None:

@@ -1,4 +1,6 @@
-"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [loops] [solvers] ...`.
+"""Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [loops] ...`.
+
+`python -m tests.benchmarks backends` prints how the answers of each backend were accepted (docs/theory/backends.md).
 
 `python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md,
 `python -m tests.benchmarks hard-frames --frames 100 --seed 1` that of docs/reliability.md,
@@ -10,7 +12,7 @@ from importlib import import_module
 
 from tests.benchmarks.timing import machine
 
-PARTS = ("starting", "scaling", "many", "loops", "solvers", "peers", "response", "planning")
+PARTS = ("backends", "starting", "scaling", "many", "loops", "solvers", "peers", "response", "planning")
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks")

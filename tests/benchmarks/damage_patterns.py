@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 
 import cvxshear
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 
 BRACES = 48.23
 """Stiffness of all braces of a story, MN/m."""
@@ -41,7 +41,7 @@ def experiment_of(direction: str, patterns: tuple[int, ...], masses: bool) -> cv
 def told(task: tuple[str, tuple[int, ...], bool]) -> str:
     """One line of the table."""
     direction, patterns, masses = task
-    closure = close_loop(experiment_of(direction, patterns, masses))
+    closure = search_for_effects(experiment_of(direction, patterns, masses))
     changes = {(number, story) for number in patterns for story in DAMAGED[direction][number]}
     found, rivals, false, braces = set(), set(), [], []
     for item in closure.effects:

@@ -13,7 +13,7 @@ import sys
 import numpy as np
 
 from cvxshear import Experiment
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from tests.frames import modes_of
 
 LOSS, LOAD = 0.2, 0.15
@@ -83,7 +83,7 @@ def declared(mass, tables):
 
 def trial(file, changed):
     """How many of the softer stories are found or a rival, and how many other things are named for sure."""
-    closure = close_loop(Experiment.from_dict(file))
+    closure = search_for_effects(Experiment.from_dict(file))
     wanted = {f'story change at story {story} of "{state}"' for story, state in changed}
     named = {item.placed.label: item.probability for item in closure.effects}
     rivals = {rival.placed.label for item in closure.effects for rival in item.rivals}

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.linalg import eigh
 
 from cvxshear import CvxshearError, InfeasibleError, NoSolutionError, UnsuitableError, backends
-from cvxshear.backends.certificate import Assembled
-from cvxshear.programs import LeastSquares, one_shot_masses, story_stiffnesses
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.certificate import Assembled
+from cvxshear.programs.pair_rows import one_shot_rows, stiffness_rows
 from tests.benchmarks.timing import table
 
 SUBSETS = 512
@@ -228,7 +229,7 @@ def tight_prior(rng):
     mass = rng.uniform(5, 20, n)
     _, shapes = frame_modes(mass, rng.uniform(1e4, 3e4, n))
     shapes = shapes + rng.choice([0.0, 0.01]) * rng.standard_normal((n, n))
-    plain = one_shot_masses(shapes, mass.sum())
+    plain = one_shot_rows(shapes, mass.sum())
     std, at = 10.0 ** rng.uniform(-12, -4), int(rng.integers(n))
     value = mass[at] * rng.uniform(0.9, 1.1)
     row = np.zeros((1, n))
@@ -248,7 +249,7 @@ def stiffness_ratio(rng):
     eigenvalues, shapes = frame_modes(mass, stiffness)
     shapes = shapes * (1 + rng.choice([0.0, 1e-6, 1e-2]) * rng.standard_normal((n, n)))
     shapes = shapes / np.sqrt(np.sum(mass[:, None] * shapes**2, axis=0))
-    return story_stiffnesses(shapes, np.abs(eigenvalues)).replace(lower=np.zeros(n))
+    return stiffness_rows(shapes, np.abs(eigenvalues)).replace(lower=np.zeros(n))
 
 
 def repeated_modes(rng):
@@ -259,9 +260,9 @@ def repeated_modes(rng):
     mass = np.ones(n) * (1 + soft * rng.standard_normal(n))
     eigenvalues, shapes = frame_modes(mass, stiffness)
     if rng.random() < 0.5:
-        return one_shot_masses(shapes, mass.sum()).replace(lower=np.full(n, 1e-3))
+        return one_shot_rows(shapes, mass.sum()).replace(lower=np.full(n, 1e-3))
     shapes = shapes / np.sqrt(np.sum(mass[:, None] * shapes**2, axis=0))
-    return story_stiffnesses(shapes, np.abs(eigenvalues)).replace(lower=np.full(n, 1e-6))
+    return stiffness_rows(shapes, np.abs(eigenvalues)).replace(lower=np.full(n, 1e-6))
 
 
 def ill_conditioned(rng):

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from cvxshear import Experiment
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.benchmarks.timing import table
 
@@ -55,7 +55,7 @@ def main() -> None:
         costs = []
         for given in (declared | {"effect": WITHOUT_OPEN}, declared):
             began = time.process_time()
-            closure = close_loop(Experiment.from_dict(given))
+            closure = search_for_effects(Experiment.from_dict(given))
             costs.append((time.process_time() - began, closure.fits))
         (plain, fits), (full, all_fits) = costs
         found = ", ".join(item.placed.label for item in closure.effects)

@@ -12,7 +12,7 @@ import os
 from concurrent.futures import ProcessPoolExecutor
 
 import cvxshear
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 
 CHANGED = {
     "state 2": ("added_mass", 1), "state 3": ("added_mass", 2),
@@ -46,7 +46,7 @@ def variants() -> dict[str, cvxshear.Experiment]:
 def line(task: tuple[str, cvxshear.Experiment]) -> str:
     """One line of the table."""
     words, experiment = task
-    closure = close_loop(experiment)
+    closure = search_for_effects(experiment)
 
     def at(placed: cvxshear.effects.Placed) -> tuple[str, tuple[str, int | None]]:
         where = placed.place.story if placed.effect.name == "story_change" else placed.place.floor

@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from cvxshear import Experiment, identify
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from cvxshear.paper.batch import one_shot_batch, two_stage_batch
 from cvxshear.paper.setups import three_story
 from cvxshear.util.parallel import each
@@ -17,32 +17,12 @@ SAMPLES = 100_000
 
 def main():
     table(
-        "Mass iteration, three stories",
-        ["shape noise", "start", "the paper's steps (error)", "accelerated (error)"],
-        _iterations(),
-    )
-    table(
         f"{SAMPLES:,} samples of the noise study at 5 %",
         ["method", "batch", "a sample", "`identify` one at a time", "ratio"],
         [_batch("two-stage", two_stage_batch), _batch("one-shot", one_shot_batch)],
     )
     table("Efficient method, 200 samples", ["processes", "time", "ratio"], _processes())
     table("Larger problems", ["what", "time", "outcome"], [*_fits(), *_loop()])
-
-
-def _iterations():
-    for noise in (0.0, 0.01, 0.05):
-        for start in ([9.5, 7.5, 5.5], [7.5, 7.5, 7.5]):
-            rng = np.random.default_rng(1)
-            tables = configuration([10.0, 7.5, 5.0], [1800.0, 1200.0, 600.0], rng=rng, shape_noise=noise)
-            of = Experiment.from_dict(experiment([10.0, 7.5, 5.0], [1800.0, 1200.0, 600.0], tables))
-            limit = identify(of, "two-stage", initial_mass=start, tolerance=1e-13).parts[0]
-            plain = identify(of, "two-stage", initial_mass=start).parts[0]
-            fast = identify(of, "two-stage", initial_mass=start, accelerate=True).parts[0]
-            apart = [np.max(np.abs(one.frame.floor_mass / limit.frame.floor_mass - 1)) for one in (plain, fast)]
-            yield (
-                f"{noise:.0%}", start, f"{plain.iterations} ({apart[0]:.0e})", f"{fast.iterations} ({apart[1]:.0e})",
-            )  # fmt: skip
 
 
 def _batch(method, batch):
@@ -111,7 +91,7 @@ def _loop():
     )
     for jobs in (1, 2):
         began = time.perf_counter()
-        found = close_loop(of, jobs=jobs)
+        found = search_for_effects(of, jobs=jobs)
         what = f"loop, 20 stories, 3 configurations, {jobs} process{'es' * (jobs > 1)}"
         added = ", ".join(one.placed.label for one in found.effects)
         yield (

@@ -17,7 +17,7 @@ from scipy import linalg, special, stats
 from cvxshear import Experiment, backends
 from cvxshear.effects import Place, Placed, Scale, named, open_classes
 from cvxshear.fit.efficient import fitted
-from cvxshear.fit.expectation import Expectation
+from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_evidence
@@ -271,7 +271,7 @@ def fits(problem, of):
     effect = effects.get(problem.effect) or named([problem.effect])[0]
     place = Place(**problem.at)
     placed = Placed(effect.bound(of).bound_at(of, place), place)
-    expectation = Expectation(Scale(FLOOR_MASS, STORY_STIFFNESS, np.full(problem.stories, HEIGHT)))
+    expectation = EffectPrior(Scale(FLOOR_MASS, STORY_STIFFNESS, np.full(problem.stories, HEIGHT)))
     n = problem.stories
     start = np.concatenate([np.full(n, of.frame.total_mass / n), np.full(n, STORY_STIFFNESS)])
     backend = backends.get("auto")

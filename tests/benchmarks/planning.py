@@ -13,10 +13,10 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.effects import compose
-from cvxshear.files.toml import parse, read_text
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.separation import log_evidence
+from cvxshear.io.toml import parse, read_text
 from cvxshear.loop.conclusion import EXPLAINED
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted

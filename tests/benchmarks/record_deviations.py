@@ -11,7 +11,7 @@ import dataclasses
 
 import numpy as np
 
-from cvxshear.modal import identify_modes
+from cvxshear.records import identify_modes
 from cvxshear.records.record import TimeRecord
 from cvxshear.records.simulate import KnownFrame, ambient_record, base_record, hammer_record
 from cvxshear.util.errors import CvxshearError

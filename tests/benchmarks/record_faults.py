@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal import identify_modes
+from cvxshear.records import identify_modes
 from cvxshear.records.record import Run, TimeRecord
 from cvxshear.records.simulate import KnownFrame, ambient_record, base_record, shaker_record
 from cvxshear.util.errors import CvxshearError

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.modal.identify import identify_modes
-from cvxshear.modal.result import ModalResult
+from cvxshear.records.identify import identify_modes
 from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.records.record import TimeRecord
+from cvxshear.records.result import ModalResult
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from cvxshear.util.typing import Floats, Json
 

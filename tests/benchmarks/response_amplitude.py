@@ -20,7 +20,7 @@ from scipy import signal
 from cvxshear.response import predict
 from cvxshear.response.sources import motion_of
 from tests.benchmarks.response_records import FRAMES, RECORDS, models
-from tests.modal.shared import mini_table
+from tests.records.shared import mini_table
 
 LEVELS = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Amplitudes of the top floor's acceleration in the first mode, m/s2."""

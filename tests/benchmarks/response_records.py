@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 import cvxshear
-from cvxshear.files.modes import modes_from_file
-from cvxshear.loop import close_loop
+from cvxshear.io.modes import modes_from_file
+from cvxshear.loop.close import search_for_effects
 from cvxshear.response import models_of_loop, predict, reconstruct
-from tests.modal.shared import mini_table
+from tests.records.shared import mini_table
 
 FRAMES = ("flexible", "stiff")
 RECORDS = ("northridge", "sine-2.0")
@@ -33,7 +33,7 @@ def models(name):
         _, declared = modes_from_file(mini_table(Path(folder), name))
     declared["frame"] |= {"story_heights": 1.0, "total_mass": 1.0, "total_mass_placeholder": True}
     experiment = cvxshear.Experiment.from_dict(declared, name=name)
-    return models_of_loop(close_loop(experiment, effects=["joint_rotation"]))
+    return models_of_loop(search_for_effects(experiment, effects=["joint_rotation"]))
 
 
 @functools.cache

@@ -12,8 +12,7 @@ from scipy.linalg import eigh
 from cvxshear import Experiment, backends, identify
 from cvxshear.measurement.experiment import Configuration, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
-from cvxshear.programs import one_shot_masses
-from cvxshear.programs.orthogonality import digits_lost
+from cvxshear.programs.pair_rows import digits_lost, one_shot_rows
 from cvxshear.util.text import json_text
 from cvxshear.util.writing import write_file
 from tests.benchmarks.timing import fastest, shown, table
@@ -21,7 +20,6 @@ from tests.benchmarks.timing import fastest, shown, table
 SIZES = (3, 10, 30, 100, 300, 1000)
 RUNS = {
     "one-shot": {"method": "one-shot"},
-    "two-stage, accelerated": {"method": "two-stage", "accelerate": True},
     "two-stage": {"method": "two-stage"},
 }
 MEMORY = """
@@ -74,7 +72,7 @@ def exact_experiment(stories: int, seed: int = 0) -> tuple[Experiment, np.ndarra
     return Experiment(frame, (Configuration(found.frequencies, found.shapes),)), mass, stiffness
 
 
-def cost(stories: int, method: str, *, repeats: int = 3, accelerate: bool = False, rows: bool | None = None) -> Cost:
+def cost(stories: int, method: str, *, repeats: int = 3, rows: bool | None = None) -> Cost:
     """Identify one exact frame of so many stories.
 
     Parameters
@@ -83,14 +81,14 @@ def cost(stories: int, method: str, *, repeats: int = 3, accelerate: bool = Fals
     method : str
         "two-stage" or "one-shot".
     repeats : int, optional
-    accelerate, rows : optional
+    rows : optional
         As for `identify`.
     """
     experiment, mass, stiffness = exact_experiment(stories)
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()
-        part = identify(experiment, method, accelerate=accelerate, rows=rows).parts[0]
+        part = identify(experiment, method, rows=rows).parts[0]
         seconds.append(time.perf_counter() - began)
     return Cost(
         stories,
@@ -159,9 +157,9 @@ def _digits(part):
     shapes = rng.standard_normal((40, 40))
     shapes = shapes[:, :1] + part * shapes
     kkt = backends.get("kkt")
-    exact = kkt.solve(one_shot_masses(shapes, 40.0, rows=True)).x
-    program = one_shot_masses(shapes, 40.0, rows=False)
+    exact = kkt.solve(one_shot_rows(shapes, 40.0, rows=True)).x
+    program = one_shot_rows(shapes, 40.0, rows=False)
     once = kkt.solve(program).x
-    twice = once + kkt.solve(one_shot_masses(shapes, 40.0, rows=False, at=once)).x
+    twice = once + kkt.solve(one_shot_rows(shapes, 40.0, rows=False, at=once)).x
     errors = [np.max(np.abs(x - exact)) / np.max(np.abs(exact)) for x in (once, twice)]
     return [part, f"{digits_lost(program.R):.1f}", *(f"{error:.0e}" for error in errors)]

@@ -20,10 +20,10 @@ TABLE = re.compile(r"^\| for \|.*?\n\n", re.MULTILINE | re.DOTALL)
 CAPABILITIES = {
     "declare a measurement and what is known beforehand": ("measurement", "priors"),
     "compare a shear frame, with effects, with data": ("model", "effects", "data"),
-    "identify, on interchangeable backends": ("programs", "backends", "fit", "methods"),
+    "identify, on interchangeable backends": ("programs", "backends", "fit"),
     "find what the shear model lacks": ("loop",),
-    "records to modes with their uncertainty": ("records", "modal"),
-    "read and write files; find mistakes in them": ("files", "screening"),
+    "records to modes with their uncertainty": ("records",),
+    "read and write files; find mistakes in them": ("io", "screening"),
     "predict and reconstruct motion": ("response",),
     "plan a test": ("planning",),
     "recompute the paper": ("paper",),

@@ -9,8 +9,7 @@ import numpy as np
 from cvxshear import CvxshearError, backends
 from cvxshear.backends.canonical import canonical
 from cvxshear.backends.cvxpy_backend import Cvxpy
-from cvxshear.programs import mass_correction, story_stiffnesses
-from cvxshear.programs.orthogonality import normalized
+from cvxshear.programs.pair_rows import mass_rows, normalized, stiffness_rows
 from tests.benchmarks.scaling import exact_experiment
 from tests.benchmarks.timing import fastest as fastest_by_clock
 from tests.benchmarks.timing import shown, table
@@ -55,9 +54,9 @@ def program(kind, stories):
     shapes = of.configurations[0].mode_shapes.T * (1 + NOISE * rng.standard_normal((stories, stories)))
     start = np.full(stories, mass.mean())
     if kind.endswith("mass"):
-        made = mass_correction(normalized(shapes, start), start, mass.sum())
+        made = mass_rows(normalized(shapes, start), start, mass.sum())
     else:
-        made = story_stiffnesses(normalized(shapes, mass), (2 * np.pi * of.configurations[0].frequencies) ** 2)
+        made = stiffness_rows(normalized(shapes, mass), (2 * np.pi * of.configurations[0].frequencies) ** 2)
     if not kind.startswith("bounded"):
         return made
     free = backends.get("kkt").solve(made).x
@@ -112,7 +111,7 @@ def _iterated(backend, *, started):
     shapes = of.configurations[0].mode_shapes.T * (1 + NOISE * rng.standard_normal((len(mass), len(mass))))
     now, solution, iterations = np.full(len(mass), mass.mean()), None, 0
     while solution is None or np.max(np.abs(solution.x)) > 1e-6 * now.max():
-        step = mass_correction(normalized(shapes, now), now, mass.sum()).replace(
+        step = mass_rows(normalized(shapes, now), now, mass.sum()).replace(
             lower=1e-3 * mass.mean() - now, upper=0.9 * mass.max() - now
         )
         solution = backend.solve(step, solution if started else None)

@@ -14,7 +14,7 @@ from collections import Counter
 import numpy as np
 
 from cvxshear import CvxshearError, Experiment
-from cvxshear.loop import close_loop
+from cvxshear.loop.close import search_for_effects
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
 
@@ -65,7 +65,7 @@ def main() -> None:
 def concluded(number: int, experiment: Experiment) -> str:
     """What the loop says of a file, in one word: it is wrong where it is sure of an effect."""
     try:
-        result = close_loop(experiment)
+        result = search_for_effects(experiment)
     except CvxshearError as error:
         print(f"  {number}: {error}"[:200])
         return "no answer"

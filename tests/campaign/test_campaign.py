@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.files.modes import identify_modes_many, record_files, write_merged
-from cvxshear.modal import IdentifiedRecord, from_arrays, merged
+from cvxshear.io.modes import identify_modes_many, record_files, write_merged
+from cvxshear.records import IdentifiedRecord, from_arrays, merged
 from cvxshear.util.errors import InputError, NoSolutionError
 from tests.campaign.shared import ADDED, MASSES, SOFTER, STIFFNESSES, frame, write_records
 

@@ -250,12 +250,12 @@ def kept(name: str, make: Callable[[], R]) -> R:
 
 def share() -> None:
     """From here on this process closes loops, identifies modes and draws reports once, see `once`."""
-    import cvxshear.files.modes  # noqa: PLC0415
-    import cvxshear.loop  # noqa: PLC0415
-    import cvxshear.modal  # noqa: PLC0415
+    import cvxshear.io.modes  # noqa: PLC0415
+    import cvxshear.records  # noqa: PLC0415
+    import cvxshear.screening  # noqa: PLC0415
 
-    cvxshear.close_loop = cvxshear.loop.close_loop = once(cvxshear.loop.close_loop)
-    cvxshear.files.modes.identify_modes = cvxshear.modal.identify_modes = once(cvxshear.modal.identify_modes)
+    cvxshear.close_loop = cvxshear.screening.close_loop = once(cvxshear.close_loop)
+    cvxshear.io.modes.identify_modes = cvxshear.records.identify_modes = once(cvxshear.records.identify_modes)
     # What imports the loop does so after this.
     from cvxshear.report import html  # noqa: PLC0415
 

@@ -9,10 +9,10 @@ import pytest
 from scipy import linalg
 
 import cvxshear
-from cvxshear.files.spreadsheets import write_csv, write_xlsx
-from cvxshear.files.to_fill_in import template, template_from
-from cvxshear.files.uff import write_uff
-from cvxshear.modal import from_arrays
+from cvxshear.io.spreadsheets import write_csv, write_xlsx
+from cvxshear.io.to_fill_in import template, template_from
+from cvxshear.io.uff import write_uff
+from cvxshear.records import from_arrays
 from cvxshear.report.sheets import sheets_of_closure, sheets_of_identification, sheets_of_modes
 from cvxshear.util.errors import InputError
 from tests import closed
@@ -98,7 +98,8 @@ def test_a_universal_file(tmp_path):
 @pytest.mark.parametrize("write", [write_csv, write_xlsx])
 def test_modes_out_and_in_again(tmp_path, write):
     pytest.importorskip("openpyxl")
-    modes = from_arrays(FREQUENCIES, SHAPES, damping_ratios=[0.01, 0.02], frequency_std=[0.001, 0.003])
+    given = {"damping_ratios": [0.01, 0.02], "frequency_std": [0.001, 0.003], "mode_shape_std": 0.01}
+    modes = from_arrays(FREQUENCIES, SHAPES, **given)
     ending = "csv" if write is write_csv else "xlsx"
     write(tmp_path / f"modes.{ending}", sheets_of_modes([modes]))
     experiment = cvxshear.load(measurement(tmp_path, f'{ending} = "modes.{ending}"'))
@@ -158,12 +159,14 @@ def test_the_scale_goes_out_and_comes_in(tmp_path, write):
     masses, stiffnesses = np.array([12.7, 18.6]), np.array([26e3, 25e3])
     stiffness = np.array([[stiffnesses.sum(), -stiffnesses[1]], [-stiffnesses[1], stiffnesses[1]]])
     squares, shapes = linalg.eigh(stiffness, np.diag(masses))
-    modes = from_arrays(np.sqrt(squares) / (2 * np.pi), shapes.T, mass_normalized=True)
+    modes = from_arrays(np.sqrt(squares) / (2 * np.pi), shapes.T, mass_normalized=True, mode_shape_std=0.02)
     table = tmp_path / f"modes.{'csv' if write is write_csv else 'xlsx'}"
     write(table, sheets_of_modes([modes]))
     path = tmp_path / "new.toml"
     path.write_text(template_from(table, tmp_path))
-    np.testing.assert_allclose(cvxshear.identify(cvxshear.load(path)).frame.floor_mass, masses, rtol=1e-6)
+    experiment = cvxshear.load(path)
+    np.testing.assert_allclose(experiment.configurations[0].mode_shape_std, 0.02)
+    np.testing.assert_allclose(cvxshear.identify(experiment).frame.floor_mass, masses, rtol=1e-6)
 
 
 def test_a_scale_that_is_not_known_is_to_be_filled_in(tmp_path):

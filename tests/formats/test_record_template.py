@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy import io
 
-from cvxshear.files import formats
-from cvxshear.files.columns import Columns
-from cvxshear.files.modes import modes_from_file
-from cvxshear.files.record_file import read_record
+from cvxshear.io import formats
+from cvxshear.io.columns import Columns
+from cvxshear.io.modes import modes_from_file
+from cvxshear.io.record_file import read_record
 from cvxshear.util.errors import InputError
 from tests.fuzz.files import columns
-from tests.modal.shared import TWO_STORY_FREQUENCIES, csv, two_story_frf
+from tests.records.shared import TWO_STORY_FREQUENCIES, csv, two_story_frf
 
 GRAVITY = 9.80665
 """m/s2 (CGPM 1901)."""
@@ -377,7 +377,7 @@ def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
     assert ".raw64" in formats.endings_of("columns")
     assert "a.raw64 is raw numbers, which does not say" in run("modes", tmp_path / "a.raw64")[2]
     help_of_new = (
-        "from cvxshear.files.formats import Format, register; register(Format('raw', ('.raw64',), 'raw', 'a:b'))\n"
+        "from cvxshear.io.formats import Format, register; register(Format('raw', ('.raw64',), 'raw', 'a:b'))\n"
         "from cvxshear.cli import main; main(['new', '--help'])"
     )
     said = subprocess.run([sys.executable, "-c", help_of_new], capture_output=True, text=True, check=True).stdout

@@ -12,8 +12,8 @@ import pytest
 
 import cvxshear
 from cvxshear.cli.before import _said
-from cvxshear.files.to_fill_in import template
-from cvxshear.modal import IdentifiedRecord, from_arrays, identify_modes, merged
+from cvxshear.io.to_fill_in import template
+from cvxshear.records import IdentifiedRecord, from_arrays, identify_modes, merged
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.screening.screen import Screening
 from cvxshear.util.errors import InputError

@@ -12,7 +12,7 @@ from scipy import io
 
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from tests.frames import EXAMPLES
-from tests.modal.shared import csv
+from tests.records.shared import csv
 
 CHANNELS = """
 [[channel]]

@@ -11,12 +11,12 @@ from hypothesis import HealthCheck, Phase, assume, given, seed, settings
 from hypothesis import strategies as st
 
 from cvxshear.cli import main
-from cvxshear.files.record_file import read_record
-from cvxshear.files.toml import load
+from cvxshear.io.record_file import read_record
+from cvxshear.io.toml import load
 from cvxshear.util.errors import CvxshearError
 from tests.fuzz import files
 from tests.fuzz.mutations import JUNK, PLACES, WORD, apply, damaged
-from tests.modal.shared import csv
+from tests.records.shared import csv
 
 SHARE = 5
 """One mutated file in so many of the budget is tried; a command takes far longer than a reader."""

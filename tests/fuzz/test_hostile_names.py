@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 from cvxshear import compare_backends
-from cvxshear.files.toml import load
-from cvxshear.modal import identify_modes
+from cvxshear.io.toml import load
+from cvxshear.records import identify_modes
 from cvxshear.screening.screen import mistakes
 from cvxshear.util.text import cell_text
 from tests.campaign.shared import write_records
@@ -222,7 +222,7 @@ def test_check(run, tmp_path):
 def test_backends(run, tmp_path):
     file = measurement(tmp_path / "a.toml", few(0)[:4])
     kinds = [*into(".json"), ("--figure", "OUT.svg")]
-    check(run, tmp_path, "backends", file, "--only", "kkt,clarabel", "--repeat", "1", outputs=kinds)
+    check(run, tmp_path, "backends", file, "--names", "kkt,clarabel", "--repeats", "1", outputs=kinds)
 
 
 @pytest.mark.parametrize("start", range(0, 6, 3))
@@ -241,7 +241,7 @@ PIECES = 6
 
 @pytest.fixture
 def few_pieces(monkeypatch):
-    monkeypatch.setattr("cvxshear.files.modes.identify_modes", functools.partial(identify_modes, blocks=PIECES))
+    monkeypatch.setattr("cvxshear.io.modes.identify_modes", functools.partial(identify_modes, blocks=PIECES))
 
 
 @functools.cache

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from cvxshear import Experiment
-from cvxshear.loop import close_loop
+from cvxshear import Experiment, close_loop
 from cvxshear.util.errors import CvxshearError
 from tests.fe.experiments import simulated
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from cvxshear.files.columns import Columns
-from cvxshear.files.csv import read_csv
-from cvxshear.files.mat import read_mat
-from cvxshear.files.record_file import read_record
-from cvxshear.files.toml import load
-from cvxshear.files.uff import read_uff
+from cvxshear.io.columns import Columns
+from cvxshear.io.csv import read_csv
+from cvxshear.io.mat import read_mat
+from cvxshear.io.record_file import read_record
+from cvxshear.io.toml import load
+from cvxshear.io.uff import read_uff
 from cvxshear.util.errors import CvxshearError, InputError
 from tests.fuzz import files
 from tests.fuzz.mutations import apply, damaged, deflated

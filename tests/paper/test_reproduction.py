@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cvxshear import InputError
-from cvxshear.paper import Row, reproduce
+from cvxshear.paper import PaperRow, reproduce
 from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, same_digits
 from cvxshear.report.describe.studied import printed_beside_recomputed
 from cvxshear.report.terminal import text
@@ -67,12 +67,12 @@ def test_the_documentation_leaves_the_unexplained_to_the_loop():
 @pytest.mark.parametrize(
     ("row", "verdict"),
     [
-        (Row("x", "here", "1.50", 1.4961), TO_THE_DIGIT),
-        (Row("x", "here", "1.50", 1.4886), DIFFERS),
-        (Row("x", "here", "1.50", 1.4886, from_rounded=1.5), ROUNDED),
-        (Row("x", "here", "-0.004", 0.113, misprint=True), MISPRINTED),
-        (Row("x", "here", "0.30", 0.10, std_error=0.05, chance=0.1), "-2.0 standard errors"),
-        (Row("x", "here", "about 5", 4.5), ""),
+        (PaperRow("x", "here", "1.50", 1.4961), TO_THE_DIGIT),
+        (PaperRow("x", "here", "1.50", 1.4886), DIFFERS),
+        (PaperRow("x", "here", "1.50", 1.4886, from_rounded=1.5), ROUNDED),
+        (PaperRow("x", "here", "-0.004", 0.113, misprint=True), MISPRINTED),
+        (PaperRow("x", "here", "0.30", 0.10, std_error=0.05, chance=0.1), "-2.0 standard errors"),
+        (PaperRow("x", "here", "about 5", 4.5), ""),
     ],
 )
 def test_the_verdict_on_a_row(row, verdict):

@@ -10,7 +10,7 @@ from cvxshear.effects import Place, Placed, Scale, named
 from cvxshear.planning import planner
 from cvxshear.planning.chances import Target, _distances, _place, _right, chances, target
 from cvxshear.planning.design import Design
-from cvxshear.planning.planner import Limits, _names, _which
+from cvxshear.planning.planner import MassLimits, _names, _which
 from cvxshear.planning.results import Plan
 from cvxshear.util.errors import InputError
 
@@ -20,23 +20,23 @@ def put(name, **place):
 
 
 def test_limits_are_of_each_floor_and_of_all_together():
-    none = Limits.of(None, None, 3)
+    none = MassLimits.of(None, None, 3)
     assert (none.floor.tolist(), none.total, none.any) == ([0.0] * 3, 0.0, False)
-    assert (Limits.of(2.0, None, 3).floor.tolist(), Limits.of(2.0, None, 3).total) == ([2.0] * 3, 6.0)
-    assert Limits.of([1.0, 2.0], 9.0, 2).total == 3.0
-    assert (Limits.of([1.0, 2.0], 2.5, 2).total, Limits.of(1.0, 2.5, 2).any) == (2.5, True)
+    assert (MassLimits.of(2.0, None, 3).floor.tolist(), MassLimits.of(2.0, None, 3).total) == ([2.0] * 3, 6.0)
+    assert MassLimits.of([1.0, 2.0], 9.0, 2).total == 3.0
+    assert (MassLimits.of([1.0, 2.0], 2.5, 2).total, MassLimits.of(1.0, 2.5, 2).any) == (2.5, True)
     with pytest.raises(InputError, match="needs one of each floor"):
-        Limits.of(None, 3.0, 3)
+        MassLimits.of(None, 3.0, 3)
 
 
 def test_the_grid_is_of_single_floors_all_and_halves_within_the_limits():
-    grid = [tuple(test) for test in Limits(np.array([2.0, 4.0, 6.0]), 8.0).grid()]
+    grid = [tuple(test) for test in MassLimits(np.array([2.0, 4.0, 6.0]), 8.0).grid()]
     ends = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 2, 0), (0, 4, 0), (0, 0, 3), (0, 0, 6), (1, 2, 3),
             (16 / 12, 32 / 12, 4), (0, 2, 3), (0, 3.2, 4.8)]  # fmt: skip
     np.testing.assert_allclose(sorted(grid), sorted(map(tuple, np.array(ends, dtype=float))))
-    two = Limits(np.array([2.0, 0.0]), 2.0).grid()
+    two = MassLimits(np.array([2.0, 0.0]), 2.0).grid()
     assert sorted(map(tuple, two)) == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
-    limits = Limits(np.array([2.0, 3.0]), 4.0)
+    limits = MassLimits(np.array([2.0, 3.0]), 4.0)
     np.testing.assert_allclose(limits.practical(np.array([1.0049, 1.234])), [0.99, 1.23])
     np.testing.assert_allclose(limits.practical(np.array([2.01, 1.0])), [2.0, 0.99])
     np.testing.assert_allclose(limits.practical(np.array([2.0, 3.0])), [1.6, 2.4])
@@ -165,7 +165,7 @@ def test_the_odds_of_a_right_verdict_are_those_of_a_normal_number():
 
 def test_masses_and_floors_are_chosen_by_turns_until_they_stay(monkeypatch):
     """The floors of one turn are those of the next; the tests come out lightest first."""
-    limits, asked = Limits(np.array([2.0, 2.0, 2.0]), 6.0), []
+    limits, asked = MassLimits(np.array([2.0, 2.0, 2.0]), 6.0), []
 
     def choose(problem, number, by, solver, **options):
         asked.append((problem, number))

@@ -8,7 +8,7 @@ from scipy.optimize import check_grad
 
 from cvxshear.planning.choice import choose, equally_spaced, exchanged, relaxed, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named
-from cvxshear.planning.planner import Limits
+from cvxshear.planning.planner import MassLimits
 from cvxshear.util.errors import InputError
 from tests.benchmarks.planning import OTHERS, beside_others, floors_of, random_frame
 from tests.planning.common import exhaustive, frame_model, tapered
@@ -121,7 +121,7 @@ def test_an_unknown_criterion_or_solver_is_refused():
 
 
 def test_a_test_weighs_no_more_than_each_floor_and_all_together_can_carry():
-    limits = Limits(np.array([10.0, 4.0, 6.0]), 12.0)
+    limits = MassLimits(np.array([10.0, 4.0, 6.0]), 12.0)
     grid = np.array(limits.grid())
     assert np.all(grid <= limits.floor)
     assert np.all(grid.sum(axis=1) <= 12.0 + 1e-9)

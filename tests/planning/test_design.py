@@ -92,5 +92,5 @@ def test_measured_frequencies_stand_beside_those_of_the_frame():
     np.testing.assert_allclose([each.expected for each in found], expected, rtol=2e-3)
     np.testing.assert_allclose([each.error for each in found], [0, 0, 0, 1 / 0.9 - 1, 1 / 0.9 - 1], atol=3e-3)
     assert (design.measured, Design.of_experiment(of, fresh=True).measured) == (of, None)
-    assert (design.state, Design.of_experiment(of, state="loaded").state) == (None, "loaded")
+    assert (design.state, Design.of_experiment(of, configuration="loaded").state) == (None, "loaded")
     assert design.declared == of.configurations

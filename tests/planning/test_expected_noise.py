@@ -52,7 +52,7 @@ def test_four_times_the_record_halves_every_standard_deviation():
 )
 def test_the_laws_are_what_simulated_records_scatter_by(kind, duration, frequency, entries):
     """Root mean square errors, %, of twenty seeds with 5 % noise: `python -m tests.benchmarks.records` prints them."""
-    expected = Recorded(kind, duration, damping=0.01, noise=0.05).of(paper_modes(), PAPER_FRAME.masses, WHICH)
+    expected = Recorded(kind, duration, damping=0.01, sensor_noise=0.05).of(paper_modes(), PAPER_FRAME.masses, WHICH)
     for law, seen in zip(expected, (frequency, entries), strict=True):
         ratio = np.array(seen) / (100 * law)
         assert np.all((ratio > 0.55) & (ratio < 1.5)), ratio
@@ -67,7 +67,7 @@ def test_entries_scatter_by_the_spectra_about_their_resonance(kind):
     zeta, duration, noise = 0.02, 700.0, 0.04
     found = paper_modes()
     phi, f, m = found.shapes, found.frequencies, PAPER_FRAME.masses
-    _, stds = Recorded(kind, duration, damping=zeta, noise=noise).of(found, m, WHICH)
+    _, stds = Recorded(kind, duration, damping=zeta, sensor_noise=noise).of(found, m, WHICH)
     joint = np.outer(phi @ m, phi @ m) if kind == "shaker" else phi @ phi.T
     # (1 / 2)^2 / (x^2 + zeta^2), x the distance from the resonance over its frequency.
     power = quad(lambda x: 0.25 / (x**2 + zeta**2), -np.inf, np.inf)[0]

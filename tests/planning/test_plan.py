@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 
 import cvxshear
 from cvxshear.cli import main
-from cvxshear.planning import Declared, Limits, Recorded, plan, predicted, read_design, write_template
+from cvxshear.planning import Declared, MassLimits, Recorded, plan, predicted, read_design, write_template
 from cvxshear.planning.criteria import criterion_named
 from cvxshear.planning.planner import value_of
 from cvxshear.planning.tested_model import possible
@@ -62,9 +62,9 @@ def test_a_file_of_design_values_is_planned_for(file):
     assert np.all(found.chosen.floor_mass_std <= 0.02 * np.array([20.0, 20.0, 18.0, 15.0]) * (1 + 1e-9))
     table = found.to_dataframe()
     assert table["floor"][table["sensor"]].tolist() == found.sensors
-    assert table["story_stiffness"].tolist() == [30e3, 28e3, 25e3, 20e3]
-    np.testing.assert_array_equal(table["floor_mass_std"], found.chosen.floor_mass_std)
-    assert table[f"added_mass: {found.names[0]}"].tolist() == [0.0] * 4
+    assert table["story_stiffness_N_per_m"].tolist() == [30e3, 28e3, 25e3, 20e3]
+    np.testing.assert_array_equal(table["floor_mass_std_kg"], found.chosen.floor_mass_std)
+    assert table[f"added_mass_kg: {found.names[0]}"].tolist() == [0.0] * 4
 
 
 def test_the_papers_three_structures_can_show_gravity(paper):
@@ -102,7 +102,7 @@ def test_masses_stay_within_what_can_be_carried_and_beat_the_grid():
     for test in found.tests:
         assert np.all((test >= 0) & (test <= 4e3))
         assert test.sum() <= 7e3 * (1 + 1e-9)
-    limits = Limits.of(4e3, 7e3, 5)
+    limits = MassLimits.of(4e3, 7e3, 5)
     by = criterion_named("D")
     floors = found.chosen.floors - 1
     grid = [found.averaged.expected(test) for test in limits.grid()]
@@ -184,7 +184,7 @@ def test_an_earlier_results_json_is_what_is_known(tmp_path):
         ({"criterion": "d"}, "criterion must be one of"),
         ({"added_mass": -1.0}, "added_mass = -1 must not be less than 0"),
         ({"added_mass_total": 3.0}, "needs one of each floor"),
-        ({"solver": "osqp"}, "solver must be one of"),
+        ({"backend": "osqp"}, "backend must be one of"),
         ({"noise": Recorded("ambient", 1.0)}, "periods of the lowest mode"),
     ],
 )
@@ -303,7 +303,7 @@ def test_a_choice_that_changes_nothing_is_said_to_be_arbitrary(file, capsys):
 
 
 def test_the_probability_that_a_test_must_reach_is_printed_with_sizes_in_their_unit(file, run):
-    out = run("plan", file, "--modes", "2", "--for", "ground_spring@3=500")[1]
+    out = run("plan", file, "--modes", "2", "--goal", "ground_spring@3=500")[1]
     assert "500 N/m" in out
     assert "90 % are needed" in out
 
@@ -386,12 +386,12 @@ def test_the_state_that_is_tested_again_is_the_one_asked_for():
     declared["frame"]["reference"] = "sound"
     of = cvxshear.Experiment.from_dict(declared)
     for state, table in (("sound", before), ("damaged", after)):
-        found = plan(of, modes=2, loop=True, state=state)
+        found = plan(of, modes=2, loop=True, configuration=state)
         expected = [each.frequency for each in found.expected_modes]
         np.testing.assert_allclose(expected, table["frequencies"][:2], rtol=2e-3)
         assert predicted(found).configurations[-1].state == state
-    with pytest.raises(InputError, match="state must be one of"):
-        plan(of, loop=True, state="broken")
+    with pytest.raises(InputError, match="configuration must be one of"):
+        plan(of, loop=True, configuration="broken")
 
 
 def test_a_measurement_that_leaves_the_frame_open_is_not_planned_for():

@@ -17,7 +17,7 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.modal import identify_modes
+from cvxshear.records import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.describe import describe
@@ -37,7 +37,7 @@ A4 = {"width": 680, "height": 1000}
 PICKED = """
 import os, sys
 import matplotlib
-from cvxshear.modal import identify_modes
+from cvxshear.records import identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, hammer_record
 
 port = 20000 + os.getpid() % 20000

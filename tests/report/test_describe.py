@@ -10,9 +10,9 @@ import pytest
 from rich.cells import cell_len
 
 import cvxshear
+from cvxshear import close_loop
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import IdentifiedFrame
-from cvxshear.loop import close_loop
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.verdicts import VERDICTS, Verdict
 from cvxshear.report import terminal
@@ -373,11 +373,11 @@ def test_results_become_tables_of_pandas(paper):
     apart = cvxshear.identify(paper.experiment, "two-stage").to_dataframe()
     assert isinstance(apart, pandas.DataFrame)
     assert apart["configuration"].tolist() == [name for i in (1, 2, 3) for name in [f"Structure {i}"] * 2]
-    assert apart["floor_mass"].iloc[:2].tolist() == pytest.approx([13.045, 18.285], abs=5e-4)
-    assert apart["floor_mass_std"].isna().all()
+    assert apart["floor_mass_kg"].iloc[:2].tolist() == pytest.approx([13.045, 18.285], abs=5e-4)
+    assert apart["floor_mass_std_kg"].isna().all()
     closed = paper.to_dataframe()
-    assert closed["story_stiffness"].tolist() == paper.frame.story_stiffness.tolist()
-    assert closed["averaged_floor_mass_std"].tolist() == paper.averaged.floor_mass_std.tolist()
+    assert closed["story_stiffness_N_per_m"].tolist() == paper.frame.story_stiffness.tolist()
+    assert closed["averaged_floor_mass_std_kg"].tolist() == paper.averaged.floor_mass_std.tolist()
 
 
 def test_without_pandas_the_extra_is_named(paper, monkeypatch):
@@ -395,7 +395,8 @@ def test_without_jinja2_a_notebook_shows_the_text(paper, monkeypatch):
 
 
 def test_masses_in_tonnes_are_told_so(paper):
-    heavy = IdentifiedFrame(1000 * paper.frame.floor_mass, 1000 * paper.frame.story_stiffness)
+    unknown = np.full(2, np.nan)
+    heavy = IdentifiedFrame(1000 * paper.frame.floor_mass, 1000 * paper.frame.story_stiffness, unknown, unknown)
     found = cvxshear.identify(paper.experiment, "two-stage")
     parts = tuple(dataclasses.replace(part, frame=heavy) for part in found.parts)
     first = table(describe(dataclasses.replace(found, parts=parts)), "identified-1")

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from scipy import linalg
 
 import cvxshear
+from cvxshear import close_loop
 from cvxshear.cli import main
-from cvxshear.loop import close_loop
 from cvxshear.report import figures, html
 from cvxshear.report.figures import figure_table
 from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes

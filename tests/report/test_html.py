@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import cvxshear
+from cvxshear import close_loop
 from cvxshear.effects import compose
-from cvxshear.loop import close_loop
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.declaration import Heading
 from cvxshear.report import figures

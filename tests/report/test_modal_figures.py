@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.loop import close_loop
-from cvxshear.modal import ModalResult, from_arrays, identify_modes
+from cvxshear import close_loop
+from cvxshear.records import ModalResult, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
 from cvxshear.report.figures.drawn_shapes import mode_shapes

@@ -6,8 +6,8 @@ import pytest
 from matplotlib import pyplot
 from matplotlib.backend_bases import MouseEvent
 
-from cvxshear.files.record_file import write_pick
-from cvxshear.modal import from_arrays, identify_modes
+from cvxshear.io.record_file import write_pick
+from cvxshear.records import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, hammer_record
 from cvxshear.report.figures.picked_poles import PolePicker
 from cvxshear.util.errors import InputError

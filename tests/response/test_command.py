@@ -12,11 +12,11 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.cli import main
-from cvxshear.files.modes import modes_from_file
-from cvxshear.files.toml import write_measurement
+from cvxshear.io.modes import modes_from_file
+from cvxshear.io.toml import write_measurement
 from cvxshear.response import DampedModel, DrivenRun, predict, response
 from cvxshear.response.sources import models_of
-from tests.modal.shared import csv
+from tests.records.shared import csv
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
 pytestmark = pytest.mark.usefixtures("shared_loops")

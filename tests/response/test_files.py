@@ -13,7 +13,7 @@ from scipy import io
 import cvxshear
 from cvxshear import effects
 from cvxshear.effects import Placed
-from cvxshear.files.uff import read_uff
+from cvxshear.io.uff import read_uff
 from cvxshear.paper.three_story import ThreeStory
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.handover import matrices, series, write_model, write_series

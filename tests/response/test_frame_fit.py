@@ -15,7 +15,7 @@ from cvxshear.response.frame_prior import (
     LEAST_WEIGHT,
     MASS_STDS,
     SCATTER_STDS,
-    Answer,
+    FrameChange,
     FramePrior,
     Gaussian,
     Linear,
@@ -134,8 +134,8 @@ def fitted(**more):
 
     prior = SimpleNamespace(identified=0.002 * np.ones((3, 3)), varied=varied, gaussian=prior_of, others=3)
     answers = (
-        Answer((1,), 0.03, 0.003, 0.0, 0.001, 0.5), Answer((1, 4), 0.03, 0.003, 0.05, 0.001, 0.3),
-        Answer((0, 7), 0.03, 0.003, 0.1, 0.001, 0.2),
+        FrameChange((1,), 0.03, 0.003, 0.0, 0.001, 0.5), FrameChange((1, 4), 0.03, 0.003, 0.05, 0.001, 0.3),
+        FrameChange((0, 7), 0.03, 0.003, 0.1, 0.001, 0.2),
     )  # fmt: skip
     values = {"answers": answers, "p": 0.2 * rng.standard_normal(19), "covariance": root @ root.T} | more
     return FittedFrame(errors, prior, values["p"], values["covariance"], values["answers"], 1.3, True, None, -7.0)
@@ -224,7 +224,7 @@ def test_masses_changed_by_what_a_normal_number_is_given_the_unknowns():
 def test_a_mixture_of_answers_has_their_mean_square_about_the_best():
     """And the log evidence of the record is that of the best answer over its share."""
     at, p = drawn(4, inflation=1.2)
-    answers = [Answer((), 0.03, 0.003, 0.0, 0.001, 0.6), Answer((1,), 0.1, 0.01, 0.05, 0.001, 0.2)]
+    answers = [FrameChange((), 0.03, 0.003, 0.0, 0.001, 0.6), FrameChange((1,), 0.1, 0.01, 0.05, 0.001, 0.2)]
     prior = SimpleNamespace(gaussian=gaussian, log_odds=np.array([-1.0, -2.0, -3.0, -4.0]))
     posterior = SimpleNamespace(along=None, errors=SimpleNamespace(objective=lambda p: 50.0))
     point = SimpleNamespace(likelihood=at, p=p, posterior=posterior)

@@ -9,12 +9,11 @@ import pytest
 from scipy import signal
 
 import cvxshear
-from cvxshear import backends, effects
+from cvxshear import backends, close_loop, effects
 from cvxshear.effects import Placed
-from cvxshear.files.toml import write_measurement
 from cvxshear.fit.efficient import efficient
-from cvxshear.loop import close_loop
-from cvxshear.modal import Channel, Run, TimeRecord
+from cvxshear.io.toml import write_measurement
+from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.describe import describe
 from cvxshear.report.handover import series

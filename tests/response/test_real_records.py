@@ -9,7 +9,7 @@ import pytest
 from cvxshear.response import reconstruct, reconstruction
 from tests.benchmarks.response_amplitude import crossed, decay, off
 from tests.benchmarks.response_records import models, predicted
-from tests.modal.shared import mini_table, needs_mini_table
+from tests.records.shared import mini_table, needs_mini_table
 
 
 @needs_mini_table

@@ -12,8 +12,8 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import Limits
-from cvxshear.modal import Channel, Run, TimeRecord
 from cvxshear.programs import LeastSquares
+from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
@@ -588,7 +588,7 @@ def test_a_damper_in_one_story_is_named_and_moves_no_drift():
     assert said["dashpot"] == [None, pytest.approx(size), None, None]
     frame = found.to_dataframe()
     assert frame.index.tolist() == [1, 2, 3, 4]
-    np.testing.assert_allclose(frame["story_drift"], drift)
+    np.testing.assert_allclose(frame["story_drift_m"], drift)
     assert frame.loc[2, "dashpot_probability"] > 0.95 > frame.loc[3, "dashpot_probability"]
 
 

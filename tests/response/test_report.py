@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import cvxshear
+from cvxshear import close_loop
 from cvxshear.cli import main
-from cvxshear.files.toml import write_measurement
-from cvxshear.loop import close_loop
+from cvxshear.io.toml import write_measurement
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.describe import describe
 from cvxshear.report.figures import transfer_functions
 from cvxshear.report.html import render, render_response
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
-from tests.modal.shared import csv
+from tests.records.shared import csv
 from tests.report.conftest import NASTY
 from tests.report.test_html import Page
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.files.toml import write_measurement
+from cvxshear.io.toml import write_measurement
 from tests.fe.experiments import simulated
 from tests.mistakes import with_mistake
 

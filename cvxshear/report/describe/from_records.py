@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cvxshear.modal import ModalResult
+from cvxshear.records import ModalResult
 from cvxshear.report.describe.vocabulary import Block, Document, Facts, Section, Sentence, Table, describe, line, table
-from cvxshear.screening import Finding, Screening
+from cvxshear.screening import FileFinding, Screening
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, numbered, percent, with_std, with_stds
 
@@ -114,7 +114,7 @@ def _screening_headline(result: Screening) -> str:
     return listed([counted(number, noun) for noun, number in numbers.items() if number]) or "nothing looks wrong"
 
 
-def _finding(item: Finding) -> Iterator[Block]:
+def _finding(item: FileFinding) -> Iterator[Block]:
     """Say a finding and what to change."""
     word, tone = ("MISTAKE", "mistake") if item.refuses else ("WARNING", "warning")
     where = f' in configuration "{item.configuration}"' if item.configuration else ""
@@ -123,7 +123,7 @@ def _finding(item: Finding) -> Iterator[Block]:
     yield Facts((("  found", item.found), ("  change", item.change), ("  accept", accept)))
 
 
-def doubts_section(found: Sequence[Finding]) -> Section:
+def doubts_section(found: Sequence[FileFinding]) -> Section:
     """Doubts above a result that was computed all the same, a line each."""
     said = (f"WARNING: {item.found}; {item.change} ({item.how_to_accept} silences this)" for item in found)
     return Section("doubts", "", tuple(Sentence(each, "warning") for each in said))

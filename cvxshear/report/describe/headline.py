@@ -6,7 +6,7 @@ from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import Closure
 from cvxshear.loop.numbering import Changes
-from cvxshear.loop.posterior import ADDED, PILED
+from cvxshear.loop.posterior import ADDED, MANY_CAUSES
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect
 from cvxshear.loop.verdicts import VERDICTS, Verdict
@@ -193,7 +193,8 @@ def _piled(result: Closure) -> bool:
     for item in result.effects:
         if item.probability < ADDED:
             kinds.setdefault(item.placed.place.state, set()).add(item.placed.effect.name)
-    return any(len(names) >= PILED for names in kinds.values())
+    of_frame = kinds.get(None, set())
+    return any(len(names | of_frame) >= MANY_CAUSES for names in kinds.values())
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.quality import Quality
-from cvxshear.methods import Identification, IdentifiedFrame, SingleIdentification
+from cvxshear.fit.results import Identification, IdentifiedFrame, SingleIdentification
 from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.measured import declared, units_for
 from cvxshear.report.describe.vocabulary import (
@@ -98,7 +98,7 @@ def frame_table(
 
 
 def in_one_unit(
-    values: Floats, stds: Floats | None, unit_of: Callable[[Iterable[float]], tuple[float, str]]
+    values: Floats, stds: Floats, unit_of: Callable[[Iterable[float]], tuple[float, str]]
 ) -> tuple[list[str], str]:
     """Values, with their standard deviations where there are any, in one unit and, where there are none, one format.
 
@@ -117,8 +117,8 @@ def in_one_unit(
     return _column(values, stds, factor), unit
 
 
-def _column(values: Floats, stds: Floats | None, factor: float) -> list[str]:
-    if stds is None or np.all(np.isnan(stds)):
+def _column(values: Floats, stds: Floats, factor: float) -> list[str]:
+    if np.all(np.isnan(stds)):
         written = significants((values / factor).tolist(), 5)
         return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
     fast = ~np.isnan(values) & ~(stds > NEGLIGIBLE_STD * np.abs(values))

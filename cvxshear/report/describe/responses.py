@@ -27,7 +27,7 @@ from cvxshear.util.quantities import (
 MODE_COLUMNS = 6
 """Columns of the transfer functions' errors; the higher modes stand in the JSON."""
 
-LEAST_MISSED = 0.0005
+SHOWN_MISSED = 0.0005
 """Relative error of a record from which on it is told: what 0.1 % is written of."""
 
 CERTAINLY_PASSED = 0.95
@@ -137,7 +137,7 @@ def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
         return
     floors = numbered("floor", result.after.comparison.floors.tolist())
     where = f"the accelerations of {floors} in this record were missed"
-    if result.missed < LEAST_MISSED:
+    if result.missed < SHOWN_MISSED:
         yield Sentence(f"the deviations hold what the frame leaves uncertain; {where} by no more than that")
         return
     wide = " (for peaks too much, since the motions fall out of step)" if result.after.comparison.shifts else ""

@@ -42,7 +42,7 @@ def _reproduction(result: Reproduction, units: Units = AUTOMATIC) -> Document:
     return Document("the paper's figures", "The paper's figures beside recomputed ones.", (*parts, summary))
 
 
-def printed_beside_recomputed(section: printed.Section) -> Table:
+def printed_beside_recomputed(section: printed.PaperSection) -> Table:
     """One section of the paper as a table; a place in the paper is named once."""
     random = any(row.std_error is not None for row in section.rows)
     errors = ("its standard error",) if random else ()
@@ -54,7 +54,7 @@ def printed_beside_recomputed(section: printed.Section) -> Table:
     return Table(section.title, "", head, plain_rows(rows), words=(0, 1, len(head) - 1))
 
 
-def _cells(row: printed.Row, *, random: bool) -> Cells:
+def _cells(row: printed.PaperRow, *, random: bool) -> Cells:
     if row.printed.startswith("about"):
         return row.what, row.printed, f"{row.recomputed:.2f}", f"{row.std_error or 0.0:.2f}", "", row.verdict
     count = printed.decimals(row.printed)

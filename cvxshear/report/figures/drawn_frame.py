@@ -12,10 +12,10 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.effects import Placed
 from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
+from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.loop import Closure
 from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.methods import Identification, IdentifiedFrame
 from cvxshear.report.describe.headline import verdict_of
 from cvxshear.report.describe.identified import in_one_unit
 from cvxshear.report.figures import style
@@ -367,7 +367,7 @@ def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title:
         (at.right + LABEL_DISTANCE, "floor mass", found.floor_mass_std, "left"),
     ):
         # A value that a bound holds has no deviation of its own.
-        heading = text if std is None or not np.isfinite(std).any() else f"{text} ± std"
+        heading = text if not np.isfinite(std).any() else f"{text} ± std"
         axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
     if title:
         axes.set_title(title, pad=20)

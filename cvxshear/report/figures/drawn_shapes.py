@@ -11,9 +11,9 @@ from matplotlib.lines import Line2D
 from cvxshear.data import Model, Shapes
 from cvxshear.data.pairing import mac
 from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.results import Identification
 from cvxshear.loop import Closure
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.methods import Identification
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.figure_table import figure

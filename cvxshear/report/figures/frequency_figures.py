@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cvxshear.modal import ModalResult
-from cvxshear.modal.agreement import band_of, synthesized
-from cvxshear.modal.functions import Functions
-from cvxshear.modal.picking import Sweep
+from cvxshear.records import ModalResult
+from cvxshear.records.agreement import band_of, synthesized
+from cvxshear.records.functions import Functions
+from cvxshear.records.picking import Sweep
 from cvxshear.report.describe.from_records import method_in_words
 from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure

@@ -122,7 +122,7 @@ COMPRESSED = 25.0
 MOST_DECADES = 2
 """Labels on either side of zero."""
 
-ROW, ROOM = 0.19, 1.5
+ROW, MARGINS = 0.19, 1.5
 """Heights of a row, and of legend and axis together, inch."""
 
 Pair = tuple[Deviation, Deviation]
@@ -153,7 +153,7 @@ def residual(result: Closure) -> Figure:
     # On a telephone the kinds of data go below one another, each with its own rows.
     listed = [of_kind[kind] for kind in kinds] if style.narrow_page() else [pairs]
     rows = [list(dict.fromkeys((after.configuration, after.place) for _, after in each)) for each in listed]
-    heights = [ROW * len(each) + ROOM for each in rows]
+    heights = [ROW * len(each) + MARGINS for each in rows]
     figure = style.new_figure(style.page_width(), sum(heights))
     columns = 1 if style.narrow_page() else len(kinds)
     drawn = figure.subplots(len(rows), columns, sharey="row", squeeze=False, height_ratios=heights)

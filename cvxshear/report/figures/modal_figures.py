@@ -9,9 +9,9 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.data.pairing import mac as mac_of
+from cvxshear.fit.results import Identification
 from cvxshear.loop import Closure
-from cvxshear.methods import Identification
-from cvxshear.modal import ModalResult
+from cvxshear.records import ModalResult
 from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_shapes import mac_tables
@@ -164,11 +164,11 @@ def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: in
     heights = np.concatenate([[0], result.floors])
     axes.axvline(0, color="#C8C8C8", lw=0.5)
     axes.plot(np.concatenate([[0.0], shape]), heights, color=style.AFTER, lw=1.2)
-    known = "assumed" not in result.uncertainty
-    style.error_bars(axes, shape, result.floors, result.written_entry_std[row] if known else None)
+    stds, frequency_std = result.written_entry_std[row], float(result.written_frequency_std[row])
+    style.error_bars(axes, shape, result.floors, stds if np.all(np.isfinite(stds)) else None)
     axes.axhline(0, color=style.GREY, lw=0.8)
     axes.set(xlim=(-1.3, 1.3), xticks=[-1, 0, 1], ylim=(0, 1.07 * stories))
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
-    std = f" ± {percents([float(result.written_frequency_std[row])])[0]}" if known else ""
+    std = f" ± {percents([frequency_std])[0]}" if np.isfinite(frequency_std) else ""
     title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
     axes.set_title(title, fontsize=7)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from cvxshear.files.record_file import write_pick
-from cvxshear.modal import ModalResult
+from cvxshear.io.record_file import write_pick
+from cvxshear.records import ModalResult
 from cvxshear.report.figures import style
 from cvxshear.report.figures.frequency_figures import stabilization
 from cvxshear.util.errors import InputError

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.backends import Comparison
-from cvxshear.methods import Identification, SingleIdentification
+from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure

@@ -1,0 +1,215 @@
+"""The identification by a method, a backend and priors; and every backend on the programs of an identification."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cvxshear import backends
+from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder, SolvedProgram
+from cvxshear.backends.benchmark import REPEATS
+from cvxshear.fit.domain import domain_of
+from cvxshear.fit.efficient import efficient, parameter_names
+from cvxshear.fit.gauss_newton import step_program
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
+from cvxshear.fit.results import Identification, SingleIdentification
+from cvxshear.fit.start import uniform
+from cvxshear.measurement.experiment import Measurement, opened
+from cvxshear.priors import Prior
+from cvxshear.programs import LeastSquares
+from cvxshear.programs.formulations import CompleteTest, complete_test
+from cvxshear.programs.pair_rows import normalized, stiffness_rows
+from cvxshear.util import checks
+from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.typing import Floats
+
+METHODS = ("efficient", "two-stage", "one-shot", "berman", "qi")
+
+
+def identify(
+    experiment: Measurement,
+    method: str = "efficient",
+    backend: str | Backend = "auto",
+    priors: Sequence[Prior] = (),
+    initial_mass: Sequence[float] | Floats | None = None,
+    tolerance: float = TOLERANCE,
+    *,
+    rows: bool | None = None,
+    keep_programs: bool = False,
+) -> Identification:
+    """Identify the floor masses and story stiffnesses of a frame.
+
+    Parameters
+    ----------
+    experiment : Experiment, path or name of a built-in example
+    method : str, optional
+        "efficient": one weighted fit to all configurations, which may be incomplete. "two-stage" (the paper's),
+        "one-shot", "berman" and "qi": each configuration by itself, with all modes at all floors and the total mass.
+    backend : str or Backend, optional
+        Solver of the programs; `cvxshear.backends.available()` lists them.
+    priors : sequence of Prior, optional
+        In addition to the priors of the experiment.
+    initial_mass : array_like, shape (N,), optional
+        Start of the mass iteration, kg without added mass (two-stage, berman, qi).
+    tolerance : float, optional
+        e of Eq. 15, the stopping tolerance of the mass iteration (two-stage).
+    rows : bool, optional
+        Whether the programs of two-stage and one-shot have one row for each pair of modes, or a factor of their normal
+        matrix. Default: rows for up to 30 stories.
+    keep_programs : bool, optional
+        Whether the result keeps every program that was solved, with its solution, in `Identification.programs`.
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    UnsuitableError
+        If the method cannot use these data.
+    InfeasibleError
+        If declared masses and priors contradict each other.
+    NoSolutionError
+        If the backend does not solve a program.
+    """
+    checks.choice(method, METHODS, "method")
+    experiment = opened(experiment).with_priors(tuple(priors))
+    recorder = Recorder(backends.get(backend)) if keep_programs else None
+    solver = backends.get(backend) if recorder is None else recorder
+    checks.number(tolerance, "tolerance", above=0.0)
+    start = None
+    if initial_mass is not None:
+        if method in ("efficient", "one-shot"):
+            raise UnsuitableError(f"method {method} takes no initial mass; two-stage, berman and qi do")
+        start = checks.vector(np.asarray(initial_mass), "initial mass", length=experiment.stories, above=0.0)
+    if rows is not None and method not in ("two-stage", "one-shot"):
+        raise UnsuitableError(f"method {method} does not choose between rows and normal matrices")
+    if method == "efficient":
+        estimate = efficient(experiment, solver)
+        return Identification(
+            experiment,
+            method,
+            solver.name,
+            (estimate.part,),
+            joint=True,
+            correlation=estimate.correlation,
+            parameter_names=parameter_names(experiment, ()),
+            undetermined=estimate.uncertainty.null_directions,
+            programs=_kept(recorder),
+        )
+    tests = [complete_test(experiment, each, f"method {method}", rows=rows) for each in experiment.configurations]
+    parts = tuple(_part(method, test, solver, start, tolerance) for test in tests)
+    return Identification(experiment, method, solver.name, parts, programs=_kept(recorder))
+
+
+def _kept(recorder: Recorder | None) -> tuple[SolvedProgram, ...]:
+    return () if recorder is None else tuple(recorder.solved)
+
+
+def _part(
+    method: str, test: CompleteTest, solver: Backend, start: Floats | None, tolerance: float
+) -> SingleIdentification:
+    if method == "one-shot":
+        return one_shot(test, solver)
+    if method == "two-stage":
+        return two_stage(test, solver, start, tolerance)
+    return {"berman": berman, "qi": qi}[method](test, solver, start)
+
+
+TIGHTER = 0.95
+"""Upper bound of the largest unknown of the bounded programs, relative to its free value, so that a bound is active."""
+
+
+def compare_backends(
+    experiment: Measurement,
+    names: Sequence[str] | None = None,
+    *,
+    repeats: int = REPEATS,
+    tolerance: float | None = None,
+) -> Comparison:
+    """Solve the same programs of an experiment with every backend.
+
+    Parameters
+    ----------
+    experiment : Experiment, path or name of a built-in
+    names : sequence of str, optional
+        Backends. Default: all that are installed.
+    repeats : int, optional
+        Number of solves of each program; the fastest counts.
+    tolerance : float, optional
+        Accuracy asked of the solvers, in place of their settings here.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        If a named backend is not installed, or a number is out of range.
+    """
+    experiment = opened(experiment)
+    programs, left_out = programs_of(experiment)
+    return backends.compare(
+        programs, names, repeats=repeats, tolerance=tolerance, experiment=experiment.name, left_out=left_out
+    )
+
+
+def programs_of(experiment: Measurement) -> tuple[list[BenchmarkProgram], str]:
+    """List the programs of an experiment, of each configuration by itself and of all together.
+
+    Parameters
+    ----------
+    experiment : Experiment, path or name of a built-in
+
+    Returns
+    -------
+    programs : list of BenchmarkProgram
+        Kinds "mass" (Eqs. 5 to 14), "stiffness" (Eqs. 20 to 24) and "one-shot"; "bounded mass" (unless the floor masses
+        are declared) and "bounded stiffness", with an active upper bound; "singular stiffness", of the first mode
+        alone, where upper bounds determine the answer; "step", of the efficient estimator at a frame of uniform
+        stiffness.
+    left_out : str
+        Why only the last kind exists; empty if all do.
+    """
+    experiment = opened(experiment)
+    separate: list[BenchmarkProgram] = []
+    left_out = ""
+    try:
+        for each in experiment.configurations:
+            separate += _programs_of_one(complete_test(experiment, each, "method two-stage"))
+    except UnsuitableError as error:
+        separate, left_out = [], str(error)
+    theta = uniform(experiment)
+    step = step_program(Misfit(experiment).evaluate(theta), theta, domain_of(experiment, (), theta))
+    return [*separate, BenchmarkProgram("step", step, theta)], left_out
+
+
+def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
+    added, start = test.configuration.added_mass, test.start_mass()
+    mass, one_shot_program = test.mass_correction(start), test.one_shot_masses()
+    net = backends.get("auto").solve(one_shot_program).x
+    zero = np.zeros(len(start))
+    stiffness = test.story_stiffnesses(net + added)
+    yield BenchmarkProgram("mass", mass, start)
+    yield BenchmarkProgram("stiffness", stiffness, zero)
+    yield BenchmarkProgram("one-shot", one_shot_program, zero)
+    if test.experiment.frame.floor_masses is None:
+        yield BenchmarkProgram("bounded mass", _tightened(mass, start), start)
+    yield BenchmarkProgram("bounded stiffness", _tightened(stiffness, zero), zero)
+    if len(start) > 1:
+        # The first mode alone gives one row without negative entries. Upper bounds below the uniform stiffness do not
+        # reach its right side, so the bounds are the answer.
+        first = normalized(test.shapes, net + added)[:, :1]
+        alone = stiffness_rows(first, test.eigenvalues[:1], rows=True)
+        bounded = alone.replace(lower=zero, upper=TIGHTER * test.even_stiffness(net + added))
+        yield BenchmarkProgram("singular stiffness", bounded, zero)
+
+
+def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
+    """Bound the program's largest answer below what it would be."""
+    answer = origin + backends.get("auto").solve(program).x
+    upper = np.full(len(origin), np.inf) if program.upper is None else program.upper.copy()
+    largest = int(np.argmax(answer))
+    upper[largest] = min(upper[largest], TIGHTER * answer[largest] - origin[largest])
+    return program.replace(upper=upper)

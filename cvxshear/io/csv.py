@@ -1,0 +1,373 @@
+"""Reader of delimited text: what loggers, spreadsheets and other programs write.
+
+Before the line that names the columns there may be a preamble, after it a line of units; cells are separated by
+semicolons, tabs, commas or blanks; a decimal comma is understood where no comma separates. Stamps of time, with or
+without a date, become seconds since the first; a column of dates alone is left out.
+"""
+
+import csv
+import gzip
+import io
+import math
+import re
+import zlib
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import chain, islice
+from pathlib import Path
+
+import numpy as np
+
+from cvxshear.io.columns import LIMIT, TOO_LARGE, Columns
+from cvxshear.io.inputs import MEGABYTE, read_bytes
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import InputError
+
+SEPARATORS = (";", "\t", ",", None)
+"""What may part cells, in the order in which they are tried; None stands for blanks."""
+
+MOST_COLUMNS = 10_000
+LONGEST_HEAD = 400
+"""Lines within which the header and the first line of numbers must stand."""
+
+UNIT = re.compile(r"[\[(]?\s*(?:[a-zA-Zµ°%]{1,4}(?:[/·^*²0-9-]{1,4}[a-zA-Z]{0,3}){0,3}|-|)\s*[\])]?")
+"""A cell of a line of units: "s", "m/s2", "[g]", "mm/s^2", "-", or nothing."""
+
+DATE = re.compile(r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](?:\d{4}|\d\d)")
+"""A date by itself: 2024-03-12, 12.03.2024, 3/12/24."""
+
+STAMP = re.compile(
+    rf"(?:(?P<date>{DATE.pattern})[T ] *)?(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,:]\d+)?))?"
+    r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d\d:?\d\d)?"
+)
+"""A time of the day, of 24 hours or of twice 12, with or without a date before it."""
+
+ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
+EPOCH = datetime(1970, 1, 1)
+DAY = 86_400.0
+"""Seconds of a day."""
+
+Line = tuple[int, str]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text's cells are separated, and what stands before its numbers.
+
+    Parameters
+    ----------
+    separator : str or None
+        None for blanks.
+    names : tuple of str
+    line : int
+        The line of the names.
+    units : tuple of str
+        Of a line of units, one a column; empty where there is none.
+    first : int
+        The line of the first numbers; 0 where none was found.
+    """
+
+    separator: str | None
+    names: tuple[str, ...]
+    line: int
+    units: tuple[str, ...] = ()
+    first: int = 0
+
+
+def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
+    """Read delimited text.
+
+    Parameters
+    ----------
+    path : str or Path
+        UTF-8, UTF-16 with its mark, or Latin-1; may be compressed by gzip.
+    limit : float, optional
+        Bytes that the file, inflated, and the numbers in it, may have.
+
+    Returns
+    -------
+    Columns
+        With nan where a cell is empty or says nan, for the caller to judge: not every column is used.
+
+    Raises
+    ------
+    InputError
+        Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
+        What stands in the file is quoted only where it is a table of numbers.
+    """
+    return columns_of(_text(Path(path), limit), str(path), limit)
+
+
+def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
+    """Read the columns of a text, line by line, as `read_csv` does.
+
+    Parameters
+    ----------
+    text : iterable of str
+    where : str
+        The file, for messages.
+    limit : float
+        Bytes that the numbers may have.
+    """
+    lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
+    head = list(islice(lines, LONGEST_HEAD))
+    layout = layout_of(head, where)
+    after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))
+    return _columns((each for each in after if not _comment(each[1])), layout, where, limit)
+
+
+def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
+    """Split off what stands before the line of names, comments among it; as for `read_csv`."""
+    head = [(number, line) for number, line in enumerate(islice(_text(Path(path), limit), LONGEST_HEAD), 1)]
+    layout = layout_of([each for each in head if each[1].strip()], str(path))
+    return "".join(line for number, line in head if number < layout.line)
+
+
+def layout_of(head: Sequence[Line], where: str) -> Layout:
+    """How a text is laid out, from its first lines.
+
+    Parameters
+    ----------
+    head : sequence of (int, str)
+        Line numbers and lines that are not empty.
+    where : str
+        The file, for messages.
+    """
+    plain = [(number, line) for number, line in head if not _comment(line)]
+    if not plain:
+        raise InputError(f"{where} is empty; a record has a header that names its columns, and a line a sample")
+    for place, (number, line) in enumerate(head):
+        if _comment(line):
+            continue
+        # "1,2" is one number with a decimal comma, or two: what makes more columns is meant, where the header has them.
+        counts = {separator: _numbers_in(line, separator) for separator in SEPARATORS}
+        for separator in sorted((each for each in SEPARATORS if counts[each]), key=lambda each: -counts[each]):
+            found = _header(head[:place], separator, counts[separator])
+            if found is not None:
+                names, stands, units = found
+                _refuse_many(names, where, stands)
+                return Layout(separator, names, stands, units, number)
+    return _first_line(plain[0], where)
+
+
+def _first_line(line: Line, where: str) -> Layout:
+    """Take the first line as the header, where the numbers below it show none; what follows will say what is wrong.
+
+    Semicolons, tabs and commas inside quotation marks are part of a name.
+    """
+    number, text = line
+    bare = re.sub(r'"[^"]*"', "", text)
+    separator = next((mark for mark in SEPARATORS if mark and mark in bare), None)
+    names = tuple(cell.strip() for cell in _cells(text, separator, f"{where}, line {number}"))
+    if all(_is_number(name) for name in names):
+        raise InputError(f"{where}, line {number}: the first line must name the columns, it holds numbers")
+    _refuse_many(names, where, number)
+    return Layout(separator, names, number)
+
+
+def _header(
+    before: Sequence[Line], separator: str | None, count: int
+) -> tuple[tuple[str, ...], int, tuple[str, ...]] | None:
+    """Names, their line, and units, from the lines right before the first numbers; None where none fits."""
+    fitting: list[tuple[int, tuple[str, ...]]] = []
+    for number, line in reversed(before[-3:]):
+        # A tab at the start of a line of units stands for the time, which has none.
+        cells = _split(line.lstrip(" ").removeprefix("#").strip("\r\n"), separator)
+        # Whoever ends each line with a separator ends all of them so; a quotation mark that is left begins a name.
+        if cells is None or len(cells) != count or any('"' in cell for cell in cells):
+            break
+        fitting.append((number, tuple(cell.strip() for cell in cells)))
+    named = [(n, cells) for n, cells in fitting if not all(_is_datum(each.replace(",", ".")) for each in cells)]
+    if not named or len(named) < len(fitting[:1]):
+        return None
+    units: tuple[str, ...] = ()
+    if len(named) > 1 and all(UNIT.fullmatch(cell) for cell in named[0][1]) and any(named[0][1]):
+        units = tuple(cell.strip("[]() ") for cell in named[0][1])
+        named = named[1:]
+    return named[0][1], named[0][0], units
+
+
+def _numbers_in(line: str, separator: str | None) -> int:
+    """How many cells a line has where each is a number, a stamp or empty, and one at least is a number; else 0."""
+    cells = _split(line if separator == "," else line.replace(",", "."), separator)
+    if not cells or not all(_is_datum(cell.strip()) for cell in cells):
+        return 0
+    return len(cells) if any(_is_number(cell) for cell in cells) else 0
+
+
+def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) -> Columns:
+    numbers = array("q")
+    values = array("d")
+    names = layout.names
+    stamps: list[int] = []
+    dates: set[int] = set()
+    for number, text in lines:
+        line = text if layout.separator == "," else text.replace(",", ".")
+        cells = _cells(line, layout.separator, f"{where}, line {number}")
+        if len(cells) != len(names):
+            last = f' ("{names[-1]}" is the last)' if numbers else ""
+            raise InputError(
+                f"{where}, line {number} has {len(cells)} cells where the header names {len(names)} columns{last}"
+            )
+        if not numbers:
+            stamps = [place for place, cell in enumerate(cells) if STAMP.fullmatch(cell.strip())]
+            # The time of the day beside it tells all that a record needs, midnight included.
+            dates = {place for place, cell in enumerate(cells) if DATE.fullmatch(cell.strip()) and not _is_number(cell)}
+        values.extend(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
+        numbers.append(number)
+        if len(values) * values.itemsize > limit:
+            raise InputError(f"{where} holds more than {limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
+    if not numbers:
+        raise InputError(f"{where} has a header and no samples")
+    table = np.frombuffer(values, dtype=np.float64).reshape(len(numbers), len(names))
+    if stamps:
+        table = table.copy()
+        # To the microsecond: seconds since 1970 have no more digits.
+        table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
+        # A clock without a date begins anew at midnight.
+        table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
+    units = layout.units or ("",) * len(names)
+    # What stands after the last separator of every line is no column.
+    kept = [p for p, name in enumerate(names) if p not in dates and (name or not np.isnan(table[:, p]).all())]
+    if len(kept) < len(names):
+        table, names, units = table[:, kept], *(tuple(each[place] for place in kept) for each in (names, units))
+    return Columns(where, names, table, np.frombuffer(numbers, dtype=np.int64), units if layout.units else ())
+
+
+def _row(cells: list[str], line: str, names: tuple[str, ...], where: str, *, table: bool) -> list[float]:
+    # Python's float takes 1_000 for a thousand.
+    if "_" not in line:
+        with suppress(ValueError):
+            return [float(cell) for cell in cells]
+    return [_cell(cell, where, name, table=table) for cell, name in zip(cells, names, strict=True)]
+
+
+def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
+    cell = cell.strip()
+    if not cell:
+        return math.nan
+    if "_" not in cell:
+        with suppress(ValueError):
+            return float(cell)
+        if found := STAMP.fullmatch(cell):
+            return _seconds(found, where)
+        if DATE.fullmatch(cell):
+            return math.nan
+    if not table:
+        raise InputError(f"{where}: what follows the line of names is no line of numbers; is this a table?")
+    raise InputError(f'{where}: channel "{name}" holds {shown(cell)}, which is not a number')
+
+
+def _seconds(stamp: re.Match[str], where: str) -> float:
+    """Read a stamp in s, since midnight or, where its date is an ISO date, since the start of 1970.
+
+    In other dates the day or the month may come first; none is needed, since the clock shows when midnight comes.
+    """
+    hour, minute, second = int(stamp["hour"]), int(stamp["minute"]), float(re.sub("[,:]", ".", stamp["second"] or "0"))
+    half = (stamp["half"] or "").lower()
+    if half and 1 <= hour <= 12:
+        hour = hour % 12 + (12 if half == "p" else 0)
+    date = stamp["date"] or ""
+    try:
+        days = (datetime.fromisoformat(date) - EPOCH).days if ISO_DATE.fullmatch(date) else 0
+        if hour > 23 or minute > 59 or second >= 61:
+            raise ValueError(stamp[0])
+    except ValueError:
+        raise InputError(f"{where} holds {shown(stamp[0])}, which is no date or time") from None
+    return DAY * days + 3600.0 * hour + 60.0 * minute + second
+
+
+def _cells(line: str, separator: str | None, where: str) -> list[str]:
+    found = _split(line, separator)
+    if found is None:
+        raise InputError(f"{where} is no line of a table: its quotation marks do not close around a cell")
+    return found
+
+
+def _split(line: str, separator: str | None) -> list[str] | None:
+    """Split a line into its cells; None where its quotation marks do not close."""
+    if separator is None:
+        return line.split()
+    if '"' not in line:
+        return line.strip("\r\n").split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True), [])
+    except csv.Error:
+        return None
+
+
+def read_rows(path: str | Path, limit: float, remedy: str) -> Iterator[tuple[int, list[str]]]:
+    """Read number and cells of each line of a small table, header first; cells separated as in `read_csv`.
+
+    Parameters
+    ----------
+    path : str or Path
+    limit : float
+        Bytes.
+    remedy : str
+        What to do about a larger file.
+    """
+    where = str(path)
+    text = _text(Path(path), limit, remedy)
+    lines = [(number, line) for number, line in enumerate(text, 1) if line.strip() and not _comment(line)]
+    if not lines:
+        return
+    bare = re.sub(r'"[^"]*"', "", lines[0][1])
+    separator = next((mark for mark in SEPARATORS if mark and mark in bare), ",")
+    for place, (number, line) in enumerate(lines):
+        comma = "," if separator == "," or not place else "."
+        yield number, _cells(line.replace(",", comma), separator, f"{where}, line {number}")
+
+
+def _text(path: Path, limit: float, remedy: str = TOO_LARGE) -> Iterable[str]:
+    """Yield the lines of the file."""
+    content = read_bytes(path, limit, remedy)
+    if content.startswith(b"\x1f\x8b"):
+        content = _inflated(content, path, limit, remedy)
+    encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    try:
+        content.decode(encoding)
+    except UnicodeDecodeError as error:
+        # Loggers of the west write Latin-1; its control characters are in no text.
+        if encoding == "utf-16" or re.search(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f-\x9f]", content):
+            raise InputError(
+                f"{path!s} is not UTF-8 text (byte {error.start}); is it a CSV file, and saved as UTF-8?"
+            ) from None
+        encoding = "latin-1"
+    # A list of all lines would take several times the file's size.
+    return io.TextIOWrapper(io.BytesIO(content), encoding=encoding)
+
+
+def _inflated(content: bytes, path: Path, limit: float, remedy: str) -> bytes:
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+            inflated = file.read(int(limit) + 1)
+    except (OSError, EOFError, zlib.error):
+        raise InputError(f"{path!s} is a damaged gzip file") from None
+    if len(inflated) > limit:
+        raise InputError(f"{path!s} inflates to more than {limit / MEGABYTE:g} MB; {remedy}")
+    return inflated
+
+
+def _comment(line: str) -> bool:
+    return line.lstrip()[0] == "#"
+
+
+def _refuse_many(names: Sequence[str], where: str, line: int) -> None:
+    if len(names) > MOST_COLUMNS:
+        raise InputError(f"{where}, line {line} names {len(names)} columns; {MOST_COLUMNS} are the most that are read")
+
+
+def _is_datum(cell: str) -> bool:
+    return bool(not cell or _is_number(cell) or STAMP.fullmatch(cell) or DATE.fullmatch(cell))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text

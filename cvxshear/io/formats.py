@@ -1,0 +1,176 @@
+"""The table of formats: which endings a kind of file has, what it is called, and what reads it.
+
+A format of one's own is one more line of it: `register(Format(...))`. It is then taken by record files, by the key of
+its name in a measurement file, and by `cvxshear new`, whose help lists it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.quantities import listed
+
+if TYPE_CHECKING:
+    from cvxshear.io.columns import Columns
+
+ColumnReader = Callable[[Path, float], "Columns"]
+ModeReader = Callable[[str | Path], dict[str, Any]]
+
+ANY_TEXT = (".txt", ".dat", ".asc")
+"""Endings that tell nothing of what a text holds."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """One kind of file.
+
+    Parameters
+    ----------
+    name : str
+        The key of a [[configuration]] that names such a file, where it holds modes.
+    endings : tuple of str
+        In small letters, with the dot; the first is the usual one.
+    words : str
+        What such a file is called: "a workbook".
+    columns : callable or str, optional
+        (path, limit in bytes) to `Columns`: what reads time histories and frequency response functions from it. A
+        reader that loads slowly is named, "module:function".
+    modes : callable or str, optional
+        (path) to the keys of a table [[configuration]]: what reads modes from it.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    words: str
+    columns: ColumnReader | str | None = None
+    modes: ModeReader | str | None = None
+
+    def read_columns(self, path: Path, limit: float) -> Columns:
+        """Read the columns of such a file."""
+        return cast("Columns", self._read(self.columns, path, limit))
+
+    def read_modes(self, path: str | Path) -> dict[str, Any]:
+        """Read the keys of a table [[configuration]] that such a file holds."""
+        return cast("dict[str, Any]", self._read(self.modes, path))
+
+    def _read(self, reader: Callable[..., object] | str | None, *given: object) -> object:
+        """Call a reader; a file that it cannot make sense of is refused by name, whatever the reader raised."""
+        assert reader is not None
+        if isinstance(reader, str):
+            module, _, name = reader.partition(":")
+            reader = cast("Callable[..., object]", getattr(import_module(module), name))
+        try:
+            return reader(*given)
+        except CvxshearError:
+            raise
+        except OSError as error:
+            raise InputError(f"{given[0]} cannot be read: {error.strerror}") from error
+        except (ValueError, LookupError) as error:
+            raise InputError(f"{given[0]} cannot be read as {self.words}: {error}") from error
+
+
+HERE = "cvxshear.io"
+
+FORMATS: list[Format] = [
+    Format("csv", (".csv", ".txt", ".dat", ".tsv", ".asc"), "delimited text", f"{HERE}.csv:read_csv",
+           f"{HERE}.mode_tables:read_mode_csv"),
+    Format("gz", (".csv.gz", ".txt.gz", ".tsv.gz"), "delimited text compressed by gzip", f"{HERE}.csv:read_csv"),
+    Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.mode_tables:read_mode_xlsx"),
+    Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
+    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.mat:read_npz"),
+    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_uff",
+           f"{HERE}.mode_tables:read_mode_uff"),
+]  # fmt: skip
+"""Every kind of file that is read, in the order in which messages and help list them."""
+
+
+def register(added: Format) -> None:
+    """Add a format; one of the same name is replaced.
+
+    Raises
+    ------
+    InputError
+        Where an ending is another format's.
+    """
+    for other in FORMATS:
+        shared = set(other.endings) & set(added.endings)
+        if shared and other.name != added.name:
+            raise InputError(f"the ending {min(shared)} is that of {other.words} already")
+    FORMATS[:] = [each for each in FORMATS if each.name != added.name] + [added]
+
+
+def format_of(path: str | Path) -> Format | None:
+    """Find the format that a file's ending tells; None where it tells none."""
+    name = Path(path).name.lower()
+    return next((each for each in FORMATS if any(name.endswith(ending) for ending in each.endings)), None)
+
+
+def endings_of(reader: str) -> str:
+    """List the usual endings of the formats that have a reader, for messages and help: ".csv, .xlsx or .uff".
+
+    Parameters
+    ----------
+    reader : str
+        "columns" or "modes".
+    """
+    return listed([each.endings[0] for each in FORMATS if getattr(each, reader) is not None], "or")
+
+
+def read_columns(path: Path, limit: float) -> Columns:
+    """Read the columns of a file of samples; one whose ending is none of the table's is read as delimited text.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read.
+    """
+    found = format_of(path)
+    return (FORMATS[0] if found is None or found.columns is None else found).read_columns(path, limit)
+
+
+def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
+    """Read a file of modes: the key that names such a file, and the keys of a table [[configuration]] that it holds.
+
+    Raises
+    ------
+    InputError
+        Where such files hold no modes, or this one cannot be read.
+    """
+    found = format_of(path)
+    if found is None or found.modes is None:
+        raise InputError(f"{path!s}: modes are read from files that end in {endings_of('modes')}")
+    return found.name, found.read_modes(path)
+
+
+def refuse_data(path: Path, *, toml: bool = True) -> None:
+    """Refuse a file of samples in place of the record file that says what they are of.
+
+    Parameters
+    ----------
+    path : Path
+    toml : bool, optional
+        Whether it may be TOML yet, which stands in any .txt as well.
+
+    Raises
+    ------
+    InputError
+        Saying how to begin a record file.
+    """
+    found = format_of(path)
+    if found is not None and found.columns is not None and not (toml and path.suffix.lower() in ANY_TEXT):
+        raise InputError(
+            f"{path} is {found.words}, which does not say which column is which floor: 'cvxshear new --record {path} "
+            f"-o {path.name.split('.')[0]}.toml' writes a record file with the columns that it finds, to fill in, and "
+            "that is what the command takes"
+        )
+
+
+def naming_keys() -> Iterator[str]:
+    """Keys of tables whose values are names of other files."""
+    yield "file"
+    yield from (each.name for each in FORMATS if each.modes is not None)

@@ -1,0 +1,208 @@
+"""From record files to one measurement: their modes, a configuration each, and what they say of the frame."""
+
+import dataclasses
+import glob
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cvxshear.io.inputs import named_after
+from cvxshear.io.record_file import read_record
+from cvxshear.io.toml import files_of, is_record_file, load, write_measurement
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.records.diagnostics import cables_changed
+from cvxshear.records.identify import identify_modes
+from cvxshear.records.record import Finding
+from cvxshear.records.result import IdentifiedRecord, ModalResult, merged, scale_unknown
+from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.util.parallel import Progress, each
+from cvxshear.util.typing import Json
+from cvxshear.util.writing import check_output
+
+UNKNOWN_SCALE = (
+    "nothing tells how heavy the frame is: total_mass = 1 is written in its place, and masses and stiffnesses come out "
+    "per kilogram of the frame; give [frame] total_mass in a record file"
+)
+
+
+def called(name: str | Path) -> list[Path]:
+    """List the files that a pattern matches, in the order of the numbers in their names; else the one of that name."""
+    if Path(name).exists() or not glob.has_magic(str(name)):
+        return [Path(name)]
+    matched = sorted(glob.glob(str(name), recursive=True), key=_by_number)
+    return [Path(path) for path in matched if Path(path).is_file()]
+
+
+def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
+    """Find the record files that names and patterns stand for.
+
+    Parameters
+    ----------
+    names : iterable of str or Path
+        Files, or patterns with `*`, `?` or `[...]`.
+
+    Returns
+    -------
+    files : list of Path
+        Each once; those of a pattern in the order of the numbers in their names.
+    left_out : list of Path
+        Files that a pattern matches and that hold no table [record].
+
+    Raises
+    ------
+    InputError
+        Where a pattern matches no record file, or a file that it matches cannot be read.
+    """
+    files: list[Path] = []
+    left_out: list[Path] = []
+    for name in names:
+        found = called(name)
+        if found != [Path(name)]:
+            left_out += [path for path in found if not is_record_file(path)]
+            found = [path for path in found if path not in left_out]
+            if not found:
+                raise InputError(f"{name}: no record file is called so; a record file is TOML with a table [record]")
+        files += [path for path in found if path not in files]
+    return files, left_out
+
+
+def identify_modes_many(
+    files: Iterable[str | Path], *, jobs: int = 1, progress: Progress | None = None, **options: Any
+) -> list[IdentifiedRecord | CvxshearError]:
+    """`identify_modes` for each of many record files; where one fails, its error stands in its place.
+
+    Parameters
+    ----------
+    files : iterable of str or Path
+        Record files (TOML).
+    jobs : int, optional
+        Processes; -1 takes every core. Inside `with joblib.parallel_config(backend="dask")` they run on that
+        cluster, whose workers must see the files.
+    progress : callable, optional
+        Called with the number of records done and to do.
+    **options
+        As for `identify_modes`; `pick` takes precedence over the list in a record file.
+
+    Returns
+    -------
+    list of IdentifiedRecord or CvxshearError
+        In the order of the files; an error's message begins with its file.
+
+    Raises
+    ------
+    TypeError
+        Where an option is not one of `identify_modes`.
+    """
+    return each(partial(_tested, options=options), [str(file) for file in files], jobs=jobs, progress=progress)
+
+
+def modes_from_file(path: str | Path, *, output: str | Path | None = None, **options: Any) -> tuple[ModalResult, Json]:
+    """Identify the modes of a record file, and write the measurement file where one is asked for.
+
+    Parameters
+    ----------
+    path : str or Path
+        The record file (TOML).
+    output : str or Path, optional
+        Where to write the measurement file, `.toml`.
+    **options
+        As for `identify_modes`; `pick` takes precedence over the list in the record file.
+
+    Returns
+    -------
+    result : ModalResult
+    declared : dict
+        Of the measurement file's shape, for `Experiment.from_dict`.
+
+    Raises
+    ------
+    InputError
+        Where the record file or a file it names is wrong, or a file to write would replace one of them; nothing is
+        written then.
+    NoSolutionError
+        Where no mode was found.
+    """
+    if output is not None:
+        check_output(output, endings=(".toml",), keep=files_of(path))
+    test = _tested(str(path), options=options)
+    if isinstance(test, CvxshearError):
+        raise test
+    if scale_unknown([test]) and not any(finding.kind == "scale" for finding in test.modes.findings):
+        scale = Finding("scale", UNKNOWN_SCALE, {"total_mass": 1.0})
+        modes = dataclasses.replace(test.modes, findings=(*test.modes.findings, scale))
+        test = dataclasses.replace(test, modes=modes)
+    declared = merged([test])
+    if output is not None:
+        write_merged(output, [test])
+    return test.modes, declared
+
+
+def experiment_from_file(path: str | Path) -> Experiment:
+    """Read what was measured from a measurement file, or identify the modes of a record file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a built-in example.
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be read or is wrong.
+    NoSolutionError
+        Where no mode was found in a record.
+    """
+    if not is_record_file(path):
+        return load(path)
+    return Experiment.from_dict(modes_from_file(path)[1], name=named_after(path))
+
+
+def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
+    """Write the measurement file of several records, what each got wrong as comments at its head.
+
+    Parameters
+    ----------
+    path : str or Path
+    tests : sequence of IdentifiedRecord
+
+    Raises
+    ------
+    InputError
+        Where two records contradict each other, or `cvxshear.load` would refuse the file; nothing is written then.
+    """
+    declared = merged(tests)
+    Experiment.from_dict(declared, name=Path(path).stem)
+    said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
+    comments = [f"scale: {UNKNOWN_SCALE}"] if scale_unknown(tests) and not said else []
+    for test in tests:
+        modes = test.modes
+        comments.append(f"Modes of {modes.name} by {modes.method}; standard deviations: {modes.uncertainty}")
+        comments.extend(f"{modes.name}: {finding.kind}: {finding.message}" for finding in modes.findings)
+    comments.extend(f"{finding.kind}: {finding.message}" for finding in cables_of(tests))
+    write_measurement(path, declared, comments)
+
+
+def cables_of(tests: Sequence[IdentifiedRecord]) -> list[Finding]:
+    """Warn of changes between each record and the first that a cable explains, before any damage is looked for."""
+    return [finding for test in tests[1:] for finding in cables_changed(tests[0].modes, test.modes)]
+
+
+def _by_number(path: str) -> list[tuple[int, str]]:
+    """Run 2 comes before run 10."""
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", path)]
+
+
+def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:
+    try:
+        source = read_record(file)
+        picked = options.get("pick")
+        modes = identify_modes(source.record, **{**options, "pick": source.pick if picked is None else picked})
+        if source.notes:
+            modes = dataclasses.replace(modes, findings=(*source.notes, *modes.findings))
+    except CvxshearError as error:
+        if isinstance(error, NoSolutionError):
+            return NoSolutionError(error.backend, f"{file}: {error.reason}")
+        return error if str(error).startswith(file) else type(error)(f"{file}: {error}")
+    return IdentifiedRecord(file, modes, source.frame, source.priors, source.added_mass, source.state)

@@ -1,0 +1,395 @@
+"""The record file: a small TOML text that says which column of which file is which floor, and what drove it.
+
+Its tables are `[record]` (kind, input, file, sampling rate, ...), one `[[channel]]` for each column used
+(column, floor, axis, sign, calibration) and, where there are several files, one `[[run]]` for each; docs/modal.md
+has them all.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvxshear.io.columns import LIMIT, Columns
+from cvxshear.io.formats import read_columns
+from cvxshear.io.inputs import MEGABYTE, named_after
+from cvxshear.io.record_tables import (
+    ChannelDeclaration,
+    channels_of,
+    driver_of,
+    pieces_of,
+    placed,
+    runs_of,
+    since_first,
+    tables_of,
+)
+from cvxshear.io.toml import parse, read_text
+from cvxshear.measurement.experiment import MOST_STORIES
+from cvxshear.records.findings import finding
+from cvxshear.records.motion import DrivenRecord, DrivenRun
+from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats
+from cvxshear.util.writing import write_file
+
+RECORD_KEYS = (
+    "name", "kind", "input", "input_floor", "file", "sampling_rate", "time", "time_unit", "frequency", "axis",
+    "stories", "quantity", "band", "exponential_window", "truncated", "pick", "size_limit",
+)  # fmt: skip
+HEADER = re.compile(r"^[ \t]*\[record\][ \t]*(#.*)?\n", re.MULTILINE)
+NEXT_TABLE = re.compile(r"^[ \t]*\[+\w", re.MULTILINE)
+PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
+"""Patterns of the header of the record's table, of the next table's, and of the line of poles picked by hand."""
+
+OFF_CENTER = 50.0
+"""m from the center of a floor to a sensor; few halls are wider than twice that."""
+SLENDER = 20.0
+"""Story heights from the center of a floor to a sensor: 60 m in a building, 8 m in a frame of a laboratory."""
+FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFile:
+    """A record, and what its file says of the frame besides.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    frame : dict
+        The table `[frame]`, for the measurement file.
+    priors : list of dict
+        The tables `[[prior]]`, for the measurement file.
+    added_mass : list of float, optional
+        kg on each floor during the record.
+    state : str, optional
+        The state of the frame that was tested; records of one state share it.
+    pick : list of float, optional
+        Hz; frequencies of the modes, chosen by hand.
+    files : tuple of Path
+        The record file and those it names.
+    notes : tuple of Finding
+        What was left out of the files' samples.
+    """
+
+    record: Record
+    frame: Mapping[str, object] = field(default_factory=dict)
+    priors: Sequence[Mapping[str, object]] = ()
+    added_mass: Sequence[float] | None = None
+    state: str | None = None
+    pick: Sequence[float] | None = None
+    files: tuple[Path, ...] = ()
+    notes: tuple[Finding, ...] = ()
+
+
+def read_record(path: str | Path) -> RecordFile:
+    """Read a record file and the files it names.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the TOML text; the files it names are looked for beside it.
+
+    Returns
+    -------
+    RecordFile
+
+    Raises
+    ------
+    InputError
+        Naming the file, and the key or the channel and the line, and what would be right.
+    """
+    path = Path(path)
+    tables = RecordTables(path)
+    frame, priors = tables.table.get("frame", {}), tables.table.get("prior", [])
+    in_tables = isinstance(priors, list) and all(isinstance(prior, Mapping) for prior in priors)
+    if not isinstance(frame, Mapping) or not in_tables:
+        raise InputError(f"{path}: frame must be a table [frame], prior a list of tables [[prior]]")
+    notes: list[Finding] = []
+    with placed(path):
+        record = _frf_record(tables) if tables.kind == "frf" else _time_record(tables, notes)
+    files = (path, *(path.parent / run["file"] for run in tables.runs))
+    picked = tables.declared.get("pick")
+    if picked is not None:
+        picked = checks.vector(picked, f"{path}: record: pick", above=0.0).tolist()
+    return RecordFile(record, frame, priors, tables.added_mass, tables.state, picked, files, tuple(notes))
+
+
+def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
+    """Write the frequencies of modes that were chosen by hand into a record file; all else in it stays.
+
+    Parameters
+    ----------
+    path : str or Path
+    frequencies : sequence of float
+        Hz.
+
+    Raises
+    ------
+    InputError
+        Where the file has no table `[record]` under a header of its own, or cannot be written.
+    """
+    path = Path(path)
+    text = read_text(path)
+    line = f"pick = [{', '.join(f'{frequency:.5g}' for frequency in frequencies)}]"
+    header = HEADER.search(text)
+    if header is not None:
+        end = NEXT_TABLE.search(text, header.end())
+        body = text[header.end() : end.start() if end else len(text)]
+        changed, count = PICK.subn(line, body, count=1)
+        text = text[: header.end()] + (changed if count else f"{line}\n{body}") + (text[end.start() :] if end else "")
+    table = parse(text, path).get("record")
+    if header is None or not isinstance(table, dict) or len(table.get("pick", ())) != len(frequencies):
+        raise InputError(f"{path} has no table [record] that a line could be written into; write there: {line}")
+    write_file(path, text)
+
+
+class RecordTables:
+    """What a record file declares, each key checked as it stands.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    table, declared : dict
+        The whole file, and its table `[record]`.
+    kind : str
+        "time" or "frf".
+    input : str
+        One of `INPUTS`.
+    channels : list of ChannelDeclaration
+    runs : list of dict
+    name : str
+    added_mass : list of float or None
+        kg.
+    state : str or None
+
+    Raises
+    ------
+    InputError
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.table, lines = tables_of(path)
+        with placed(path):
+            self.declared = declared = checks.keys(self.table["record"], RECORD_KEYS, [], "record")
+            self.kind = checks.choice(declared.get("kind", "time"), ("time", "frf"), "record: kind")
+            for key in ("time", "frequency", "axis"):
+                if key in declared:
+                    checks.text(declared[key], f"record: {key}")
+            self.channels = channels_of(self.table["channel"], declared, path, lines)
+            self.input = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
+            self.name = checks.text(declared.get("name", named_after(path)), "record: name")
+            self.runs = runs_of(self.table, declared)
+            state = self.table.get("state")
+            self.state = None if state is None else checks.text(state, "state")
+        added = self.table.get("added_mass")
+        self.added_mass = None if added is None else checks.vector(added, f"{path}: added_mass", least=0.0).tolist()
+
+    @property
+    def driver(self) -> ChannelDeclaration | None:
+        """The channel that measures what drove the frame."""
+        return driver_of(self.channels, self.input)
+
+    @property
+    def responses(self) -> list[ChannelDeclaration]:
+        """The channels on floors."""
+        driver = self.driver
+        return [item for item in self.channels if item is not driver and item.responds]
+
+    def columns(self, run: Mapping[str, Any]) -> Columns:
+        """Read the columns of a run's file."""
+        limit = self.declared.get("size_limit", LIMIT / MEGABYTE)
+        return read_columns(
+            self.path.parent / run["file"], MEGABYTE * checks.number(limit, "record: size_limit (MB)", above=0.0)
+        )
+
+    def floor(self, place: int, otherwise: int | None = None) -> int:
+        """Find where the force of a run acts, the runs counted from 1."""
+        floor = self.runs[place - 1].get("input_floor", self.declared.get("input_floor", otherwise))
+        if floor is None:
+            raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
+        return checks.whole(floor, f"run {place}: input_floor", least=1, most=MOST_STORIES)
+
+    def pieces(self, needed: Sequence[ChannelDeclaration]) -> tuple[list[Piece], float]:
+        """Read every uninterrupted stretch of every run, and the sampling rate, Hz.
+
+        Parameters
+        ----------
+        needed : sequence of ChannelDeclaration
+            Whose columns must hold numbers throughout.
+
+        Raises
+        ------
+        InputError
+            Where a file cannot be read, or two were sampled at different rates.
+        """
+        driver, found, rates = self.driver, [], []
+        for place, run in enumerate(self.runs, 1):
+            columns = self.columns(run)
+            name = str(run.get("name", Path(run["file"]).name))
+            floor = 0 if driver is None or self.input != "force" else self.floor(place, driver.floor or None)
+            stretches, rate, left_out = pieces_of(columns, needed, self.declared, run, self.path)
+            rates.append((rate, columns.source))
+            if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
+                raise InputError(
+                    f"{columns.source} is sampled at {rate:.6g} Hz, {rates[0][1]} at {rates[0][0]:.6g} Hz: two "
+                    "sampling rates in one record; resample one of them"
+                )
+            for number, rows in enumerate(stretches, 1):
+                part = columns.rows(rows)
+                excitation = None
+                if driver is not None:
+                    excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
+                called = name if len(stretches) == 1 else f"{name}, piece {number}"
+                whole = rows == slice(0, len(columns.values))
+                clock = None if whole else since_first(columns, self.declared)
+                span = (None, None) if clock is None else (round(clock[rows.start], 9), round(clock[rows.stop - 1], 9))
+                found.append(Piece(place, name, called, part, excitation, floor, span, left_out if number == 1 else ""))
+        return found, rates[0][0]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """An uninterrupted stretch of a run.
+
+    Parameters
+    ----------
+    place : int
+        Of its run, counted from 1.
+    run, name : str
+        Names of the run, and of the piece where it has several.
+    columns : Columns
+    excitation : ndarray, shape (samples,), or None
+        m/s2 or N.
+    floor : int
+        Where a force acts, 0 but for a force.
+    span : tuple of (float or None, float or None)
+        Start and end in its file, s; None where the piece is all of it.
+    left_out : str
+        What of the run is in no piece, said by its first one.
+    """
+
+    place: int
+    run: str
+    name: str
+    columns: Columns
+    excitation: Floats | None
+    floor: int
+    span: tuple[float | None, float | None]
+    left_out: str
+
+
+def _common(tables: RecordTables) -> dict[str, Any]:
+    """Return what records of both kinds have."""
+    declared = tables.declared
+    return {
+        "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
+        "quantity": declared.get("quantity", "acceleration"),
+        "band": declared.get("band"),
+        "exponential_window": declared.get("exponential_window"),
+        "name": tables.name,
+    }
+
+
+def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
+    driver, responses = tables.driver, tables.responses
+    quantities = {item.quantity for item in responses}
+    if len(quantities) > 1:
+        raise InputError(f"the responses are {' and '.join(sorted(quantities))}; a record holds one quantity")
+    pieces, rate = tables.pieces([*responses, *([] if driver is None else [driver])])
+    for piece in pieces:
+        if piece.left_out:
+            count = sum(each.place == piece.place for each in pieces)
+            notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
+    if not responses:
+        raise InputError("no channel is on a floor above the ground")
+    notes.extend(_far_off(responses, tables.table.get("frame", {}).get("story_heights")))
+    runs = []
+    for each in pieces:
+        table = [item.factor * each.columns.column(item.name, item.place or tables.path.name) for item in responses]
+        runs.append(Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
+    common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
+    return TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
+
+
+def _far_off(channels: Sequence[ChannelDeclaration], heights: object) -> Iterator[Finding]:
+    """Ask about sensors that are declared farther from the center of their floor than frames are wide."""
+    known = [each for each in (heights if isinstance(heights, list) else [heights]) if isinstance(each, int | float)]
+    limit = min(OFF_CENTER, SLENDER * max(known, default=np.inf))
+    for channel in channels:
+        off = 0.0 if channel.position is None else float(np.hypot(*channel.position))
+        if off > limit:
+            beyond = f"in a frame with stories of {max(known):g} m" if known else "farther than in most halls"
+            yield finding("position", {"channel": channel.name, "off": off}, where=channel, beyond=beyond)
+
+
+def _frf_record(tables: RecordTables) -> FrfRecord:
+    declared, channels = tables.declared, tables.channels
+    if declared.get("input", "force") != "force":
+        raise InputError('record: frequency response functions have input = "force"')
+    made, axes = [], []
+    for place, run in enumerate(tables.runs, 1):
+        columns = tables.columns(run)
+        name = declared.get("frequency") or next((item for item in FREQUENCY_NAMES if item in columns.names), None)
+        if name is None:
+            raise InputError(f"record: give frequency, the name of the frequency column of {columns.source}")
+        axes.append((columns.column(name, "record: frequency"), columns.source))
+        floor = tables.floor(place)
+        responses = np.column_stack([_complex(columns, item, tables.path) for item in channels])
+        made.append(FrfRun(responses, floor, run.get("name", Path(run["file"]).name)))
+    for axis, source in axes[1:]:
+        if axis.shape != axes[0][0].shape or not np.allclose(axis, axes[0][0], rtol=1e-6):
+            raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
+    return FrfRecord(
+        tuple(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
+        truncated=declared.get("truncated"),
+    )  # fmt: skip
+
+
+def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
+    asked = item.place or path.name
+    real, imaginary = f"{item.name}_re", f"{item.name}_im"
+    return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
+
+
+def read_motion(path: str | Path) -> DrivenRecord:
+    """Read what drove a frame from a record file, with the floors' accelerations where it names such channels.
+
+    Parameters
+    ----------
+    path : str or Path
+        As for `read_record`; here a channel of the ground, or of the force, is enough.
+
+    Returns
+    -------
+    DrivenRecord
+
+    Raises
+    ------
+    InputError
+        As `read_record` does, and where nothing says what drove the frame.
+    """
+    tables = RecordTables(Path(path))
+    with placed(tables.path):
+        driver = tables.driver if tables.kind == "time" else None
+        if driver is not None and not tables.responses:
+            pieces, rate = tables.pieces([driver])
+            added = None if tables.added_mass is None else np.array(tables.added_mass)
+            runs = []
+            for _, stretches in groupby(pieces, key=lambda each: each.place):
+                longest = max(stretches, key=lambda each: len(each.columns.values))
+                assert longest.excitation is not None
+                runs.append(DrivenRun(longest.excitation, longest.floor, name=longest.run))
+            return DrivenRecord(tuple(runs), rate, tables.input, added_mass=added, name=tables.name, state=tables.state)
+    found = read_record(path)
+    return DrivenRecord.of(found.record, found.added_mass, found.state)

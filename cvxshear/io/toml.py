@@ -1,0 +1,307 @@
+"""The measurement file: an experiment as TOML, read and written."""
+
+import dataclasses
+import json
+import os
+import re
+import textwrap
+import tomllib
+from collections.abc import Iterable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from cvxshear.effects import catalogue
+from cvxshear.io.formats import FORMATS, format_of, naming_keys, refuse_data
+from cvxshear.io.inputs import named_after, read_bytes
+from cvxshear.measurement.experiment import Experiment
+from cvxshear.util import checks
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import InputError
+from cvxshear.util.text import Inserted, escaped, printable
+from cvxshear.util.writing import write_file
+
+LARGEST_FILE = 5_000_000
+"""Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
+
+MEASURED_FRAMES = (
+    "los-alamos", "mini-flexible-northridge", "mini-flexible-sine", "mini-stiff-northridge", "mini-stiff-sine",
+    "southampton", "e-defense", "iasc-asce-x", "iasc-asce-y", "ucl-loosened-joints",
+)  # fmt: skip
+"""Tables of modes of measured frames that travel with the package, each with its source."""
+
+BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
+"""Examples that travel with the package, and where they stand in it."""
+
+LONGEST_KEY = 16
+"""Parts, with dots between; the time that reading a key takes grows with their square."""
+
+_HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
+"""A line that begins a table, which no line of samples does."""
+
+_LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
+
+
+def load(path: str | Path) -> Experiment:
+    """Read a measurement file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, or a built-in example: "paper", the published two-story test frame in three configurations;
+        "los-alamos", the published frequencies of a three-story structure in nine states; or another of the measured
+        frames in `cvxshear.io.toml.MEASURED_FRAMES`. A file of such a name in the current folder is reached as
+        "./paper", or as a Path.
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    InputError
+        Naming the file, and the key, the value found and what would be right.
+    """
+    if is_built_in(path):
+        return Experiment.from_dict(tomllib.loads(built_in_text(str(path))), name=str(path))
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(
+            f"load takes the name of a measurement file, not {shown(path)}; a dict goes to Experiment.from_dict"
+        )
+    path = Path(path)
+    declared = read_tables(path)
+    if "record" in declared:
+        raise InputError(
+            f"{path} is a record file (it has a table [record]), not a measurement file: "
+            f"'cvxshear modes {path} -o test.toml' makes one of it, and 'cvxshear loop {path}' takes it as it is"
+        )
+    with checks.named(str(path)):
+        experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
+        for expected in experiment.expected:
+            checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
+    if experiment.report.photograph is not None:
+        beside = dataclasses.replace(experiment.report, photograph=str(path.parent / experiment.report.photograph))
+        experiment = dataclasses.replace(experiment, report=beside)
+    return experiment
+
+
+def read_tables(path: Path) -> dict[str, object]:
+    """Read the tables of a TOML file that is no file of samples."""
+    refuse_data(path)
+    return parse(read_text(path), path)
+
+
+def is_built_in(path: object) -> bool:
+    """Whether this is the name of an example that travels with the package."""
+    return isinstance(path, str) and path in BUILT_IN
+
+
+def built_in_text(name: str) -> str:
+    """Read the text of an example that travels with the package."""
+    return resources.files("cvxshear").joinpath(*BUILT_IN[name]).read_text(encoding="utf-8")
+
+
+def read_text(path: Path) -> str:
+    """Read the text of a file that a user named."""
+    *most, last = BUILT_IN
+    absent = f"the built-in examples are called {', '.join(most)} and {last}"
+    content = read_bytes(path, LARGEST_FILE, "too many for a measurement file", absent=absent)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        refuse_data(path, toml=False)
+        raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Read the JSON of a result that a command wrote."""
+    text = read_text(path)
+    try:
+        found = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"{path} is not valid JSON: {error}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{path} must hold the result of identify or loop, not {checks.shown(found)}")
+    return found
+
+
+def parse(text: str, path: Path) -> dict[str, object]:
+    """Parse the tables of a TOML text."""
+    where = str(path)
+    found = _LONG_KEY.search(text)
+    if found is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise InputError(f"{where} is not valid TOML: a key of more than {LONGEST_KEY} parts (at line {line})")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        if not _HEADING.search(text):
+            refuse_data(Path(path), toml=False)
+        raise InputError(f"{where} is not valid TOML: {error}") from None
+    except ValueError:
+        # The one that tomllib passes on: Python refuses whole numbers of more than a few thousand digits.
+        raise InputError(f"{where}: a number in it has thousands of digits; is it a measurement file?") from None
+    except RecursionError:
+        raise InputError(f"{where} is not valid TOML: nested too deeply") from None
+
+
+def is_record_file(path: str | Path) -> bool:
+    """Whether a TOML file declares a record (a table [record]) and not a measurement.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a built-in example, as in `load`.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    return not is_built_in(path) and "record" in read_tables(Path(path))
+
+
+def files_of(path: str | Path) -> tuple[Path, ...]:
+    """List the files that a measurement or a record file is made of: itself, and those that its tables name.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a built-in example, made of none. A result's JSON names no other file.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    if is_built_in(path):
+        return ()
+    path = Path(path)
+    try:
+        declared = parse(read_text(path), path)
+    except InputError:
+        # A result's JSON names no other file, nor does a file of samples, which the command will refuse.
+        if path.suffix.lower() != ".json" and format_of(path) is None:
+            raise
+        return (path,)
+    tables: list[object] = []
+    for value in declared.values():
+        tables += value if isinstance(value, list) else [value]
+    named = [each.get(key) for each in tables if isinstance(each, dict) for key in naming_keys()]
+    return (path, *(path.parent / name for name in named if isinstance(name, str)))
+
+
+def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the tables of a measurement file, the files that its configurations name read.
+
+    Parameters
+    ----------
+    declared : dict
+    folder : Path
+        Where the files are looked for.
+
+    Returns
+    -------
+    dict
+        What a configuration says itself goes before what its file says.
+
+    Raises
+    ------
+    InputError
+        Naming the configuration, and what is wrong with its file.
+    """
+    tables = declared.get("configuration")
+    if not isinstance(tables, list):
+        return dict(declared)
+    return {**declared, "configuration": [_resolved(table, place, folder) for place, table in enumerate(tables, 1)]}
+
+
+def _resolved(table: object, place: int, folder: Path) -> object:
+    readers = {each.name: each for each in FORMATS if each.modes is not None}
+    named = [key for key in readers if isinstance(table, Mapping) and key in table]
+    if not named or not isinstance(table, Mapping):
+        return table
+    where = f"configuration {place}"
+    said = [*named, *(key for key in ("frequencies", "mode_shapes") if key in table)]
+    if len(said) > 1:
+        raise InputError(f"{where}: {' and '.join(said)} all say what the modes are; give one")
+    key = named[0]
+    file = folder / checks.text(table[key], f"{where}: {key}")
+    return {**readers[key].read_modes(file), **{name: value for name, value in table.items() if name != key}}
+
+
+COMMENT_WIDTH = 110
+WRITTEN_DIGITS = 8
+"""Significant ones: no record tells more."""
+
+LARGE = 2_500
+"""Numbers of a table from which on it is written in one piece: shapes of fifty modes at fifty floors."""
+
+_NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
+"""A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""
+
+
+def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: Iterable[str] = ()) -> None:
+    """Write a dict of the measurement file's shape as TOML.
+
+    Parameters
+    ----------
+    path : str or Path
+        Replaced where it exists, and only once the whole file has been written.
+    declared : dict
+        Tables, lists of tables, and in them texts, numbers, flags and lists of numbers.
+    comments : iterable of str, optional
+        Lines for the head of the file.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    head = [
+        # A line break in a comment must not end it.
+        f"# {line}\n"
+        for comment in comments
+        for line in textwrap.wrap(printable(" ".join(comment.split())), COMMENT_WIDTH, subsequent_indent="  ",
+                                  break_long_words=False, break_on_hyphens=False)
+    ]  # fmt: skip
+    tables = Inserted()
+    # A row of a shape is a line of the file.
+    text = _NUMBERS.sub(
+        lambda numbers: "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]",
+        escaped(tomli_w.dumps(_plain(declared, tables))),
+    )
+    write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
+
+
+def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
+    """Return the value as a table, where it is a large one of numbers."""
+    rows = len(value)
+    width = len(value[0]) if rows and isinstance(value[0], list | tuple | np.ndarray) else 0
+    if rows * width < LARGE:
+        return None
+    try:
+        found = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return found if found.ndim == 2 else None
+
+
+def _plain(value: Any, tables: Inserted) -> Any:
+    """Convert the value to Python's own types, numbers rounded; a mark for a large table."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each, tables) for key, each in value.items()}
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
+        table = _table_of(value)
+        if table is not None:
+            # Written row by row: number by number takes ten times as long.
+            row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
+            return tables.mark("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each, tables) for each in value]
+    return float(f"{value:.{WRITTEN_DIGITS}g}") if isinstance(value, float) else value

@@ -1,0 +1,282 @@
+"""Optimality conditions of a program at an answer, evaluated on the program as the caller stated it.
+
+The scaling for the solver does not enter, so that a mistake in it, or in its inverse, shows. Each residual is a
+difference of terms and is divided by their sizes, which makes it free of units.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from cvxshear.util.results import InJson
+from cvxshear.util.typing import Floats
+
+NEAR_ZERO = 1e-3
+"""Fraction of the solution's norm, in units of each column, that is added to an unknown's size. Without it a bound at
+zero would have to be met exactly. With a thousandth, small unknowns keep three digits fewer than large ones."""
+
+NEAR_NOTHING = 1e-7
+"""Fraction of the right side, in units of each column, that is added too. The last step of an iteration is rounding,
+and so are its violations. The value is well above the rounding of ill-conditioned rows."""
+
+AT_ROUNDING = 2e-10
+"""Fraction of the largest row's terms that is added to the terms of every row. A millionth of it, the accepted dual
+residual, is the rounding of that row; an unknown with tiny coefficients has a gradient of that size."""
+
+
+@dataclass(frozen=True)
+class Certificate(InJson):
+    r"""How well a solution meets the optimality conditions, computed here from the program and the solution.
+
+    Parameters
+    ----------
+    primal_residual : float
+        Largest violation of a constraint.
+    dual_residual : float
+        Largest entry of the Lagrangian's gradient, and largest multiplier of the wrong sign.
+    duality_gap : float
+        Primal less dual objective.
+    error_bound : float or None
+        Largest error of an unknown, relative to its size; None before it is computed. `Solution.errors` has the
+        bounds of all unknowns in their own units.
+
+    Notes
+    -----
+    All four are of the program as it was handed in, and none changes with the units of unknowns, rows or weights. With
+    R and s the weighted rows, the size of an unknown is
+
+    .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
+
+    its second term no more than the largest of :math:`|b| / |a_j|` over the equalities that it is in, and what is set
+    in relation is
+
+    * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
+    * entry j of the gradient to :math:`\sum_i |R_{ij}| r_i + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
+      :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of what the residual Rx - s is made of, and
+      :math:`2 \cdot 10^{-10}` of the largest of them;
+    * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|` with :math:`r = \sum_k |R_k x_k| + |s|`;
+    * the error of unknown j to :math:`X_j`.
+
+    The bound on the error is that of `cvxshear.backends.minimizer`: the distance to the minimizer on the active
+    constraints, and the rounding of that minimizer itself.
+    """
+
+    primal_residual: float
+    dual_residual: float
+    duality_gap: float
+    error_bound: float | None = None
+
+    @property
+    def worst(self) -> float:
+        """The largest of the three residuals; nan where one is nan."""
+        return float(np.max([self.primal_residual, self.dual_residual, self.duality_gap]))
+
+
+class Acceptance(StrEnum):
+    """How the answer of a solver became the solution."""
+
+    AS_GIVEN = "as given"
+    """The answer passed the certificate and is accurate."""
+    POLISHED = "polished"
+    """The answer passed the certificate; the closed form on its active constraints has more correct digits."""
+    REPLACED = "replaced"
+    """The answer did not pass; the closed form on its active constraints took its place."""
+
+
+@dataclass(frozen=True)
+class ActiveConstraint(InJson):
+    """A constraint that holds with equality at the solution, and its price.
+
+    Parameters
+    ----------
+    constraint : str
+        "A", "G", "lower" or "upper".
+    index : int
+        Its row of A or G, or its unknown, from 0.
+    name : str
+        The unknown of a bound; the statement of a row.
+    source : str
+        The statement that the constraint comes from; empty if the program does not say.
+    dual : float
+        The objective changes by -dual for each unit that is added to the right side or to the bound.
+    """
+
+    constraint: str
+    index: int
+    name: str
+    source: str
+    dual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """An answer to a program as it was handed in.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+    y : ndarray, shape (a,)
+        Multipliers of the equalities.
+    w : ndarray, shape (g,)
+        Multipliers of the rows of `LeastSquares.inequalities`.
+    """
+
+    x: Floats
+    y: Floats
+    w: Floats
+
+
+class HasArrays(Protocol):
+    """The arrays of a program, as certificates need them."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each unknown, or nothing."""
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns n."""
+
+    @property
+    def weighted(self) -> tuple[Floats, Floats]:
+        """W R and W s."""
+
+    @property
+    def equalities(self) -> tuple[Floats, Floats]:
+        """A and b."""
+
+    @property
+    def inequalities(self) -> tuple[Floats, Floats]:
+        """G and h, the finite bounds among the rows."""
+
+
+class Assembled:
+    """A program's arrays, bounds among the inequalities, with the lengths of its columns.
+
+    Parameters
+    ----------
+    program : LeastSquares
+
+    Attributes
+    ----------
+    R, s : ndarray, shapes (r, n) and (r,)
+        Weighted.
+    A, b, G, h : ndarray
+        Equalities A x = b and inequalities G x <= h.
+    lengths : ndarray, shape (n,)
+        Of the columns of R; one where a column is zero.
+    names : tuple of str
+        What each unknown is called in messages.
+    """
+
+    def __init__(self, program: HasArrays) -> None:
+        self.program: Any = program
+        self.R, self.s = program.weighted
+        self.A, self.b = program.equalities
+        self.G, self.h = program.inequalities
+        self.names = program.names or tuple(f"unknown {j}" for j in range(1, program.unknowns + 1))
+        lengths = np.sqrt(np.einsum("ij,ij->j", self.R, self.R))
+        self.lengths: Floats = np.where(lengths > 0, lengths, 1.0)
+
+    @cached_property
+    def scaled_rows(self) -> Floats:
+        """R with columns of unit length."""
+        return np.asarray(self.R / self.lengths)
+
+    @cached_property
+    def absolute_rows(self) -> Floats:
+        """Absolute values of the same."""
+        return np.abs(self.scaled_rows)
+
+    @cached_property
+    def side_length(self) -> float:
+        """|s|."""
+        return length(self.s)
+
+    @cached_property
+    def inequality_lengths(self) -> Floats:
+        """Lengths of the rows of G once the columns of R have unit length; one where a row is zero."""
+        return self.row_lengths(self.G)
+
+    def row_lengths(self, rows: Floats) -> Floats:
+        """Lengths of any rows once the columns of R have unit length; one where a row is zero."""
+        scaled = rows / self.lengths
+        lengths = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
+        return np.asarray(np.where(lengths > 0, lengths, 1.0))
+
+    @cached_property
+    def absolute(self) -> tuple[Floats, Floats]:
+        """Absolute values of A and G."""
+        return np.abs(self.A), np.abs(self.G)
+
+    def size(self, x: Floats) -> Floats:
+        """Size of each unknown, see `Certificate`."""
+        reach = NEAR_ZERO * length(self.lengths * x) + NEAR_NOTHING * self.side_length
+        return np.asarray(np.abs(x) + np.minimum(reach / self.lengths, self.constrained_sizes))
+
+    @cached_property
+    def constrained_sizes(self) -> Floats:
+        """The largest that an equality's right side makes of each unknown by itself; infinite where none does."""
+        sides = np.abs(self.b)[:, None]
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            each = np.where((self.A != 0) & (sides > 0), sides / np.abs(self.A), 0.0)
+        largest = np.max(each, axis=0, initial=0.0)
+        return np.asarray(np.where(largest > 0, largest, np.inf))
+
+    def magnitude(self, x: Floats) -> float:
+        """Add up the sizes of the terms of R x - s: the columns times the unknowns, and s."""
+        return float(self.lengths @ np.abs(x)) + self.side_length
+
+    def distance(self, x: Floats, other: Floats) -> float:
+        """How far apart two points are for the rows, relative to what these are made of."""
+        return largest_relative(
+            np.array(length(self.R @ (x - other))), np.array(length(self.R @ other) + self.side_length)
+        )
+
+
+def certify(program: Assembled, point: Point) -> Certificate:
+    """Evaluate a program's optimality conditions at a point; there is no bound on its error yet.
+
+    Parameters
+    ----------
+    program : Assembled
+    point : Point
+    """
+    x, y, w = point.x, point.y, point.w
+    absolute_A, absolute_G = program.absolute
+    size, magnitude = program.size(x), program.magnitude(x)
+    equality, slack = program.A @ x - program.b, program.h - program.G @ x
+    gradient = program.R.T @ (program.R @ x - program.s) + program.A.T @ y + program.G.T @ w
+    terms = program.absolute_rows @ np.abs(program.lengths * x) + np.abs(program.s)
+    terms = terms + AT_ROUNDING * np.max(terms, initial=0.0)
+    gradient_size = program.lengths * (program.absolute_rows.T @ terms)
+    gradient_size += absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
+    wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
+    # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
+    # gap is what the constraints contribute to it.
+    gap = abs(float(w @ slack) - float(y @ equality))
+    objective_size = 0.5 * magnitude**2 + np.abs(y) @ np.abs(program.b) + np.abs(w) @ np.abs(program.h)
+    of_equalities = largest_relative(np.abs(equality), np.abs(program.b) + absolute_A @ size)
+    of_inequalities = largest_relative(np.maximum(-slack, 0.0), np.abs(program.h) + absolute_G @ size)
+    return Certificate(
+        primal_residual=max(of_equalities, of_inequalities),
+        dual_residual=largest_relative(np.maximum(np.abs(gradient), wrong_sign), gradient_size),
+        duality_gap=largest_relative(np.array(gap), objective_size),
+    )
+
+
+def largest_relative(difference: Floats, size: Floats) -> float:
+    """Find the largest difference relative to the size of its terms; zero of zero terms is no difference."""
+    if not difference.size:
+        return 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.max(np.where(difference == 0, 0.0, difference / size)))
+
+
+def length(vector: Floats) -> float:
+    """Compute the Euclidean length of a vector; numpy's `norm` takes several times as long on short ones."""
+    return math.sqrt(float(vector @ vector))

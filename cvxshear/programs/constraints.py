@@ -1,0 +1,225 @@
+"""What is known exactly or softly of a quantity, as constraints and rows of a program."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linprog
+
+from cvxshear.measurement.experiment import Experiment, Frame
+from cvxshear.priors import Constraints, Prior
+from cvxshear.programs.least_squares import LeastSquares
+from cvxshear.util.errors import InfeasibleError
+from cvxshear.util.typing import Floats
+
+REMAINDER_ROUNDING = 1e-13
+"""Rounding of a sum, relative to the sizes of its terms."""
+
+
+def remaining(side: Floats, rows: Floats, origin: Floats) -> Floats:
+    """Compute side - rows @ origin, with zero in place of rounding.
+
+    Otherwise two statements of the same fact (a total, and all floor masses) contradict each other in their last
+    digits as soon as a step is that short.
+    """
+    result = side - rows @ origin
+    rounding = REMAINDER_ROUNDING * (np.abs(side) + np.abs(rows) @ np.abs(origin))
+    return np.where(np.abs(result) <= rounding, 0.0, result)
+
+
+@dataclass(frozen=True, eq=False)
+class NamedConstraints:
+    """Exact statements about one vector, and their name for messages."""
+
+    name: str
+    constraints: Constraints
+
+
+def statements(
+    priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None, least: float = 0.0
+) -> list[NamedConstraints]:
+    """Collect the exact statements about one quantity: positivity, what the frame declares, and the priors.
+
+    Parameters
+    ----------
+    priors : sequence of Prior
+    quantity : str
+        "floor_mass" (without added mass) or "story_stiffness".
+    stories : int
+    frame : Frame, optional
+        For floor masses: its declared total mass or floor masses hold.
+    least : float, optional
+        Smallest value that counts as positive, kg or N/m: a frame without mass or stiffness has no modes.
+    """
+    result = [NamedConstraints(f"{quantity} is positive", Constraints(lower=np.full(stories, least)))]
+    if quantity == "floor_mass" and frame is not None:
+        if frame.floor_masses is not None:
+            result.append(NamedConstraints("floor_masses", Constraints(A=np.eye(stories), b=frame.floor_masses)))
+        elif frame.total_mass is not None:
+            known = Constraints(A=np.ones((1, stories)), b=np.array([frame.total_mass]))
+            result.append(NamedConstraints(f"total_mass = {frame.total_mass:g} kg", known))
+    return result + [
+        NamedConstraints(f"prior: {prior.describe()}", prior.constraints(stories))
+        for prior in priors
+        if prior.quantity == quantity
+    ]
+
+
+def exact_frame(frame: Frame, *, total_released: bool = False) -> Frame:
+    """Return the frame without its total mass, if that is uncertain or released by an effect."""
+    uncertain = total_released or frame.total_mass_std is not None
+    if frame.floor_masses is None and frame.total_mass is not None and uncertain:
+        return dataclasses.replace(frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False)
+    return frame
+
+
+def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin: Floats) -> LeastSquares:
+    """Constrain a program, whose unknown x is a change of a quantity from `origin`, by exact statements.
+
+    Parameters
+    ----------
+    program : LeastSquares
+        It may have equalities, but no inequalities and bounds.
+    parts : sequence of NamedConstraints
+        About origin + x.
+    origin : ndarray, shape (n,)
+    """
+    n = program.unknowns
+    A, b = ([each] for each in program.equalities)
+    G, h = [np.zeros((0, n))], [np.zeros(0)]
+    lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
+    sources: dict[str, list[str]] = {
+        "A": list(program.sources.get("A", ("",) * len(b[0]))), "G": [], "lower": [""] * n, "upper": [""] * n,
+    }  # fmt: skip
+    for part in parts:
+        stated = part.constraints
+        if stated.G is not None and stated.h is not None:
+            G.append(stated.G)
+            h.append(remaining(stated.h, stated.G, origin))
+            sources["G"] += [part.name] * len(stated.h)
+        if stated.A is not None and stated.b is not None:
+            A.append(stated.A)
+            b.append(remaining(stated.b, stated.A, origin))
+            sources["A"] += [part.name] * len(stated.b)
+        if stated.lower is not None:
+            for place in np.flatnonzero(stated.lower - origin > lower):
+                sources["lower"][place] = part.name
+            lower = np.maximum(lower, stated.lower - origin)
+        if stated.upper is not None:
+            for place in np.flatnonzero(stated.upper - origin < upper):
+                sources["upper"][place] = part.name
+            upper = np.minimum(upper, stated.upper - origin)
+    return program.replace(
+        G=np.concatenate(G), h=np.concatenate(h), A=np.concatenate(A), b=np.concatenate(b), lower=lower, upper=upper,
+        sources={name: tuple(each) for name, each in sources.items()},
+    )  # fmt: skip
+
+
+def softened(
+    program: LeastSquares, priors: Sequence[Prior], quantity: str, at: Floats, row_std: float, *, step: bool
+) -> LeastSquares:
+    """Add the soft priors as further rows, linearized at the values `at`.
+
+    Parameters
+    ----------
+    program : LeastSquares
+        Its unknown is the quantity itself or, with `step`, its change from `at`.
+    priors : sequence of Prior
+    quantity : str
+    at : ndarray, shape (n,)
+    row_std : float
+        Standard deviation of the program's own rows, by which the soft priors are weighed.
+    step : bool
+    """
+    soft = [prior.residual(at) for prior in priors if prior.quantity == quantity]
+    r = np.concatenate([np.zeros(0), *(part[0] for part in soft)])
+    if not r.size:
+        return program
+    J = np.concatenate([part[1] for part in soft])
+    R, s = program.weighted
+    return program.replace(
+        R=np.concatenate([R / row_std, J]), s=np.concatenate([s / row_std, -r if step else J @ at - r]), W=None
+    )
+
+
+def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
+    """Scale each row to a largest coefficient of 1: HiGHS has absolute tolerances and drops tiny coefficients."""
+    largest = np.max(np.abs(rows), axis=1, initial=0.0)
+    largest[largest == 0] = 1.0
+    return rows / largest[:, None], sides / largest
+
+
+def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
+    """Whether some vector satisfies every statement."""
+    together = constrained(LeastSquares(np.zeros((0, size)), np.zeros(0)), parts, np.zeros(size))
+    (G, h), (A, b) = _scaled(*together.inequalities), _scaled(*together.equalities)
+    scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
+    stated: dict[str, Any] = {"A_ub": G, "b_ub": h / scale} if len(G) else {}
+    stated |= {"A_eq": A, "b_eq": b / scale} if len(A) else {}
+    found = linprog(np.zeros(size), **stated, bounds=(None, None), method="highs")
+    return bool(found.status != 2)
+
+
+def plainly_feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
+    """Whether the statements are lower bounds and at most one weighted sum greater than the same sum of the bounds.
+
+    Then a feasible point exists, and no linear program is needed.
+    """
+    lower = np.full(size, -np.inf)
+    sums: list[tuple[Floats, float]] = []
+    for part in parts:
+        stated = part.constraints
+        if stated.upper is not None or stated.G is not None:
+            return False
+        if stated.lower is not None:
+            lower = np.maximum(lower, stated.lower)
+        if stated.A is not None and stated.b is not None:
+            sums += [(row, float(side)) for row, side in zip(stated.A[:2], stated.b[:2], strict=True)]
+        if len(sums) > 1:
+            return False
+    if not sums:
+        return True
+    row, side = sums[0]
+    return bool(np.all(row > 0) and np.all(np.isfinite(lower)) and row @ lower < side)
+
+
+def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
+    """Raise if the statements cannot all be true.
+
+    The deletion filter of Chinneck and Dravnieks (1991) drops one statement after the other as long as the others
+    still contradict each other, so that the message names a smallest set.
+
+    Raises
+    ------
+    InfeasibleError
+        Naming the statements that contradict each other.
+    InputError
+        If a statement is not about a vector of `size` numbers.
+    """
+    for part in parts:
+        part.constraints.check(size, part.name)
+    if plainly_feasible(parts, size) or feasible(parts, size):
+        return
+    core = list(parts)
+    for part in parts:
+        without = [other for other in core if other is not part]
+        if without and not feasible(without, size):
+            core = without
+    raise InfeasibleError("these cannot all be true: " + "; ".join(part.name for part in core))
+
+
+def refuse_contradicting(experiment: Experiment) -> None:
+    """Raise if the declared masses and the exact priors of an experiment cannot all be true.
+
+    Raises
+    ------
+    InfeasibleError
+        Naming a smallest set of statements that contradict each other.
+    """
+    n, priors = experiment.stories, experiment.priors
+    refuse_contradictions(statements(priors, "floor_mass", n, exact_frame(experiment.frame)), n)
+    refuse_contradictions(statements(priors, "story_stiffness", n), n)

@@ -1,0 +1,309 @@
+"""The paper's programs of an experiment: mass correction, one-shot masses, story stiffnesses, with all that is known.
+
+Each configuration has its own programs, which need all modes at all floors and the total mass. Positivity, declared
+masses and exact priors are constraints. Soft priors are further rows, linearized at given values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.measurement.experiment import Configuration, Experiment, Measurement, opened
+from cvxshear.priors import Prior
+from cvxshear.programs.constraints import NamedConstraints, constrained, refuse_contradicting, softened, statements
+from cvxshear.programs.least_squares import LeastSquares
+from cvxshear.programs.pair_rows import mass_rows, normalized, one_shot_rows, stiffness_rows
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError, UnsuitableError
+from cvxshear.util.quantities import ranged
+from cvxshear.util.typing import Floats
+
+LEAST_POSITIVE = 1e-3
+"""Smallest positive mass, relative to the mean floor mass; the smallest positive stiffness carries it at mode 1.
+
+Solvers cannot resolve a much smaller bound: HiGHS 1.15 fails at 1e-6."""
+
+
+def mass_correction(
+    experiment: Measurement,
+    masses: Sequence[float] | Floats | None = None,
+    *,
+    configuration: str | None = None,
+    priors: Sequence[Prior] = (),
+) -> LeastSquares:
+    """Write one iteration of the paper's mass identification at the given masses (Eqs. 5 to 14).
+
+    Minimize the sum over i <= j of ((phi_i o phi_j)' dm - delta_ij + phi_i' M phi_j)^2 subject to
+    sum(dm) = total - sum(masses), the modes normalized by the given masses (Eq. 3).
+
+    Parameters
+    ----------
+    experiment : Experiment, path or name of a built-in example
+    masses : array_like, shape (N,), optional
+        Floor masses of this iteration without added mass, kg. Default: the total mass spread evenly.
+    configuration : str, optional
+        Name of the configuration. Default: the only one.
+    priors : sequence of Prior, optional
+        In addition to the priors of the experiment; soft ones are linearized at `masses`.
+
+    Returns
+    -------
+    LeastSquares
+        Its unknown x is dm, kg: the next masses are masses + x.
+
+    Raises
+    ------
+    InfeasibleError
+        If declared masses and exact priors contradict each other.
+    InputError
+        If the masses are not N positive numbers, or the configuration is unknown.
+    UnsuitableError
+        If a mode, a floor or the total mass is missing.
+    """
+    test = _chosen(experiment, configuration, priors, "mass_correction")
+    return test.mass_correction(test.start_mass(masses))
+
+
+def one_shot_masses(
+    experiment: Measurement,
+    *,
+    configuration: str | None = None,
+    priors: Sequence[Prior] = (),
+    at: Sequence[float] | Floats | None = None,
+) -> LeastSquares:
+    """Write the one-shot identification of the masses: orthogonality off the diagonal, and the total.
+
+    Minimize the sum over i < j of ((phi_i o phi_j)' m)^2, with modes of unit length, subject to the known total.
+    Exact modes give exact masses without iteration.
+
+    Parameters
+    ----------
+    experiment, configuration, priors
+        As for `mass_correction`.
+    at : array_like, shape (N,), optional
+        Floor masses at which soft priors are linearized, kg. Default: the total mass spread evenly.
+
+    Returns
+    -------
+    LeastSquares
+        Its unknown x is the floor masses without added mass, kg.
+
+    Raises
+    ------
+    InfeasibleError, InputError, UnsuitableError
+        As for `mass_correction`.
+    """
+    test = _chosen(experiment, configuration, priors, "one_shot_masses")
+    return test.one_shot_masses(at=test.start_mass(at))
+
+
+def story_stiffnesses(
+    experiment: Measurement,
+    masses: Sequence[float] | Floats,
+    *,
+    configuration: str | None = None,
+    priors: Sequence[Prior] = (),
+    at: Sequence[float] | Floats | None = None,
+) -> LeastSquares:
+    """Write the identification of the story stiffnesses at the given masses (Eqs. 20 to 24).
+
+    Minimize the sum over i <= j of ((x_i o x_j)' k - delta_ij lambda_i)^2 with the story drifts x = T' phi of the modes
+    normalized by the masses, and lambda_i = (2 pi f_i)^2.
+
+    Parameters
+    ----------
+    experiment, configuration, priors
+        As for `mass_correction`.
+    masses : array_like, shape (N,)
+        Floor masses without added mass, kg.
+    at : array_like, shape (N,), optional
+        Story stiffnesses at which soft priors are linearized, N/m. Default: equal stiffnesses with the first
+        eigenvalue as the Rayleigh quotient of the first mode.
+
+    Returns
+    -------
+    LeastSquares
+        Its unknown x is the story stiffnesses, N/m.
+
+    Raises
+    ------
+    InfeasibleError, InputError, UnsuitableError
+        As for `mass_correction`.
+    """
+    test = _chosen(experiment, configuration, priors, "story_stiffnesses")
+    mass = test.start_mass(masses) + test.configuration.added_mass
+    start = None if at is None else checks.vector(np.asarray(at), "at", length=test.experiment.stories, above=0.0)
+    return test.story_stiffnesses(mass, at=test.even_stiffness(mass) if start is None else start)
+
+
+@dataclass(frozen=True, eq=False)
+class CompleteTest:
+    """One configuration with all modes at all floors and a known total mass.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    configuration : Configuration
+    shapes : ndarray, shape (N, N)
+        One column per mode.
+    eigenvalues : ndarray, shape (N,)
+        (2 pi f)^2.
+    total : float
+        Total mass with added mass, kg.
+    of_masses, of_stiffnesses : list of NamedConstraints
+        Exact statements about the floor masses without added mass, and about the story stiffnesses.
+    shape_std : float
+        Relative standard deviation of the shapes, root mean square, by which soft priors are weighed.
+    rows : bool, optional
+        As for `pair_rows.mass_rows`.
+    """
+
+    experiment: Experiment
+    configuration: Configuration
+    shapes: Floats
+    eigenvalues: Floats
+    total: float
+    of_masses: list[NamedConstraints]
+    of_stiffnesses: list[NamedConstraints]
+    shape_std: float
+    rows: bool | None = None
+
+    @property
+    def mass_row_std(self) -> float:
+        """Standard deviation of a row of the one-shot program: the mean floor mass times that of the shapes, kg."""
+        return self.shape_std * self.total / self.experiment.stories
+
+    @property
+    def stiffness_row_std(self) -> float:
+        """Standard deviation of a row of the stiffness program: the largest eigenvalue times that of the shapes."""
+        return self.shape_std * float(self.eigenvalues.max())
+
+    def start_mass(self, given: Sequence[float] | Floats | None = None) -> Floats:
+        """Return floor masses without added mass, kg: those given, once checked, else the total spread evenly."""
+        n = self.experiment.stories
+        if given is None:
+            return np.full(n, (self.total - self.configuration.added_mass.sum()) / n)
+        return checks.vector(np.asarray(given), "masses", length=n, above=0.0)
+
+    def even_stiffness(self, mass: Floats) -> Floats:
+        """Return equal story stiffnesses for which the Rayleigh quotient of mode 1 is its eigenvalue, N/m."""
+        first = normalized(self.shapes[:, :1], mass)
+        return np.full(len(first), self.eigenvalues[0] / np.sum(np.diff(first[:, 0], prepend=0.0) ** 2))
+
+    def mass_correction(self, net: Floats) -> LeastSquares:
+        """Write Eq. 14 with all that is known, at floor masses without added mass; x is their correction."""
+        mass = net + self.configuration.added_mass
+        plain = mass_rows(normalized(self.shapes, mass), mass, self.total, rows=self.rows)
+        # The statements hold the total already.
+        program = softened(
+            plain.replace(A=None, b=None), self.experiment.priors, "floor_mass", net, self.shape_std, step=True
+        )
+        return constrained(program, self.of_masses, net).replace(title=self._title("mass correction"))
+
+    def one_shot_masses(self, at: Floats | None = None, origin: Floats | None = None) -> LeastSquares:
+        """Write the one-shot program with all that is known.
+
+        Parameters
+        ----------
+        at : ndarray, shape (N,), optional
+            Floor masses at which soft priors are linearized; without it there are no soft priors.
+        origin : ndarray, shape (N,), optional
+            Floor masses from which x is a change. Default: zero.
+        """
+        start = np.zeros(self.experiment.stories) if origin is None else origin
+        added = self.configuration.added_mass
+        plain = one_shot_rows(self.shapes, self.total, rows=self.rows, at=start + added).replace(A=None, b=None)
+        program = plain
+        if at is not None:
+            program = softened(plain, self.experiment.priors, "floor_mass", at, self.mass_row_std, step=False)
+        return constrained(program, self.of_masses, start).replace(title=self._title("one-shot masses"))
+
+    def story_stiffnesses(
+        self, mass: Floats, at: Floats | None = None, origin: Floats | None = None
+    ) -> LeastSquares:
+        """Write Eq. 24 with all that is known, at floor masses with added mass or at a full mass matrix.
+
+        Parameters
+        ----------
+        mass : ndarray, shape (N,) or (N, N)
+        at, origin : ndarray, shape (N,), optional
+            As for `one_shot_masses`.
+        """
+        start = np.zeros(self.experiment.stories) if origin is None else origin
+        plain = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues, rows=self.rows, at=origin)
+        program = plain
+        if at is not None:
+            program = softened(plain, self.experiment.priors, "story_stiffness", at, self.stiffness_row_std, step=False)
+        return constrained(program, self.of_stiffnesses, start).replace(title=self._title("story stiffnesses"))
+
+    def _title(self, what: str) -> str:
+        return f"{what}, {self.configuration.name}"
+
+
+def _chosen(experiment: Measurement, name: str | None, priors: Sequence[Prior], program: str) -> CompleteTest:
+    """Select the configuration of a program."""
+    experiment = opened(experiment).with_priors(tuple(priors))
+    names = [each.name for each in experiment.configurations]
+    if name is None and len(names) > 1:
+        raise InputError(
+            f"{program}: the experiment has {len(names)} configurations; name one of them, such as "
+            f"configuration={names[0]!r}"
+        )
+    chosen = names[0] if name is None else checks.choice(name, names, "configuration")
+    return complete_test(experiment, experiment.configurations[names.index(chosen)], program)
+
+
+def complete_test(
+    experiment: Experiment, configuration: Configuration, user: str, *, rows: bool | None = None
+) -> CompleteTest:
+    """Collect what the programs of one configuration need.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    configuration : Configuration
+    user : str
+        The method or program that needs it, for messages.
+    rows : bool, optional
+
+    Raises
+    ------
+    InfeasibleError
+        If declared masses and exact priors contradict each other.
+    UnsuitableError
+        If a mode, a floor or the total mass is missing.
+    """
+    n = experiment.stories
+    where = f'{user} cannot use configuration "{configuration.name}"'
+    for what, there, needed, how in (
+        ("mode", configuration.modes, f"all {n} modes", "missing"),
+        ("floor", configuration.measured_floors, "every floor", "unmeasured"),
+    ):
+        if len(there) < n:
+            missing = sorted(set(range(1, n + 1)) - set(there.tolist()))
+            which = f"{what} {missing[0]} is" if len(missing) == 1 else f"{what}s {ranged(missing)} are"
+            raise UnsuitableError(f"{where}: it needs {needed}, {which} {how}; use method efficient")
+    if not configuration.complete:
+        mode, floor = np.argwhere(~configuration.measured)[0] + 1
+        raise UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")
+    total = experiment.frame.known_total
+    if total is None:
+        raise UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
+    refuse_contradicting(experiment)
+    eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
+    relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)
+    least = LEAST_POSITIVE * total / n
+    return CompleteTest(
+        experiment,
+        configuration,
+        shapes=configuration.mode_shapes.T,
+        eigenvalues=eigenvalues,
+        total=total + float(configuration.added_mass.sum()),
+        of_masses=statements(experiment.priors, "floor_mass", n, experiment.frame, least),
+        of_stiffnesses=statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0]),
+        shape_std=float(np.sqrt(np.mean(relative**2))),
+        rows=rows,
+    )

@@ -1,0 +1,325 @@
+"""What the identified modes say about the record: clocks, signs, swaps, resolution, reciprocity, amplitude."""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from scipy import optimize, special
+
+from cvxshear.records.amplitude import amplitude_findings
+from cvxshear.records.clocks import straight
+from cvxshear.records.deviations import SENSOR_STD
+from cvxshear.records.estimate import Details, Replication
+from cvxshear.records.findings import finding
+from cvxshear.records.floors import ROTATES
+from cvxshear.records.frf import FrfSource
+from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
+from cvxshear.records.result import OVERLOOKED_KIND, ModalResult
+from cvxshear.records.segments import Segments
+from cvxshear.util.quantities import counted, listed, numbered, significant
+from cvxshear.util.typing import Floats, Ints
+
+A_MODE = 0.3
+"""Probability that a stable pole of no reproducible shape between two modes is a mode of the frame: of another
+direction, of twisting, of a floor or of noise it is as often."""
+
+
+def overlooked_modes(
+    frequencies: Floats, modes: Ints, left_out: Sequence[PoleCandidate], *, floors: int, stories: int
+) -> list[Finding]:
+    """Name the resonances that put the numbers of modes in doubt.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (m,)
+        Of the modes found, Hz.
+    modes : ndarray of int, shape (m,)
+        Their numbers.
+    left_out : sequence of PoleCandidate
+        Stable poles that are none of them.
+    floors : int
+        Measured.
+    stories : int
+
+    Returns
+    -------
+    list of Finding
+        Each with the numbers `frequency`, `modes` as they would be, and `probability`.
+    """
+    if floors == stories:
+        return []
+    between: dict[int, list[float]] = {}
+    for item in left_out:
+        between.setdefault(int(np.searchsorted(frequencies, item.frequency)), []).append(item.frequency)
+    share = A_MODE / max(len(between), 1)
+    findings = []
+    for place, resonances in sorted(between.items()):
+        moved = modes + (np.arange(len(modes)) >= place)
+        if not 0 < place < len(modes) or moved[-1] > stories:
+            continue
+        below, above, at = modes[place - 1], modes[place], listed([f"{each:.4g}" for each in resonances])
+        numbers = {"frequency": resonances[0], "modes": moved.tolist(), "probability": share}
+        findings.append(finding(OVERLOOKED_KIND, numbers, below=below, above=above, at=at, next=above + 1))
+    return findings
+
+
+def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate]) -> list[PoleCandidate]:
+    """List the candidates that are resonances of something, and not among those chosen."""
+    taken = {item.members for item in chosen}
+    return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
+
+
+CLOCK_CERTAIN = 4.5
+"""Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
+STRAIGHT = 0.5
+"""Share of a channel's phases that a clock's straight line may leave: it explains three quarters of their squares."""
+LEAST_TURN = 1.0
+"""Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
+COMPLEX = 5.0
+"""Degrees of phase lost in a real normal mode that are said: the real mode then lacks 0.4 % of the complex one."""
+UNRECIPROCAL = 0.02
+"""Relative difference of a transfer with its direction that is said: of two sensors and a hammer good to 1 %."""
+OTHER = (
+    "{}: torsion, another axis, a local mode, a load that moves on its mounting, a split mode, a multiple of a louder "
+    "frequency, or {}"
+)
+ALIKE = 0.8
+"""Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
+its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories."""
+GAIN_CHANGED = 0.04
+"""Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
+REPEATED = 0.003
+"""Of a mode's largest entry: as much a shape changes from one test of a frame to the next by itself."""
+LARGEST_GAIN = 12.0
+"""Largest change of a gain that is looked for: g for m/s2, and room beyond."""
+IMPROBABLE_GAIN = 1e-3
+"""Probability of what one gain leaves, and of what the frame without it leaves more, below which it is no chance."""
+FEWEST_PERIODS = 500
+"""Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
+
+
+def modal_findings(
+    record: Record,
+    result: ModalResult,
+    setting: Replication,
+    full: Details,
+    lost: int,
+    *,
+    wanted: int,
+    turning: Callable[[float], float] | None = None,
+) -> Iterator[Finding]:
+    """Everything the modes say about the record they came from.
+
+    `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
+    """
+    yield from clock_findings(record, result, full)
+    yield from resolution_findings(record, result)
+    yield from reciprocity_findings(full, setting)
+    yield from hit_findings(record, setting)
+    yield from driving_point_findings(full, setting)
+    yield from amplitude_findings(setting, result)
+    yield from _mode_findings(record, result, setting, wanted)
+    shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
+    for mode, share in zip(result.modes.tolist(), shares, strict=False):
+        if share > ROTATES:
+            yield finding("rotation", {"mode": mode, "share": share})
+    if lost:
+        yield finding("std", {"lost": lost}, count=len(setting.source.groups), unit=setting.source.unit)
+
+
+def found_twice(item: PoleCandidate) -> Finding:
+    """Report a second stable pole with the shape of another, which comes back in every piece of the record."""
+    return finding("split mode", {"frequency": item.frequency}, why=item.reason)
+
+
+def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterator[Finding]:
+    """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
+    highest = 2 * np.pi * float(full.frequencies.max())
+    names = list(result.clock_offsets)
+    segments = Segments.of(record) if isinstance(record, TimeRecord) else None
+    for (name, (late, std)), left, before in zip(
+        result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
+    ):
+        turn = float(np.degrees(highest * abs(late)))
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
+            continue
+        if left > STRAIGHT * before:
+            continue
+        if segments is not None:
+            place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
+            floors = [floor for floor in range(len(record.channels)) if floor != place]
+            if beside == len(record.channels) and floors:
+                # Every resonance turns the phases between the input and a floor; those between two floors it does not.
+                beside = min(floors, key=lambda floor: abs(late_by[floor]))
+            if not straight(segments, place, beside, float(late_by[place] - late_by[beside])):
+                continue
+        degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
+        # Beside a damper the clock that all are compared with may be the one that is off.
+        third = np.delete(full.clocks.before, [names.index(name), full.clocks.reference])
+        beyond_doubt = bool(np.any(third <= STRAIGHT * before))
+        yield finding(
+            "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
+            late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
+            reference=names[full.clocks.reference],
+            which="" if beyond_doubt else "; which of the two is off no third clock tells",
+        )  # fmt: skip
+
+
+def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
+    """Report a record too short for the damping, or the ambient statistics, that are claimed of it."""
+    if isinstance(record, FrfRecord):
+        resolution = record.step
+    else:
+        resolution = record.sampling_rate / max(run.samples for run in record.runs)
+    for mode, frequency, damping in zip(result.modes, result.frequencies, result.damping_ratios, strict=True):
+        width = 2 * damping * frequency
+        if resolution > width:
+            yield finding("resolution", {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)})
+    if not isinstance(record, FrfRecord) and record.input == "none":
+        periods = record.duration * float(result.frequencies[0])
+        if periods < FEWEST_PERIODS:
+            numbers = {"periods": periods, "duration": record.duration}
+            yield finding("resolution/ambient", numbers, needed=FEWEST_PERIODS)
+
+
+def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Finding]:
+    """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
+    if full.products is None or setting.base:
+        return
+    places = {int(floor): place for place, floor in enumerate(setting.floors)}
+    driven = {int(floor): column for column, floor in enumerate(full.driven)}
+    for low, high in itertools.combinations(sorted(set(places) & set(driven)), 2):
+        up = full.products[:, places[high], driven[low]]
+        down = full.products[:, places[low], driven[high]]
+        ratio = float(np.linalg.norm(up - down) / (0.5 * (np.linalg.norm(up) + np.linalg.norm(down))))
+        each = np.abs(np.abs(up) - np.abs(down)) / (0.5 * (np.abs(up) + np.abs(down)))
+        # Near a node of the mode a transfer is too small to say anything of calibrations.
+        pair = full.real[:, [places[low], places[high]]]
+        unsure = SENSOR_STD * np.linalg.norm(pair, axis=1)
+        beyond_doubt = np.where(each * np.abs(pair.prod(axis=1)) > unsure, each, 0.0)
+        if beyond_doubt.max() > UNRECIPROCAL:
+            largest, worst = float(beyond_doubt.max()), int(np.argmax(beyond_doubt)) + 1
+            numbers = {"floors": [low, high], "largest": largest, "over_all": ratio, "by_mode": each.tolist()}
+            yield finding("reciprocity", numbers, low=low, high=high, worst=worst)
+
+
+def hit_findings(record: Record, setting: Replication) -> Iterator[Finding]:
+    """Name hits that the frame answers otherwise than the other hits at the same floor: another floor was hit."""
+    source = setting.source
+    if isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
+        return
+    for floor in source.floors.tolist():
+        places = [place for place, item in enumerate(source.spectra) if item.floor == floor]
+        answers = [source.spectra[place].response_force.ravel() for place in places]
+        units = np.array([each / np.linalg.norm(each) for each in answers])
+        # Of hits that are alike most have most others beside them.
+        alike = (units @ units.conj().T).real > ALIKE
+        others = np.flatnonzero(~alike[int(np.argmax(alike.sum(axis=1)))])
+        if others.size:
+            runs = [record.runs[places[place]].name for place in others]
+            yield finding("hit", {"floor": floor, "runs": runs}, names=listed([f'"{name}"' for name in runs]))
+
+
+def driving_point_findings(full: Details, setting: Replication) -> Iterator[Finding]:
+    """Name declared driving points at which a mode's residue is negative: the force acted elsewhere.
+
+    The residue of mode r with response and force at one floor is phi^2 / (2 i omega), phi real: its sign is the same in
+    every mode. So where the residues of the modes, divided by the declared floor's entries, change sign, another floor
+    was hit; candidates are the floors at which none does.
+    """
+    if full.products is None or setting.base or full.scales is not None:
+        return
+    for column, floor in enumerate(full.driven.tolist()):
+        # phi of the floor that was hit, up to a positive factor in each mode.
+        there = np.einsum("ri,ri->r", full.products[:, :, column].real, full.real) / np.sum(full.real**2, axis=1)
+        right = [at for place, at in enumerate(setting.floors.tolist()) if np.all(there * full.real[:, place] > 0)]
+        if floor in right or floor not in setting.floors:
+            continue
+        if right:
+            said = f"as if the force acted at floor {listed([str(at) for at in right])}"
+            fits = "only it fits" if len(right) == 1 else "they fit"
+            change = f"write that input_floor (of floors with a sensor {fits})"
+        elif np.any([np.all(there * row < 0) for row in full.real.T]):
+            said, change = "as if the force's sensor were turned round", "give that channel sign = -1"
+        else:
+            said, change = "and at no other floor with a sensor are they right", "check input_floor and the channels"
+        yield finding("scale", {"floor": floor, "positive_at": right}, as_if=said, change=change)
+
+
+def _mode_findings(record: Record, result: ModalResult, setting: Replication, wanted: int) -> Iterator[Finding]:
+    sweep = setting.sweep
+    by_signs = len(record.channels) == record.stories > 1
+    # Fewer than there are stories, by a count or picked by hand, and all of them found.
+    asked = len(sweep.chosen) == wanted < record.stories
+    if by_signs and len(sweep.chosen) < record.stories:
+        absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
+        yield finding(
+            "missing mode", {"modes": absent}, which=numbered("mode", absent), stories=record.stories,
+            were="was" if len(absent) == 1 else "were", asked="not asked for" if asked else "not found in the record",
+        )  # fmt: skip
+    if len(record.channels) < record.stories and len(sweep.chosen) < record.stories:
+        numbers, were = listed([str(mode) for mode in result.modes]), "were asked for" if asked else "were found"
+        sizes = {"measured": len(record.channels), "stories": record.stories}
+        yield finding("missing mode/few sensors", sizes, count=len(sweep.chosen), were=were, numbers=numbers)
+    for item in sweep.candidates:
+        if item.physical and not any(item is other for other in sweep.chosen):
+            what = (
+                "not among the modes asked for" if asked
+                else OTHER.format("not a sway mode that the frame still lacks", "a floor or a sign is not as declared")
+                if len(sweep.chosen) < record.stories
+                else OTHER.format(f"one more than {counted(record.stories, 'story')} can have", "the frame has more")
+            )  # fmt: skip
+            yield finding("other mode", {"frequency": item.frequency, "energy": item.energy}, what=what)
+    # A model of noise has poles of rotation as well.
+    faint = FAINT * max(item.energy for item in sweep.candidates)
+    for item in sweep.candidates:
+        if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint:
+            yield finding("rotation/pole", {"frequency": item.frequency}, why=item.reason)
+    for mode, phase in zip(result.modes, result.lost_phase, strict=True):
+        if phase > COMPLEX:
+            yield finding("complex mode", {"mode": int(mode), "degrees": float(phase)})
+
+
+def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
+    """Find what changed between two records of a frame that a cable explains: a channel reversed, or with another gain.
+
+    The entries of a channel change by one and the same factor in every mode; damage changes them by another in each.
+    """
+    floors = np.intersect1d(before.floors, after.floors)
+    modes = np.intersect1d(before.modes, after.modes)
+    if len(floors) < 3 or len(modes) < 2:
+        return []
+    chosen = [np.ix_(np.isin(item.modes, modes), np.isin(item.floors, floors)) for item in (before, after)]
+    shapes, stds = [], []
+    for item, part in zip((before, after), chosen, strict=True):
+        largest = np.abs(item.mode_shapes[part]).max(axis=1, keepdims=True)
+        shapes.append(item.mode_shapes[part] / largest)
+        stds.append(np.nan_to_num(item.mode_shape_std[part]))
+    weights = 1.0 / (stds[0] ** 2 + stds[1] ** 2 + 2 * REPEATED**2)
+
+    def misfit(gain: float, place: int) -> float:
+        """Weighted squares that the first test's shapes leave of the second's, each mode with a scale of its own."""
+        expected = shapes[0] * np.where(np.arange(len(floors)) == place, gain, 1.0)
+        scale = (weights * expected * shapes[1]).sum(axis=1) / (weights * expected**2).sum(axis=1)
+        return float((weights * (shapes[1] - scale[:, None] * expected) ** 2).sum())
+
+    found = []
+    for place in range(len(floors)):
+        for bounds in ((-LARGEST_GAIN, -1 / LARGEST_GAIN), (1 / LARGEST_GAIN, LARGEST_GAIN)):
+            best = optimize.minimize_scalar(
+                misfit, args=(place,), bounds=bounds, method="bounded", options={"xatol": 1e-9}
+            )
+            found.append((float(best.fun), float(best.x), place))
+    found.sort()
+    least, gain, place = found[0]
+    second = min(each for each, _, other in found if other != place)
+    freedom = len(modes) * (len(floors) - 1) - 1
+    # A change of the frame as well, or instead, leaves more than one gain explains.
+    if abs(gain - 1.0) < GAIN_CHANGED or special.chdtrc(freedom, least) < IMPROBABLE_GAIN:
+        return []
+    if min(second, misfit(1.0, place)) < least + special.chdtri(1, IMPROBABLE_GAIN):
+        return []
+    what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
+    numbers = {"floor": int(floors[place]), "gain": gain, "records": [before.name, after.name]}
+    return [finding("cable", numbers, what=what, after=after.name, before=before.name)]

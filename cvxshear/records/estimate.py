@@ -1,0 +1,414 @@
+"""From the chosen poles to everything that is reported of a mode, on all the data or on a part of it."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from cvxshear.records import frf
+from cvxshear.records.clock_offsets import Offsets, offsets, undone
+from cvxshear.records.findings import finding
+from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signed_projection
+from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
+from cvxshear.records.realization import DampedModes, Impulse, Source
+from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
+
+Estimate = Callable[[Bools], Floats | None]
+
+
+def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
+    """Find the covariance by leaving out one piece at a time.
+
+    Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
+    squares of what leaving it out changes is without bias where a piece's variance goes with 1 / p_j, and nearly so
+    where it does not (HC2 of MacKinnon and White 1985, "Some heteroskedasticity-consistent covariance matrix
+    estimators", J. Econometrics 29). For equal weights it is the usual jackknife.
+
+    Parameters
+    ----------
+    estimate : callable
+        From a mask of pieces to the parameters, shape (k,), or None where they are not found.
+    groups : array of int, shape (pieces,)
+        Stratum of each piece.
+    weights : array, shape (pieces,)
+        How much each piece tells.
+
+    Returns
+    -------
+    covariance : array, shape (k, k)
+    freedom : array, shape (k,)
+        Degrees of freedom of each variance, its strata's together (Satterthwaite 1946), a stratum's from its weights
+        (Bell and McCaffrey 2002).
+    lost : int
+        Pieces without which the parameters were not found; the others stand in for them.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two pieces of some stratum can be left out.
+    """
+    parts, freedoms, lost = [], [], 0
+    for group in np.unique(groups):
+        found, rest = [], []
+        pieces = np.flatnonzero(groups == group)
+        shares = weights[pieces] / weights[pieces].sum()
+        for piece, share in zip(pieces, shares, strict=True):
+            keep = np.ones(len(groups), dtype=bool)
+            keep[piece] = False
+            values = estimate(keep)
+            if values is None:
+                lost += 1
+            else:
+                found.append(values)
+                rest.append(1 - share)
+        if len(found) < 2:
+            raise InputError(
+                "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
+                "the rest; record longer, or more hits"
+            )
+        spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
+        parts.append(spread.T @ spread * len(pieces) / len(found))
+        form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
+        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
+    variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
+    squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
+    freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
+    return total, freedom, lost
+
+
+LARGEST_SHAPE_STD = 0.3
+"""Standard deviation of a shape entry, over the mode's largest, above which the shape is none."""
+LARGEST_FREQUENCY_STD = 0.02
+"""Relative standard deviation of a frequency above which there is no resonance: a mode's is a part of its half-power
+bandwidth, twice its damping ratio, and smaller by the root of the number of decays in the record."""
+
+
+def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
+    """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
+
+    Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
+    Each mode is judged by itself and by its complex shape: what the others and the clocks make of it comes after.
+    """
+    doubts: Doubts = {}
+    for item in chosen:
+
+        def replicate(keep: Bools, item: PoleCandidate = item) -> Floats | None:
+            found = parts.found_again(item, keep)
+            if found is None:
+                return None
+            value, shape = found
+            shape = shape * (np.vdot(item.shape, item.shape) / np.vdot(item.shape, shape))
+            return np.concatenate([[np.log(abs(value))], shape.real, shape.imag])
+
+        pieces = len(parts.source.groups)
+        try:
+            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights)
+        except InputError:
+            lost = pieces
+        if 2 * lost > pieces:
+            doubts[item.members] = f"without any of {lost} of {pieces} {parts.source.unit}s it is not found", False
+            continue
+        std = np.sqrt(np.diag(spread))
+        of_shape = np.hypot(*np.split(std[1:], 2)).max() / np.abs(item.shape).max()
+        doubts |= doubted(item, float(of_shape), float(std[0]))
+    return doubts
+
+
+def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts:
+    """Doubt a mode whose standard deviations, over its largest entry and relative, say that it is none."""
+    if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
+        return {}
+    scatter = f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} %"
+    return {item.members: (f"{scatter} over the record's pieces", of_frequency <= LARGEST_FREQUENCY_STD)}
+
+
+def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
+    """Noise with the spectra and cross-spectra of a residual, shape (samples, channels), of random phase.
+
+    One random phase a line, the same for all channels, keeps their coherence (Prichard and Theiler 1994).
+    """
+    spectrum = np.fft.rfft(residual, axis=0)
+    phase = np.exp(2j * np.pi * random.random(len(spectrum)))
+    phase[0] = 1.0
+    if len(residual) % 2 == 0:
+        phase[-1] = 1.0
+    return np.fft.irfft(spectrum * phase[:, None], n=len(residual), axis=0)
+
+
+BIAS_LEFT = 1.0 / 3.0
+"""Bias of an observer over what half its lags change, which is three times as much where the bias falls with the square
+of the lags (Richardson's extrapolation); that of the damping ratio of a frame's highest modes does."""
+NO_CHANGE = 1e-9
+"""Change of a parameter, relative or of an entry of at most 1, that is rounding."""
+SURROGATES = 20
+"""Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
+FEW_PIECES = 6
+"""Pieces of a record: the scatter of fewer is too small too often (that of three by half in one case of five)."""
+LAST_SAMPLE = 4000
+"""Of an impulse response, for its residues; a longer one has decayed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replication:
+    """What stays the same over the replicates of one identification.
+
+    Parameters
+    ----------
+    parts : Parts
+        The source of the data and the poles of its parts.
+    sweep : Sweep
+    floors : array of int, shape (n,)
+    quantity : str
+    shift : float
+        Decay that an exponential window added, 1/s.
+    rule : str
+        For the real normal mode.
+    base : bool
+        Whether the input is a base acceleration.
+    """
+
+    parts: Parts
+    sweep: Sweep
+    floors: Ints
+    quantity: str
+    shift: float
+    rule: str
+    base: bool
+
+    @property
+    def source(self) -> Source:
+        """The data."""
+        return self.parts.source
+
+    @property
+    def loud(self) -> Bools:
+        """The modes whose phases tell clocks, shape (m,): those of some energy."""
+        energy = np.array([item.energy for item in self.sweep.chosen])
+        return np.asarray(energy > FAINT * energy.max())
+
+    def values(self, keep: Bools | None) -> Values | None:
+        """Find the chosen modes on a part of the data; None where one of them is not found there."""
+        return self.parts.values(self.sweep.chosen, keep)
+
+
+@dataclass(frozen=True, eq=False)
+class Details(DampedModes):
+    """The modes of one set of data.
+
+    Parameters
+    ----------
+    eigenvalues : array of complex, shape (m,)
+        The structure's, 1/s; an exponential window's decay has been taken out.
+    shapes : array of complex, shape (m, n)
+        Clock offsets undone, main axis real.
+    real : array, shape (m, n)
+        Real normal modes, a largest entry of 1.
+    scales : array, shape (m,), or None
+        What mass-normalizes `real`.
+    clocks : Offsets
+    products : array of complex, shape (m, n, inputs), or None
+    driven : array of int, shape (inputs,)
+    """
+
+    eigenvalues: Complexes
+    shapes: Complexes
+    real: Floats
+    scales: Floats | None
+    clocks: Offsets
+    products: Complexes | None
+    driven: Ints
+
+    def vector(self) -> Floats:
+        """All parameters in one row: log frequencies, damping, shapes, scales, clock offsets."""
+        scales = np.zeros(0) if self.scales is None else self.scales
+        return np.concatenate(
+            [np.log(self.frequencies), self.damping_ratios, self.real.ravel(), scales, self.clocks.seconds]
+        )
+
+
+def details(setting: Replication, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
+    """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
+    products, driven = _products(setting, values, keep)
+    turned = None if products is None else frf.participations(products, values.shapes)
+    right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
+    clocks = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
+    straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
+    shapes = np.array([main_axis(shape) for shape in straight])
+    # A projection is taken of what was recorded, offsets and all; its signs still are those of true clocks.
+    if setting.rule == "magnitude":
+        real = np.array([real_shape(shape) for shape in straight])
+    else:
+        real = np.array([signed_projection(*both) for both in zip(values.shapes, straight, strict=True)])
+    places = np.argmax(np.abs(real if reference is None else reference.real), axis=1)
+    real = real / real[np.arange(len(real)), places][:, None]
+    scales = None
+    if products is not None and not setting.base:
+        found = [
+            frf.modal_scale(_turned_back(each, value, clocks), shape, setting.floors, driven)
+            for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
+        ]
+        known = [scale for scale in found if scale is not None]
+        scales = np.array(known) if len(known) == len(found) else None
+    return Details(values.eigenvalues + setting.shift, shapes, real, scales, clocks, products, driven)
+
+
+def _turned_back(products: Complexes, eigenvalue: complex, clocks: Offsets) -> Complexes:
+    """Products of one mode without the turns of the clocks of the channels and of the force."""
+    late = clocks.seconds[: len(products)] - clocks.seconds[-1]
+    return np.asarray(products * np.exp(1j * abs(eigenvalue.imag) * late)[:, None])
+
+
+def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
+    impulse = setting.source.impulse(keep)
+    if impulse is None or not (setting.base or np.all(impulse.driven > 0)):
+        return None, np.zeros(0, dtype=np.int64)
+    rate = setting.source.sampling_rate
+    sequence = impulse.sequence[:LAST_SAMPLE]
+    amplitudes = frf.residues(sequence, values.eigenvalues, rate, impulse.start)
+    if impulse.wrapped:
+        amplitudes = frf.unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
+    amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
+    return frf.modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
+
+
+def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, str, int]:
+    """Covariance of `full.vector()`, how it was got in words, and how many pieces had to be passed over."""
+    groups = setting.source.groups
+
+    def replicate(keep: Bools) -> Floats | None:
+        values = setting.values(keep)
+        if values is None:
+            return None
+        part = details(setting, values, keep, full)
+        if (part.scales is None) != (full.scales is None):
+            return None
+        return part.vector()
+
+    if len(groups):
+        result, freedom, lost = jackknife(replicate, groups, setting.source.weights)
+        how = f"jackknife over {len(groups)} {setting.source.unit}s"
+        if len(groups) < FEW_PIECES and setting.source.impulse() is not None:
+            result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
+        else:
+            # 95 % of the errors are to lie within 1.96 of deviations that are themselves estimates from so many pieces.
+            factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
+            result = result * np.outer(factor, factor)
+        bias = _bias(setting, full)
+        if bias is not None:
+            result = result + np.outer(bias, bias)
+            # Under base motion the observer tells the clock of the input and nothing else.
+            if np.max(np.abs(bias[: -len(full.clocks.seconds)])) > NO_CHANGE:
+                how += ", and a third of what half the observer's lags change"
+        return result, how, lost
+    return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
+
+
+def _bias(setting: Replication, full: Details) -> Floats | None:
+    """Find the bias of `full.vector()` by what a rougher approximation of the same data changes; None without one."""
+    rougher = setting.source.rougher()
+    if rougher is None:
+        return None
+    other = dataclasses.replace(setting, parts=Parts(rougher, setting.sweep.poles))
+    values = other.values(None)
+    if values is None:
+        return None
+    part = details(other, values, None, full)
+    return None if (part.scales is None) != (full.scales is None) else BIAS_LEFT * (part.vector() - full.vector())
+
+
+def _widened(spread: Floats, other: Floats) -> Floats:
+    """Raise every standard deviation to the other covariance's where that is larger.
+
+    The scatter of three pieces is small by chance often enough that it must not stand alone.
+    """
+    std, least = np.sqrt(np.diag(spread)), np.sqrt(np.diag(other))
+    factor = np.where(std > 0, np.maximum(1.0, least / np.where(std > 0, std, 1.0)), 1.0)
+    missing = np.where(std > 0, 0.0, least)
+    return np.asarray(spread * np.outer(factor, factor) + np.diag(missing**2))
+
+
+def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
+    """Covariance where nothing can be left out: the fit is disturbed by noise like its residual, and refitted.
+
+    What the fit leaves of the impulse responses is taken for noise; its spectra are kept and its phases drawn
+    anew, `SURROGATES` times (parametric bootstrap).
+    """
+    impulse = setting.source.impulse()
+    if impulse is None:
+        raise InputError("the record is too short to be cut into blocks")
+    fit = _fit(impulse, full.eigenvalues - setting.shift, setting.source.sampling_rate)
+    residual = impulse.sequence[impulse.start :] - fit
+    random = np.random.default_rng(seed)
+    replicates = []
+    for _ in range(SURROGATES):
+        noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
+        noisy = np.concatenate([impulse.sequence[: impulse.start], fit + noise])
+        source = frf.ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
+        other = dataclasses.replace(setting, parts=Parts(source, setting.sweep.poles))
+        values = other.values(None)
+        if values is not None:
+            replicates.append(details(other, values, None, full))
+    rows = [item.vector() for item in replicates if (item.scales is None) == (full.scales is None)]
+    if len(rows) < SURROGATES // 2:
+        raise InputError("the modes drown in the noise that the fit leaves; record longer, or more hits")
+    return np.cov(np.array(rows), rowvar=False)
+
+
+def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
+    """Return the chosen modes' part of the impulse responses, from their start on."""
+    amplitudes = frf.residues(impulse.sequence, eigenvalues, rate, impulse.start)
+    powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
+    return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))
+
+
+NOTICEABLE = 0.01
+"""Share of a mode's impulse response that is left at the end of the window."""
+
+
+def settle_truncation(record: Record, setting: Replication, values: Values) -> list[Finding]:
+    """Decide, where the record does not say, which of the two a table of functions is; sets the source's flag.
+
+    The products of a real mode's shape entries are real. Of the two readings the one is taken whose products
+    are nearer to it, the modes weighted by how much their residues depend on the question.
+    """
+    source = setting.source
+    if not isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):
+        return []
+    length = source.samples / source.sampling_rate
+    left = np.abs(np.exp(values.eigenvalues * length))
+    if left.max() < NOTICEABLE:
+        return []
+    if record.truncated is not None:
+        return [_leakage(record.truncated, "as declared", length, left)]
+    angles = {}
+    for truncated in (True, False):
+        source.wrapped = not truncated
+        angles[truncated] = _phase_off(setting, values, left)
+    truncated = angles[True] <= angles[False]
+    source.wrapped = not truncated
+    why = (
+        f"told from the residues' phases, {angles[truncated]:.1f} degrees from real where the other reading leaves "
+        f"{angles[not truncated]:.1f}"
+    )
+    return [_leakage(truncated, why, length, left)]
+
+
+def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
+    """Root mean square phase of the products, degrees, weighted by their size and by what is left at the end."""
+    products = details(setting, values, None).products
+    if products is None:
+        return 0.0
+    weight = np.abs(products) ** 2
+    weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
+    return rms_phase(products, weight)
+
+
+def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
+    mode = int(np.argmax(left)) + 1
+    kind = "those of responses cut off there" if truncated else "samples of the true functions"
+    numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
+    return finding("leakage", numbers, kind=kind, why=why)

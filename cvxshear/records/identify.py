@@ -1,0 +1,348 @@
+"""Modes of a record."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cvxshear.records import diagnostics
+from cvxshear.records.agreement import FDD, frequency_domain_decomposition, second_opinion
+from cvxshear.records.assemble import assembled
+from cvxshear.records.diagnostics import left_out, overlooked_modes
+from cvxshear.records.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
+from cvxshear.records.examination import Examined, examined
+from cvxshear.records.functions import measured_functions
+from cvxshear.records.late_clocks import CERTAIN_DELAY, clock_drift, clock_offset
+from cvxshear.records.mode_shapes import RULES
+from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
+from cvxshear.records.placement import SURE, findings_of, weighed
+from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, Attempt, default_method, settled, source_of
+from cvxshear.records.realization import Source
+from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.records.releases import without_drifts
+from cvxshear.records.result import ModalResult
+from cvxshear.records.signals import in_step, scaled
+from cvxshear.records.stabilization import Criteria
+from cvxshear.util import checks
+from cvxshear.util.errors import InputError, NoSolutionError
+
+CLOCKS = ("clock offset", "clock drift")
+"""Kinds of findings that the whole band and the modes may both tell of a channel."""
+FUNCTION_RANGE = 1.5
+"""Times the highest natural frequency: as far the functions of a record are kept."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to identify; the parameters of `identify_modes`."""
+
+    method: str | None = None
+    blocks: int = BLOCKS
+    criteria: Criteria = field(default_factory=Criteria)
+    count: int | None = None
+    rule: str = "magnitude"
+    accept_swapped: bool = False
+    seed: int = 0
+    pick: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        checks.choice(self.rule, RULES, "rule")
+        if self.method is not None:
+            checks.choice(self.method, MODAL_METHODS, "method")
+        if self.pick and self.count is not None:
+            raise InputError("give either count or pick: the modes picked by hand are as many as they are")
+
+
+def identify_modes(
+    record: Record,
+    *,
+    method: str | None = None,
+    blocks: int = BLOCKS,
+    criteria: Criteria | None = None,
+    count: int | None = None,
+    rule: str = "magnitude",
+    correct_clocks: bool = False,
+    accept_swapped: bool = False,
+    seed: int = 0,
+    pick: Sequence[float] | None = None,
+    functions: bool = False,
+    second: str | None = None,
+) -> ModalResult:
+    """Identify the sway modes of a frame from a record.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    method : str, optional
+        "era": eigensystem realization on impulse responses, from hits, frequency response functions or free
+        decays. "okid": the same on the Markov parameters of an observer, for measured continuous input.
+        "subspace": instruments of the past, for the same. "ssi": covariance-driven, for ambient records. What suits the
+        input where None.
+    blocks : int, optional
+        Pieces of a continuous record for the jackknife.
+    criteria : Criteria, optional
+    count : int, optional
+        Most modes; one a story where None.
+    rule : str, optional
+        Real normal mode: "magnitude", each entry's modulus with the sign of its real part; "projection", the
+        real part itself on the shape's main axis.
+    correct_clocks : bool, optional
+        Shift the channels by their estimated clock offsets and identify again.
+    accept_swapped : bool, optional
+        Report channels that look swapped as a finding, not as an error.
+    seed : int, optional
+        For the surrogates of a record that cannot be cut into pieces.
+    pick : sequence of float, optional
+        Frequencies in Hz, as read off a stabilization diagram: the nearest stable poles, within 3 %, are the modes.
+    functions : bool, optional
+        Whether the result keeps what the record shows over frequency, for figures.
+    second : str, optional
+        Another method, or "fdd" for the peaks in the frequency domain, whose opinion of each mode is a finding.
+
+    Returns
+    -------
+    ModalResult
+
+    Raises
+    ------
+    InputError
+        Where the record cannot be right, naming the channel.
+    UnsuitableError
+        Where the method cannot use the record's input.
+    NoSolutionError
+        Where no mode of the frame was found.
+    """
+    if second is not None:
+        checks.choice(second, (*MODAL_METHODS, FDD), "second")
+    picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
+    options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
+    try:
+        # The matrices are small: with all cores, threads wait for each other longer than they compute.
+        with threadpool_limits(1):
+            looked = examined(record)
+            try:
+                result, record = _with_clocks(looked, options, correct_clocks=correct_clocks)
+            except NoSolutionError as error:
+                raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
+            except InputError as error:
+                raise type(error)(str(error) + _besides(looked)) from None
+            result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
+            if functions or second == FDD:
+                result = dataclasses.replace(
+                    result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
+                )
+            if second is not None:
+                other = _second(record, result, dataclasses.replace(options, pick=()), second)
+                opinion = (*result.findings, *second_opinion(result, other))
+                result = dataclasses.replace(result, findings=opinion)
+            return result if functions else dataclasses.replace(result, functions=None)
+    except np.linalg.LinAlgError as error:
+        # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
+        reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
+        raise NoSolutionError(options.method or default_method(record), reason) from error
+
+
+def _second(record: Record, result: ModalResult, options: Options, method: str) -> ModalResult:
+    """Identify the modes by another method."""
+    if method == FDD and result.functions is not None:
+        return frequency_domain_decomposition(result.functions, len(result.frequencies), record.stories)
+    other = _identified(record, dataclasses.replace(options, method=method))
+    return dataclasses.replace(other, name=method)
+
+
+def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
+    """Identify the modes, with clocks set right where that was asked for and needed; the record used comes second."""
+    record = looked.record
+    result = _identified(record, options, looked.turning)
+    if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
+        return result, record
+    record = in_step(record, {name: (seconds, 0.0) for name, (seconds, _) in result.clock_offsets.items()})
+    return _with_first_findings(result, _identified(record, options, looked.turning)), record
+
+
+def _identified(record: Record, options: Options, turning: Callable[[float], float] | None = None) -> ModalResult:
+    method = options.method or default_method(record)
+    shift = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
+    wanted = _wanted(record, options)
+
+    def attempt(record: Record, order: Sequence[int] | None = None) -> tuple[Source, Sweep]:
+        source = source_of(record, method, blocks=options.blocks)
+        by_signs = len(record.channels) == record.stories > 1
+        choose = ModeChoice(wanted, record.stories, by_signs, options.pick, order)
+        limits: dict[str, Any] = {"band": record.band, "shift": shift, "turning": turning}
+        return source, sweep_orders(source, options.criteria, choose, **limits)
+
+    record, (source, sweep), of_places = _repaired(record, wanted, attempt, options)
+    if not isinstance(record, FrfRecord) and record.input == "free_decay":
+        steady, of_drifts = without_drifts(record, np.array([item.eigenvalue for item in sweep.chosen]))
+        if of_drifts:
+            record, of_places = steady, of_places + of_drifts
+            source, sweep = settled(record, wanted, attempt)
+    if len(sweep.chosen) < len(options.pick):
+        raise InputError(_out_of_reach(sweep, options.pick))
+    parts = Parts(source, sweep.poles)
+    # What was picked by hand stays; its standard deviations say how sure it is.
+    while len(source.groups) and not options.pick and (doubts := scattering(parts, sweep.chosen)):
+        sweep = sweep.without(doubts)
+    base = not isinstance(record, FrfRecord) and record.input == "base"
+    while sweep.chosen:
+        setting = Replication(parts, sweep, record.floors, record.quantity, shift, options.rule, base)
+        of_leakage = settle_truncation(record, setting, _chosen(sweep))
+        full = details(setting, _chosen(sweep), None)
+        spread, how, lost = covariance(setting, full, options.seed)
+        result = assembled(record, setting, full, spread, method=method, uncertainty=how)
+        # Once clocks are right, and by surrogates where nothing can be left out.
+        each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), result.frequency_std.tolist(), strict=True)
+        doubts = {} if options.pick else {k: v for item in each for k, v in doubted(*item).items()}
+        if not doubts:
+            break
+        sweep = sweep.without(doubts)
+    else:
+        raise NoSolutionError(method, _nothing(sweep))
+    twice = []
+    if len(source.groups):
+        # What else is stable is said only where it comes back in every piece: models of noise have such poles as well.
+        modes = {item.members for item in sweep.chosen}
+        others = [item for item in sweep.candidates if item.members not in modes]
+        twice = [item for item in others if item.twin in modes and not scattering(parts, [item])]
+        sweep = sweep.without(scattering(parts, [item for item in others if item.physical]))
+        setting = dataclasses.replace(setting, sweep=sweep)
+    findings = of_places + of_leakage + [diagnostics.found_twice(item) for item in twice]
+    findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
+    sizes = {"floors": len(record.channels), "stories": record.stories}
+    left = left_out(sweep.candidates, sweep.chosen)
+    findings += overlooked_modes(result.frequencies, result.modes, left, **sizes)
+    return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
+
+
+def _repaired(
+    record: Record, wanted: int, attempt: Attempt, options: Options
+) -> tuple[Record, tuple[Source, Sweep], list[Finding]]:
+    """Set signs and units right that the lowest modes show to be wrong; source and sweep of the record come second.
+
+    Raises
+    ------
+    InputError
+        Where two channels are in each other's place, and that was not accepted.
+    """
+    highest = max(options.pick, default=0.0)
+    found = settled(record, wanted, attempt, highest=highest)
+    frequencies, lowest = strongest(found[1], 2)
+    if len(record.channels) < 2 or len(lowest) < 2:
+        return record, found, []
+    hypotheses = weighed(frequencies, lowest, record.floors, record.stories)
+    findings = findings_of(hypotheses, record.channels, lowest[0])
+    best = hypotheses[0]
+    if findings and findings[0].kind == "swapped channels" and best.probability >= SURE:
+        if not options.accept_swapped:
+            raise InputError(findings[0].message)
+        order = list(range(len(record.channels)))
+        low, high = best.places
+        order[low], order[high] = high, low
+        record = scaled(record, {record.channels[place].name: -1.0 for place in best.turned})
+        return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
+    if findings and findings[0].numbers["corrected"]:
+        factor = -1.0 if best.kind == "sign" else best.factor
+        factors = dict.fromkeys(best.places, factor)
+        factors |= {place: -factors.get(place, 1.0) for place in best.turned}
+        record = scaled(record, {record.channels[place].name: value for place, value in factors.items()})
+        found = settled(record, wanted, attempt, highest=highest)
+    return record, found, findings
+
+
+def _wanted(record: Record, options: Options) -> int:
+    """How many modes would be all."""
+    most = record.stories
+    if len(options.pick) > most:
+        raise InputError(f"pick names {len(options.pick)} modes; a frame of {most} stories has no more than {most}")
+    if options.pick:
+        return len(options.pick)
+    return most if options.count is None else checks.whole(options.count, "count", least=1, most=most)
+
+
+def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
+    near = [item.frequency for item in sweep.chosen]
+    missing = [f for f in picked if not any(abs(f - other) <= PICKABLE * f for other in near)]
+    named = ", ".join(f"{f:g}" for f in missing or picked)
+    there = ", ".join(f"{item.frequency:.4g}" for item in sweep.candidates)
+    return f"pick: no stable pole of its own within {100 * PICKABLE:g} % of {named} Hz; there are {there or 'none'} Hz"
+
+
+def _chosen(sweep: Sweep) -> Values:
+    return Values(np.array([item.eigenvalue for item in sweep.chosen]), np.array([item.shape for item in sweep.chosen]))
+
+
+def _nothing(sweep: Sweep) -> str:
+    seen = [f"{item.frequency:.3g} Hz ({item.reason or 'not a sway mode'})" for item in sweep.candidates[:8]]
+    return "no mode of the frame was found; " + (
+        f"candidates: {', '.join(seen)}" if seen else "no pole is stable from order to order"
+    )
+
+
+def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
+    """Put what the record showed before its clocks were set right into the second result."""
+    mended = [
+        dataclasses.replace(finding, message=finding.message + "; corrected")
+        for finding in first.findings
+        if finding.kind == "clock offset"
+    ]
+    return dataclasses.replace(again, findings=(*mended, *again.findings), clock_offsets=first.clock_offsets)
+
+
+def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
+    """Widen the entries of floors whose motion was not recorded at their center, or nobody knows where that is."""
+    unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
+    if looked.turning is None or not unknown:
+        return result
+    shares = np.array([looked.turning(frequency) for frequency in result.frequencies.tolist()])
+    # Half the sensors' difference over their mean; a center that may be anywhere between them is off by a uniform part.
+    off = np.sqrt(shares / np.maximum(1.0 - shares, 1e-9) / 3.0)
+    shapes = np.abs(result.mode_shapes) / np.abs(result.mode_shapes).max(axis=1, keepdims=True)
+    arms = np.array([unknown[floor].get("arm", 1.0) if floor in unknown else 0.0 for floor in result.floors.tolist()])
+    std = off[:, None] * shapes * arms
+    added = np.concatenate([np.zeros(len(result.modes)), std.ravel()])
+    return dataclasses.replace(
+        result,
+        mode_shape_std=np.hypot(result.mode_shape_std, std),
+        entry_std=np.hypot(result.entry_std, std),
+        covariance=result.covariance + np.diag(added**2),
+    )
+
+
+def _besides(looked: Examined) -> str:
+    """Say what the record gets wrong, for the message of a record without modes."""
+    said = [f"{finding.kind}: {finding.message}" for finding in looked.findings]
+    return f". What the record gets wrong: {'; '.join(said)}" if said else ""
+
+
+def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
+    """Add what was found before; clocks that were set right count together with what was left."""
+    seen, offsets = [], dict(result.clock_offsets)
+    counted: set[tuple[str, str]] = set()
+    late = {finding.numbers["channel"] for finding in result.findings if finding.kind == "clock offset"}
+    for finding in looked.findings:
+        name = finding.numbers.get("channel", "")
+        if finding.kind == "clock offset" and name in offsets:
+            against = finding.numbers["reference"]
+            (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
+            if abs(rest - zero) > CERTAIN_DELAY * finding.numbers["std"]:
+                # What the bands rule out is a damper's phase.
+                rest, zero, std, spread = 0.0, 0.0, finding.numbers["std"], 0.0
+            offsets[name] = finding.numbers["seconds"] + rest - zero, float(np.hypot(std, spread))
+            seen.append(clock_offset(name, against, *offsets[name]))
+        elif finding.kind == "clock drift" and "reference" in finding.numbers and name in late:
+            # A drift is taken out with a start that the modes tell finer.
+            numbers, zero = finding.numbers, result.clock_offsets.get(finding.numbers["reference"], (0.0, 0.0))[0]
+            start = numbers["seconds"] + offsets[name][0] - zero
+            seen.append(clock_drift(name, numbers["reference"], start, numbers["drift"], numbers["drift_std"]))
+            offsets[name] = start, offsets[name][1]
+            counted.add(("clock offset", name))
+        else:
+            seen.append(finding)
+    # What the modes leave of a clock that was set right by the whole band is counted above, or a part of its drift.
+    twice = counted | {(finding.kind, finding.numbers["channel"]) for finding in seen if finding.kind in CLOCKS}
+    left = [item for item in result.findings if (item.kind, item.numbers.get("channel")) not in twice]
+    return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)

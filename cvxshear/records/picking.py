@@ -1,0 +1,447 @@
+"""Which clusters are modes of the frame, and their values on all the data or on a part of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.data.pairing import mac
+from cvxshear.records import stabilization
+from cvxshear.records.clock_offsets import offsets, undone
+from cvxshear.records.mode_shapes import collinearity, possible_changes, real_shape, sign_changes
+from cvxshear.records.realization import Poles, Source, realize
+from cvxshear.records.stabilization import Cluster, Criteria
+from cvxshear.util.typing import Bools, Complexes, Floats
+
+MOST_CANDIDATES = 8
+"""Strongest candidates that clock offsets are told by."""
+
+MOSTLY_ROTATION = "mostly rotation"
+"""How the reason of a candidate begins that is set aside as a mode of rotation."""
+
+FAINT = 1e-3
+"""Of the loudest resonance's energy: fainter ones may be of noise."""
+
+BESIDE = 0.1
+"""Relative distance to a louder resonance within which none of a frame's two lowest modes lies: the third is half as
+high again as the second."""
+
+UNSURE = 0.05
+"""Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
+
+PICKABLE = 0.03
+"""Relative; a pole picked by hand is looked for so far around the frequency given."""
+
+
+Doubts = dict[tuple[tuple[int, int], ...], tuple[str, bool]]
+"""Of candidates that are none, by their members: why, and whether their frequency comes back all the same."""
+
+_Rank = tuple[int, int, float]
+"""Modes, those among them whose signs fit as they stand, and the logarithm of the product of their energies."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoleCandidate:
+    """A cluster of stable poles, judged.
+
+    Parameters
+    ----------
+    members : tuple of (int, int)
+        Places in the sweep that its values rest on.
+    eigenvalue : complex
+        1/s, as in the data: an exponential window's decay is still in it.
+    shape : array of complex, shape (outputs,)
+    persistence : float
+        Share of the orders, from its first on, in which it is stable.
+    energy : float
+        Share of the data's energy.
+    physical : bool
+    reason : str
+        Why not, where it is not.
+    shaky : bool
+        Whether that is because pieces of the record give it another shape, at nearly the same frequency.
+    number : int
+        Which mode of the frame it is, where its changes of sign tell; 0 else.
+    twin : tuple of (int, int)
+        Members of the candidate whose frequency and shape it repeats; none else.
+    """
+
+    members: tuple[tuple[int, int], ...]
+    eigenvalue: complex
+    shape: Complexes
+    persistence: float
+    energy: float
+    physical: bool = True
+    reason: str = ""
+    shaky: bool = False
+    number: int = 0
+    twin: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def frequency(self) -> float:
+        """Hz."""
+        return abs(self.eigenvalue) / (2 * np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """The order sweep of one record, with what was made of it.
+
+    Parameters
+    ----------
+    poles : sequence of Poles
+        One an order, ascending.
+    stable : list of list of int
+        For each order the indices of stable poles.
+    candidates : tuple of PoleCandidate
+        Ascending in frequency.
+    chosen : tuple of PoleCandidate
+        The frame's modes, ascending.
+    """
+
+    poles: list[Poles]
+    stable: list[list[int]]
+    candidates: tuple[PoleCandidate, ...]
+    chosen: tuple[PoleCandidate, ...]
+    choose: ModeChoice
+
+    def without(self, doubts: Doubts) -> Sweep:
+        """Leave out candidates whose values scatter; modes are chosen and numbered anew among the others."""
+        reasons = [doubts.get(item.members) for item in self.candidates]
+        candidates = [
+            item if why is None else dataclasses.replace(item, physical=False, reason=why[0], shaky=why[1])
+            for item, why in zip(self.candidates, reasons, strict=True)
+        ]
+        return self.choose(self.poles, self.stable, candidates)
+
+
+@dataclass(frozen=True)
+class ModeChoice:
+    """Which candidates are the frame's modes.
+
+    Parameters
+    ----------
+    count : int
+        Most modes to choose.
+    stories : int
+        Of the frame, which has as many modes.
+    by_signs : bool
+        Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
+        when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
+        Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow.
+    picked : tuple of float
+        Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
+    order : sequence of int, optional
+        The channels from the ground up, where two are known to be in each other's place.
+    """
+
+    count: int
+    stories: int
+    by_signs: bool
+    picked: tuple[float, ...] = ()
+    order: Sequence[int] | None = None
+
+    def __call__(self, poles: list[Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
+        """Choose the modes among the candidates, which are ascending in frequency."""
+        if self.picked:
+            return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
+        usable = [dataclasses.replace(item, number=0) for item in found if item.physical]
+        if self.by_signs:
+            chosen = _by_signs(usable, self.count, self.order)
+        else:
+            loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
+            chosen = _as_low(sorted(loudest, key=lambda item: item.frequency), self.stories, self.order)
+        numbered = {item.members: item for item in chosen}
+        found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
+        return Sweep(poles, stable, tuple(found), tuple(chosen), self)
+
+
+def sweep_orders(
+    source: Source,
+    criteria: Criteria,
+    choose: ModeChoice,
+    *,
+    band: tuple[float, float] | None = None,
+    shift: float = 0.0,
+    turning: Callable[[float], float] | None = None,
+) -> Sweep:
+    """Sweep the orders, cluster the stable poles and choose the frame's modes.
+
+    Parameters
+    ----------
+    source : Source
+    criteria : Criteria
+    choose : ModeChoice
+    band : (float, float), optional
+        Hz.
+    shift : float, optional
+        Decay that an exponential window added, 1/s.
+    turning : callable, optional
+        The share of rotation in the motion at a frequency, Hz; a mode of more than half is none of sway.
+
+    Returns
+    -------
+    Sweep
+    """
+    factor = source.factor()
+    poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders(choose.count))
+    stable = stabilization.stable_poles(poles, source.sampling_rate, criteria, shift)
+    found = []
+    for cluster in stabilization.clusters(poles, stable, criteria):
+        if len(cluster) < 2:
+            continue
+        members = stabilization.undivided(cluster, poles, criteria, shift)
+        values = np.array([poles[i].eigenvalues[j] for i, j in members])
+        value, shape = stabilization.center(values, np.array([poles[i].shapes[j] for i, j in members]))
+        share = stabilization.persistence(cluster, poles)
+        found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
+    found.sort(key=lambda item: item.frequency)
+    if band is not None:
+        found = [item for item in found if band[0] <= item.frequency <= band[1]]
+    found = _weighed(_distinct(found, criteria), source.data(), source.sampling_rate)
+    return choose(poles, stable, _swaying(_collinear(found, criteria), turning))
+
+
+def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
+    if len(cluster) < criteria.least_orders:
+        return False, f"stable in {len(cluster)} orders only"
+    if share < criteria.least_persistence:
+        return False, f"stable in {100 * share:.0f} % of the orders only"
+    return True, ""
+
+
+def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
+    """Of clusters with nearly one frequency and one shape the one that first appeared; lasting others named as such."""
+    kept: list[PoleCandidate] = []
+    for item in sorted(found, key=lambda item: (not item.physical, item.members[0][0])):
+        twins = [
+            other
+            for other in kept
+            if abs(item.frequency - other.frequency) < 0.05 * other.frequency
+            and mac(item.shape, other.shape) > criteria.shape_agreement
+        ]
+        if twins and item.physical:
+            alike = mac(item.shape, twins[0].shape)
+            reason = f"a mode found twice: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
+            kept.append(dataclasses.replace(item, physical=False, reason=reason, twin=twins[0].members))
+        elif not twins:
+            kept.append(item)
+    return sorted(kept, key=lambda item: item.frequency)
+
+
+def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -> list[PoleCandidate]:
+    lasting = [item for item in found if item.physical]
+    shares = stabilization.energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
+    energy = dict(zip(map(id, lasting), shares.tolist(), strict=True))
+    return [dataclasses.replace(item, energy=energy.get(id(item), 0.0)) for item in found]
+
+
+def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
+    """Clock offsets of the channels, s, by the strongest candidates; None where one alone would tell them.
+
+    Each mode has the same weight in a straight line through the phases, and that of a pole of noise is no phase.
+    """
+    usable = sorted((item for item in found if item.physical), key=lambda item: -item.energy)[:MOST_CANDIDATES]
+    strong = [item for item in usable if item.energy > FAINT * usable[0].energy]
+    if len(usable) < 2 or len(usable[0].shape) < 2:
+        return None
+    return offsets(np.array([item.eigenvalue for item in strong]), np.array([item.shape for item in strong])).seconds
+
+
+def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
+    """Judge the phases, those that a clock offset explains taken away first."""
+    seconds = _clocks(found)
+    if seconds is None:
+        return found
+
+    def reason(item: PoleCandidate) -> str:
+        straight = undone(np.array([item.eigenvalue]), item.shape[None], seconds)[0]
+        measure = max(collinearity(straight), collinearity(item.shape))
+        return f"modal phase collinearity {measure:.2f} only" if measure < criteria.least_collinearity else ""
+
+    return _without_those(found, reason)
+
+
+def _without_those(found: list[PoleCandidate], reason: Callable[[PoleCandidate], str]) -> list[PoleCandidate]:
+    """Set candidates aside for which there is a reason."""
+    each = [(item, reason(item) if item.physical else "") for item in found]
+    return [dataclasses.replace(item, physical=False, reason=why) if why else item for item, why in each]
+
+
+def _swaying(found: list[PoleCandidate], turning: Callable[[float], float] | None) -> list[PoleCandidate]:
+    """Set the modes aside that are mostly rotation, by the difference of sensors on one floor."""
+    if turning is None:
+        return found
+
+    def reason(item: PoleCandidate) -> str:
+        share = turning(item.frequency)
+        said = f"{MOSTLY_ROTATION}: {100 * share:.0f} % of the motion is in the difference of sensors on one floor"
+        return said if share > 0.5 else ""
+
+    return _without_those(found, reason)
+
+
+def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCandidate]:
+    """Find the candidate nearest to each frequency; none where none is within reach, or it is taken."""
+    chosen: list[PoleCandidate] = []
+    for frequency in sorted(picked):
+        near = [
+            item
+            for item in found
+            if abs(item.frequency - frequency) <= PICKABLE * frequency and not any(item is other for other in chosen)
+        ]
+        if near:
+            chosen.append(min(near, key=lambda item: abs(item.frequency - frequency)))
+    return sorted(chosen, key=lambda item: item.frequency)
+
+
+def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
+    """Choose candidates, one for each number of sign changes at most, ascending, and number them.
+
+    A mode that the record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero
+    can have either sign: the most modes come first, then those whose signs fit as they stand, then the largest product
+    of energies.
+    """
+    if not usable:
+        return []
+    return list(max((_ranked_by_signs(usable, shapes, count) for shapes in _real(usable, order)), key=_rank)[1])
+
+
+_Ranked = tuple[_Rank, tuple[PoleCandidate, ...]]
+
+
+def _rank(choice: _Ranked) -> _Rank:
+    return choice[0]
+
+
+def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) -> _Ranked:
+    """Choose and number candidates of these real shapes; return how good that is with them."""
+    # best[w] is the best choice among the candidates so far for the numbers up to w, as (rank, numbered candidates).
+    best: list[_Ranked] = [((0, 0, 0.0), ())] * (count + 1)
+    for item, shape in zip(usable, shapes, strict=True):
+        (fewest, most), changes = possible_changes(shape, UNSURE), sign_changes(shape)
+        energy = float(np.log(max(item.energy, 1e-300)))
+        for number in range(min(count, most + 1), fewest, -1):
+            (modes, fits, product), chosen = best[number - 1]
+            rank = (modes + 1, fits + (changes == number - 1), product + energy)
+            if rank > best[number][0]:
+                best[number] = rank, (*chosen, dataclasses.replace(item, number=number))
+        for number in range(1, count + 1):
+            best[number] = max(best[number], best[number - 1], key=_rank)
+    return best[count]
+
+
+def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
+    """Give the candidates the lowest numbers that they can have where some floors are not measured.
+
+    At some of the floors mode r changes sign r - 1 times at most. Where that asks for more modes than the frame has,
+    the weakest candidates are left out, being none of it.
+    """
+    while chosen:
+        numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen, order)), key=lambda each: each[-1])
+        if numbered[-1] <= stories:
+            return [dataclasses.replace(item, number=each) for item, each in zip(chosen, numbered, strict=True)]
+        weakest = min(chosen, key=lambda item: item.energy)
+        chosen = [item for item in chosen if item is not weakest]
+    return []
+
+
+def _lowest_numbers(shapes: Floats) -> Iterator[int]:
+    number = 0
+    for shape in shapes:
+        number = max(number, possible_changes(shape, UNSURE)[0]) + 1
+        yield number
+
+
+def _real(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Iterator[Floats]:
+    """Make shapes real: the turns of clock offsets taken back, and as they were recorded.
+
+    A damper in one story turns phases too, and taken for a clock it turns the signs of other modes.
+    """
+    straight, recorded = _straight(items), np.array([real_shape(item.shape) for item in items])
+    yield from (shapes if order is None else shapes[:, list(order)] for shapes in (straight, recorded))
+
+
+def _straight(items: list[PoleCandidate]) -> Floats:
+    """Real shapes, the turns of clock offsets taken back first."""
+    eigenvalues, shapes = np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items])
+    seconds = _clocks(items)
+    straight = shapes if seconds is None else undone(eigenvalues, shapes, seconds)
+    return np.array([real_shape(shape) for shape in straight])
+
+
+def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
+    """Frequencies and real shapes of the lowest resonances that hold a part of the energy worth the name."""
+    usable = [item for item in sweep.candidates if item.physical]
+    loud = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
+    # A clipped channel has poles of its own close to each mode.
+    loud = [
+        item
+        for item in loud
+        if not any(
+            other.energy > item.energy and abs(other.frequency - item.frequency) < BESIDE * item.frequency
+            for other in loud
+        )
+    ][:count]
+    if not loud:
+        return np.zeros(0), np.zeros((0, 0))
+    return np.array([item.frequency for item in loud]), _straight(loud)
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Eigenvalues and shapes of the chosen modes, from all the data or a part.
+
+    Parameters
+    ----------
+    eigenvalues : array of complex, shape (modes,)
+    shapes : array of complex, shape (modes, outputs)
+    """
+
+    eigenvalues: Complexes
+    shapes: Complexes
+
+
+class Parts:
+    """The poles of parts of the data, at the orders of a sweep; those of one part are found once.
+
+    Parameters
+    ----------
+    source : Source
+    poles : sequence of Poles
+        Of all the data, one an order.
+    """
+
+    def __init__(self, source: Source, poles: Sequence[Poles]) -> None:
+        self.source, self._whole = source, poles
+        self._found: dict[bytes, list[Poles]] = {}
+
+    def found_again(self, item: PoleCandidate, keep: Bools | None) -> tuple[complex, Complexes] | None:
+        """Eigenvalue and shape of a candidate on a part of the data; None where it is not found there.
+
+        The same orders are used as on all the data, in each the pole nearest to that order's.
+        """
+        key = b"" if keep is None else keep.tobytes()
+        if key not in self._found:
+            orders = [poles.order for poles in self._whole]
+            factor = self.source.factor(keep)
+            self._found[key] = realize(factor, self.source.outputs, self.source.sampling_rate, orders)
+        values, shapes = [], []
+        for i, j in item.members:
+            poles, whole = self._found[key][i], self._whole[i]
+            k = stabilization.nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
+            if k is not None:
+                values.append(poles.eigenvalues[k])
+                shapes.append(poles.shapes[k])
+        return None if 2 * len(values) < len(item.members) else stabilization.center(np.array(values), np.array(shapes))
+
+    def values(self, chosen: Sequence[PoleCandidate], keep: Bools | None) -> Values | None:
+        """Find the chosen modes on a part of the data; None where one of them is not found there."""
+        found = [self.found_again(item, keep) for item in chosen]
+        known = [each for each in found if each is not None]
+        if len(known) < len(found):
+            return None
+        return Values(np.array([value for value, _ in known]), np.array([shape for _, shape in known]))

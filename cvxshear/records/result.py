@@ -1,0 +1,377 @@
+"""Identified modes with their standard deviations, and the measurement that those of one or several records make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cvxshear.records.deviations import DAMPING_REPRODUCED_TO, REPRODUCED_TO, entry_std, frequency_std
+from cvxshear.records.functions import Functions
+from cvxshear.records.picking import Sweep
+from cvxshear.records.record import Finding
+from cvxshear.util.checks import shown
+from cvxshear.util.errors import InputError
+from cvxshear.util.results import Shown, ask, data_frame
+from cvxshear.util.typing import Complexes, Floats, Ints, Json
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+OVERLOOKED_KIND = "overlooked mode"
+"""The kind of the findings that put the numbers of modes in doubt."""
+
+def other_modes(findings: Sequence[Finding]) -> list[Json]:
+    """Which other modes of the frame those of a record may be, as `other_modes` of a measurement file has it."""
+    return [
+        {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
+        for item in findings
+        if item.kind == OVERLOOKED_KIND
+    ]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalResult(Shown):
+    """Modes of one record.
+
+    Parameters
+    ----------
+    name : str
+    method : str
+        "era", "okid", "subspace", "ssi" or "given".
+    stories : int
+    floors : array of int, shape (n,)
+        Measured floors, ascending.
+    frequencies : array, shape (m,)
+        Natural frequencies, Hz, ascending.
+    frequency_std : array, shape (m,)
+        Relative.
+    damping_ratios, damping_std : array, shape (m,)
+        Fraction of critical.
+    mode_shapes : array, shape (m, n)
+        Real normal modes; 1/sqrt(kg) where `mass_normalized`, a largest entry of 1 otherwise.
+    mode_shape_std : array, shape (m, n)
+        Of the entries as they stand, relative to the mode's largest. Zero at the largest entry of a mode
+        that is not mass-normalized: it is 1 by definition.
+    entry_std : array, shape (m, n)
+        Standard deviations of independent errors on all entries, the mode's scale free, that scatter the
+        shape as `mode_shape_std` says, and where `mass_normalized` its scale; relative to the mode's largest
+        entry. These go into the measurement file, whose errors are independent.
+    mass_normalized : bool
+    modes : array of int, shape (m,)
+        Which modes of the frame these are, 1 the lowest.
+    complex_shapes : array of complex, shape (m, n)
+        Before the real normal mode was taken, turned to their main axis.
+    phase_collinearity : array, shape (m,)
+        MPC of the complex shapes, clock offsets removed.
+    lost_phase : array, shape (m,)
+        Degrees, root mean square, which the real normal mode leaves out; clock offsets removed.
+    clock_offsets : dict
+        Channel name to seconds, positive where the channel is late against the median of all; each with its
+        standard deviation: {name: (seconds, std)}.
+    covariance : array, shape (m + m n, m + m n)
+        Of the relative frequencies and the entries of `mode_shapes` over each mode's largest, mode by mode.
+    uncertainty : str
+        How the standard deviations were got.
+    findings : tuple of Finding
+    sweep : Sweep, optional
+        For the stabilization diagram.
+    functions : Functions, optional
+        What the record shows over frequency, for the figures.
+    """
+
+    name: str
+    method: str
+    stories: int
+    floors: Ints
+    frequencies: Floats
+    frequency_std: Floats
+    damping_ratios: Floats
+    damping_std: Floats
+    mode_shapes: Floats
+    mode_shape_std: Floats
+    entry_std: Floats
+    mass_normalized: bool
+    modes: Ints
+    complex_shapes: Complexes
+    phase_collinearity: Floats
+    lost_phase: Floats
+    clock_offsets: Mapping[str, tuple[float, float]]
+    covariance: Floats
+    uncertainty: str
+    findings: tuple[Finding, ...] = ()
+    sweep: Sweep | None = None
+    functions: Functions | None = None
+
+    json_keys = (
+        "name method stories floors modes frequencies frequency_std damping_ratios damping_std mode_shapes "
+        "mode_shape_std entry_std mass_normalized phase_collinearity lost_phase clock_offsets=named_offsets "
+        "uncertainty findings"
+    )
+
+    @property
+    def named_offsets(self) -> dict[str, dict[str, float]]:
+        """The clock offset of each channel with its standard deviation, s, by name."""
+        return {name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()}
+
+    @property
+    def written_frequency_std(self) -> Floats:
+        """Relative standard deviations of the frequencies, with what no scatter shows, as files have them."""
+        return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), REPRODUCED_TO)
+
+    @property
+    def written_damping_std(self) -> Floats:
+        """Standard deviations of the damping ratios, with what no scatter shows, as files have them; 0 if not known."""
+        least = np.where(self.damping_std > 0, DAMPING_REPRODUCED_TO * self.damping_ratios, 0.0)
+        return np.maximum(self.damping_std, least)
+
+    @property
+    def written_entry_std(self) -> Floats:
+        """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n)."""
+        return entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.
+
+        Returns
+        -------
+        pandas.DataFrame
+            `frequency_Hz` and its standard deviation `frequency_std_Hz`, `damping_ratio` and `damping_ratio_std` as
+            fractions of critical, `floor_1`, ... in the scale of `mode_shapes`; indexed by `mode`.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        columns: dict[str, Sequence[object]] = {
+            "mode": self.modes.tolist(),
+            "frequency_Hz": self.frequencies.tolist(),
+            "frequency_std_Hz": (self.frequencies * self.written_frequency_std).tolist(),
+            "damping_ratio": self.damping_ratios.tolist(),
+            "damping_ratio_std": self.written_damping_std.tolist(),
+        }
+        columns |= {
+            f"floor_{floor}": entries.tolist()
+            for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
+        }
+        return data_frame(columns).set_index("mode")
+
+    def pick(self, record_file: str | Path | None = None) -> Any:
+        """Open the stabilization diagram, where a click on a pole chooses it as a mode and another gives it up.
+
+        Parameters
+        ----------
+        record_file : str or Path, optional
+            The record file (TOML) whose key `pick` is to hold the choice; it is rewritten after each click.
+
+        Returns
+        -------
+        PolePicker
+            Its `frequencies`, Hz, are `pick` for `identify_modes`.
+
+        Raises
+        ------
+        InputError
+            Where matplotlib has no interactive backend, or the result holds no order sweep.
+        """
+        return ask("show", "picked", self, record_file)
+
+    def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
+        """Write the table `[[configuration]]` of a measurement file that these modes make."""
+        result: Json = {"name": self.name}
+        if state is not None:
+            result["state"] = state
+        if added_mass is not None:
+            result["added_mass"] = [float(mass) for mass in added_mass]
+        result |= {
+            "measured_floors": self.floors.tolist(),
+            "modes": self.modes.tolist(),
+            **({"other_modes": others} if (others := other_modes(self.findings)) else {}),
+            "frequencies": self.frequencies.tolist(),
+            "mode_shapes": self.mode_shapes.tolist(),
+            "mass_normalized": self.mass_normalized,
+        }
+        if np.all(np.isfinite(self.frequency_std)):
+            result["frequency_std"] = self.written_frequency_std.tolist()
+        if np.all(np.isfinite(self.entry_std)):
+            result |= {"mode_shape_std": self.written_entry_std.tolist(), "mode_shape_noise": "additive"}
+        if np.all(np.isfinite(self.damping_ratios)):
+            result["damping_ratios"] = np.clip(self.damping_ratios, 0.0, None).tolist()
+        if np.all(self.damping_ratios > 0) and np.all(self.damping_std > 0):
+            result["damping_ratio_std"] = (self.written_damping_std / self.damping_ratios).tolist()
+        return result
+
+    def to_experiment(
+        self,
+        frame: Mapping[str, object] | None = None,
+        *,
+        priors: Sequence[Mapping[str, object]] = (),
+        added_mass: Sequence[float] | None = None,
+        state: str | None = None,
+    ) -> Json:
+        """Return a dict of the measurement file's shape, for `Experiment.from_dict`.
+
+        Parameters
+        ----------
+        frame : dict, optional
+            The table `[frame]`: what is known of the frame itself.
+        priors : sequence of dict, optional
+            The tables `[[prior]]`.
+        added_mass : sequence of float, shape (N,), optional
+            kg on each floor during the record.
+        state : str, optional
+            The state of the frame that was tested.
+
+        Returns
+        -------
+        dict
+
+        Notes
+        -----
+        Where neither the shapes nor the frame nor a prior say how heavy the frame is, the total mass is set
+        to 1, with `total_mass_placeholder = true`: masses and stiffnesses then come out relative to it, and no
+        command shows them in kilograms or newtons. A comment at the head of the measurement file says so too.
+        """
+        test = IdentifiedRecord(self.name, self, frame or {}, priors, added_mass, state)
+        return merged([test])
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedRecord:
+    """One record with the modes found in it, and what its file says of the frame besides.
+
+    Parameters
+    ----------
+    file : str
+        The record file, for messages.
+    modes : ModalResult
+    frame : dict
+        The table `[frame]`.
+    priors : sequence of dict
+        The tables `[[prior]]`.
+    added_mass : sequence of float, optional
+        kg on each floor during the record.
+    state : str, optional
+        The state of the frame that was tested.
+    """
+
+    file: str
+    modes: ModalResult
+    frame: Mapping[str, object]
+    priors: Sequence[Mapping[str, object]] = ()
+    added_mass: Sequence[float] | None = None
+    state: str | None = None
+
+
+def merged(tests: Sequence[IdentifiedRecord]) -> Json:
+    """Make a dict of the measurement file's shape, for `Experiment.from_dict`.
+
+    Parameters
+    ----------
+    tests : sequence of IdentifiedRecord
+        Of one frame; at least one.
+
+    Returns
+    -------
+    dict
+        One configuration a record, in their order. `total_mass` is 1 kg where nothing tells how heavy the frame is.
+
+    Raises
+    ------
+    InputError
+        Where two records contradict each other, naming both files, the key and the values.
+    """
+    if not tests:
+        raise InputError("there is no record whose modes were found; a measurement needs one at least")
+    _refuse_shared_names(tests)
+    frame, priors = _frame(tests), _priors(tests)
+    states = {test.state or test.modes.name for test in tests}
+    if len(states) == 1 and frame.get("reference") not in states:
+        # Nothing differs from the reference then, and the frame itself is the one that was tested.
+        frame.pop("reference", None)
+    if scale_unknown(tests):
+        frame |= {"total_mass": 1.0, "total_mass_placeholder": True}
+    result: Json = {"frame": frame}
+    if priors:
+        result["prior"] = priors
+    result["configuration"] = [test.modes.configuration(added_mass=test.added_mass, state=test.state) for test in tests]
+    return result
+
+
+def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:
+    """Whether nothing in any record file, nor a change of added mass between them, tells how heavy the frame is."""
+    for test in tests:
+        if test.modes.mass_normalized or {"total_mass", "floor_masses"} & set(test.frame):
+            return False
+        kinds = {prior.get("kind") for prior in test.priors if not prior.get("free_scale")}
+        if {"value", "nominal"} & kinds:
+            return False
+    stories = max(test.modes.stories for test in tests)
+    added = [np.zeros(stories) if test.added_mass is None else np.asarray(test.added_mass) for test in tests]
+    return all(np.array_equal(mass, added[0]) for mass in added)
+
+
+PLACES = ("kind", "quantity", "at", "of", "to")
+"""Keys of a prior that say what it speaks of; the others are what it says."""
+
+
+def _refuse_shared_names(tests: Sequence[IdentifiedRecord]) -> None:
+    seen: dict[str, str] = {}
+    for test in tests:
+        name = test.modes.name
+        if name in seen:
+            raise InputError(f'{seen[name]} and {test.file} are both named "{name}"; give each its own record: name')
+        seen[name] = test.file
+
+
+def _frame(tests: Sequence[IdentifiedRecord]) -> dict[str, Any]:
+    """Merge the tables [frame]: every key that any file gives."""
+    frame: dict[str, Any] = {}
+    said: dict[str, str] = {}
+    for test in tests:
+        for key, value in {"stories": test.modes.stories, **test.frame}.items():
+            if key in frame and not _same(frame[key], value):
+                remedy = "records of one frame must agree, and one of them is enough to say it"
+                if key == "stories":
+                    remedy = "say record: stories in each file whose top floor has no sensor"
+                raise InputError(
+                    f"frame: {key} is {shown(frame[key])} by {said[key]}, {shown(value)} by {test.file}; {remedy}"
+                )
+            frame.setdefault(key, value)
+            said.setdefault(key, test.file)
+    return frame
+
+
+def _same(one: object, other: object) -> bool:
+    """Whether two values say the same; one number for all stories equals a list of it."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    numbers = (int, float, list)
+    if isinstance(one, numbers) and isinstance(other, numbers):
+        try:
+            a, b = np.broadcast_arrays(np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))
+        except (TypeError, ValueError):
+            return False
+        return bool(np.allclose(a, b, rtol=1e-9, atol=0.0))
+    return one == other
+
+
+def _priors(tests: Sequence[IdentifiedRecord]) -> list[dict[str, object]]:
+    """Collect the tables [[prior]], each once."""
+    kept: list[tuple[dict[str, object], str]] = []
+    for test in tests:
+        for prior in test.priors:
+            if any(_same(other, prior) for other, _ in kept):
+                continue
+            for other, file in kept:
+                if file != test.file and all(_same(other.get(key), prior.get(key)) for key in PLACES):
+                    raise InputError(
+                        f"prior: {shown(other)} by {file} and {shown(dict(prior))} by {test.file} speak of the same "
+                        "thing and differ; leave one out"
+                    )
+            kept.append((dict(prior), test.file))
+    return [prior for prior, _ in kept]

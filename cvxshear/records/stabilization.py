@@ -1,0 +1,194 @@
+"""The order sweep: which poles come back at order after order, and the modes they make.
+
+A pole is stable if the next lower order of the sweep holds one of nearly the same frequency, damping and
+shape. Stable poles of consecutive orders are chained into clusters; a cluster that lives on through the
+rest of the sweep is a candidate for a mode.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cvxshear.data.pairing import mac
+from cvxshear.records.realization import Poles
+from cvxshear.util import checks
+from cvxshear.util.typing import Complexes, Floats
+
+LEAST_ORDERS, STATES = 30, 3
+"""States of the largest model of a sweep: so many at least, and for each mode. A mode takes two, and has to last."""
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """What makes a pole stable and a cluster of them physical; one set of defaults for every record.
+
+    Parameters
+    ----------
+    highest_order : int, optional
+        The sweep runs over 2, 4, ..., this many states; where not given 30, or three for each mode that is wanted.
+    frequency_change : float, optional
+        Largest relative change of a stable pole's frequency from one order to the next.
+    damping_change : float, optional
+        Largest change of its damping ratio, relative or, where that is larger, absolute in units of 0.01.
+    shape_agreement : float, optional
+        Least MAC of its shape from one order to the next.
+    highest_damping : float, optional
+        Poles of more damping are numerical.
+    least_persistence : float, optional
+        Share of the orders, from its first on, in which a physical mode is stable.
+    least_orders : int, optional
+        Number of orders in which a physical mode is stable.
+    least_collinearity : float, optional
+        MPC, once clock offsets are removed.
+    """
+
+    highest_order: int | None = None
+    frequency_change: float = 0.01
+    damping_change: float = 0.5
+    shape_agreement: float = 0.95
+    highest_damping: float = 0.1
+    least_persistence: float = 0.5
+    least_orders: int = 4
+    least_collinearity: float = 0.7
+
+    def __post_init__(self) -> None:
+        if self.highest_order is not None:
+            checks.whole(self.highest_order, "highest_order", least=4, most=400)
+        for name in ("frequency_change", "damping_change", "highest_damping"):
+            checks.number(getattr(self, name), name, above=0.0)
+
+    def orders(self, count: int) -> range:
+        """Return the orders of a sweep for so many modes."""
+        highest = max(LEAST_ORDERS, STATES * count) if self.highest_order is None else self.highest_order
+        return range(2, highest + 1, 2)
+
+
+Cluster = list[tuple[int, int]]
+"""Poles of several orders that are taken for one mode, by their places: index of the order, index of the pole."""
+
+
+def plausible(poles: Poles, sampling_rate: float, highest_damping: float, shift: float = 0.0) -> list[int]:
+    """List the poles that decay, not too fast, below half the sampling rate, by their indices.
+
+    `shift` (1/s) is the decay that an exponential window added.
+    """
+    damping = -(poles.eigenvalues.real + shift) / np.abs(poles.eigenvalues)
+    return [
+        index
+        for index, (frequency, ratio) in enumerate(zip(poles.frequencies, damping, strict=True))
+        if 0 < ratio < highest_damping and frequency < 0.49 * sampling_rate
+    ]
+
+
+def stable_poles(
+    sweep: Sequence[Poles], sampling_rate: float, criteria: Criteria, shift: float = 0.0
+) -> list[list[int]]:
+    """For each order the indices of its stable poles; none in the first order."""
+    result: list[list[int]] = [[]]
+    for before, after in itertools.pairwise(sweep):
+        earlier = plausible(before, sampling_rate, criteria.highest_damping, shift)
+        now = plausible(after, sampling_rate, criteria.highest_damping, shift)
+        result.append([j for j in now if any(_alike(before, i, after, j, criteria) for i in earlier)])
+    return result
+
+
+def _alike(before: Poles, i: int, after: Poles, j: int, criteria: Criteria) -> bool:
+    f0, f1 = before.frequencies[i], after.frequencies[j]
+    d0, d1 = before.damping_ratios[i], after.damping_ratios[j]
+    return bool(
+        abs(f1 - f0) <= criteria.frequency_change * f0
+        and abs(d1 - d0) <= criteria.damping_change * max(d0, 0.01)
+        and mac(before.shapes[i], after.shapes[j]) >= criteria.shape_agreement
+    )
+
+
+def clusters(sweep: Sequence[Poles], stable: Sequence[Sequence[int]], criteria: Criteria) -> list[Cluster]:
+    """Chains of stable poles, each order's nearest to the chain's latest member joining it."""
+    found: list[Cluster] = []
+    for place, indices in enumerate(stable):
+        pairs = []
+        for j in indices:
+            for number, cluster in enumerate(found):
+                i0, j0 = cluster[-1]
+                if _alike(sweep[i0], j0, sweep[place], j, criteria):
+                    pairs.append((_distance(sweep[i0], j0, sweep[place], j), number, j))
+        joined: set[int] = set()
+        grown: set[int] = set()
+        for _, number, j in sorted(pairs):
+            if j not in joined and number not in grown:
+                found[number].append((place, j))
+                joined.add(j)
+                grown.add(number)
+        found.extend([(place, j)] for j in indices if j not in joined)
+    return found
+
+
+def _distance(before: Poles, i: int, after: Poles, j: int) -> float:
+    change = abs(after.eigenvalues[j] - before.eigenvalues[i]) / abs(before.eigenvalues[i])
+    return float(change + 0.1 * (1 - mac(before.shapes[i], after.shapes[j])))
+
+
+def persistence(cluster: Cluster, sweep: Sequence[Poles]) -> float:
+    """Share of the sweep's orders, from the cluster's first on, that hold a member."""
+    return len(cluster) / (len(sweep) - cluster[0][0])
+
+
+def undivided(
+    cluster: Cluster, sweep: Sequence[Poles], criteria: Criteria, shift: float = 0.0
+) -> list[tuple[int, int]]:
+    """Select the members whose order holds no second pole of the same shape nearby.
+
+    A model of too high an order splits a mode whose frequency is not quite constant into two, neither of
+    which is it. All members where every order does.
+    """
+    alone = []
+    for i, j in cluster:
+        poles = sweep[i]
+        twins = [
+            k
+            for k in range(len(poles.eigenvalues))
+            if k != j
+            and abs(poles.frequencies[k] - poles.frequencies[j]) < 0.05 * poles.frequencies[j]
+            and 0 < -(poles.eigenvalues[k].real + shift) / abs(poles.eigenvalues[k]) < criteria.highest_damping
+            and mac(poles.shapes[k], poles.shapes[j]) > criteria.shape_agreement
+        ]
+        if not twins:
+            alone.append((i, j))
+    return alone or cluster
+
+
+def nearest(poles: Poles, eigenvalue: complex, shape: Complexes, reach: float = 0.05) -> int | None:
+    """Index of the pole nearest in the complex plane among those of like shape; None beyond `reach` (relative)."""
+    distances = np.abs(poles.eigenvalues - eigenvalue) / abs(eigenvalue)
+    near = np.flatnonzero(distances < reach)
+    ordered = near[np.argsort(distances[near], kind="stable")].tolist()
+    return next((index for index in ordered if mac(poles.shapes[index], shape) > 0.8), None)
+
+
+def center(eigenvalues: Complexes, shapes: Complexes) -> tuple[complex, Complexes]:
+    """Find the middle of a cluster: the median of eigenvalues and of shapes turned to one phase, part by part."""
+    turns = np.array([np.vdot(shape, shapes[0]) for shape in shapes])
+    aligned = shapes * (turns / np.abs(turns))[:, None]
+    value = complex(float(np.median(eigenvalues.real)), float(np.median(eigenvalues.imag)))
+    return value, np.median(aligned.real, axis=0) + 1j * np.median(aligned.imag, axis=0)
+
+
+def energies(factor: Floats, poles: Sequence[tuple[complex, Complexes]], sampling_rate: float) -> Floats:
+    """Share of the data's energy that each mode carries, shape (modes,).
+
+    The factor of the Hankel matrix is fitted by the modes' observability vectors, col(shape, z shape,
+    z^2 shape, ...); a mode's energy is that of its two terms.
+    """
+    if not poles:
+        return np.zeros(0)
+    outputs = len(poles[0][1])
+    rows = len(factor) // outputs
+    columns = [
+        ((np.exp(value / sampling_rate) ** np.arange(rows))[:, None] * shape[None, :]).ravel() for value, shape in poles
+    ]
+    basis = np.column_stack([part for column in columns for part in (column.real, column.imag)])
+    weights = np.linalg.lstsq(basis, factor, rcond=None)[0]
+    parts = [np.linalg.norm(basis[:, 2 * i : 2 * i + 2] @ weights[2 * i : 2 * i + 2]) ** 2 for i in range(len(poles))]
+    return np.asarray(parts) / float(np.linalg.norm(factor) ** 2)

@@ -1,0 +1,236 @@
+"""Backends against closed forms written out here, their certificates, and their refusals."""
+
+import re
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cvxshear import InfeasibleError, InputError, NoSolutionError, UnsuitableError, backends
+from cvxshear.backends import Answer, Backend, cvxpy_backend
+from cvxshear.backends.canonical import canonical
+from cvxshear.backends.installed import Auto
+from cvxshear.programs import LeastSquares
+
+NAMES = backends.available()
+BOUNDED = [name for name in NAMES if name != "kkt"]
+ACCURACY = 1e-6
+
+
+def random_program(seed, n=6, rows=20, *, scale=True):
+    """A program whose unknowns, like masses and stiffnesses, differ by orders of magnitude."""
+    rng = np.random.default_rng(seed)
+    sizes = 10.0 ** rng.uniform(-2, 6, n) if scale else np.ones(n)
+    R = rng.standard_normal((rows, n)) / sizes
+    return LeastSquares(R, rng.standard_normal(rows), A=np.ones((1, n)) / sizes, b=np.array([1.0])), sizes
+
+
+def kkt_by_hand(program):
+    """The stationarity and feasibility conditions as one linear system."""
+    R, s = program.weighted
+    A, b = program.equalities
+    n, a = R.shape[1], len(b)
+    lengths = np.linalg.norm(R, axis=0)
+    R, A = R / lengths, A / lengths
+    system = np.block([[R.T @ R, A.T], [A, np.zeros((a, a))]])
+    return np.linalg.solve(system, np.concatenate([R.T @ s, b]))[:n] / lengths
+
+
+def test_the_required_backends_are_installed():
+    required = {"kkt", "clarabel", "osqp", "highs", "piqp", "proxqp", "quadprog", "daqp", "scs"}
+    assert required | {"cvxpy-clarabel", "cvxpy-osqp", "cvxpy-scs"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", range(3))
+def test_every_backend_agrees_with_the_closed_form(name, seed):
+    program, sizes = random_program(seed)
+    found = backends.get(name).solve(program)
+    expected = kkt_by_hand(program)
+    np.testing.assert_allclose(found.x / sizes, expected / sizes, atol=ACCURACY * np.max(np.abs(expected / sizes)))
+    assert found.certificate.worst < ACCURACY
+    assert found.backend == name
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+@pytest.mark.parametrize("seed", range(3))
+def test_optimality_conditions_hold_with_active_bounds(name, seed):
+    program, sizes = random_program(seed)
+    free = kkt_by_hand(program)
+    lower = np.full(6, -np.inf)
+    lower[:2] = free[:2] + 0.3 * sizes[:2]
+    program = program.replace(lower=lower, G=np.eye(6)[2:3] / sizes[2], h=np.array([free[2] / sizes[2] - 0.2]))
+    found = backends.get(name).solve(program)
+    G, h = program.inequalities
+    y, w = found.point.y, found.point.w
+    gradient = program.R.T @ (program.R @ found.x - program.s)
+    tolerance = 1e-5 / sizes
+    assert np.all(np.abs(gradient + program.A.T @ y + G.T @ w) <= tolerance * 10)
+    unit = np.array([1.0, *sizes[:2]])
+    assert np.all((G @ found.x - h) / unit <= 1e-5)
+    assert np.all(w * unit >= -1e-5)
+    assert np.sum(w * unit > 1e-3) >= 1
+    assert np.all(w * unit * (h - G @ found.x) / unit <= 1e-5)
+    reference = backends.get("quadprog").solve(program).x
+    np.testing.assert_allclose(found.x / sizes, reference / sizes, atol=1e-6 * np.max(np.abs(reference / sizes)))
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+def test_a_direction_that_only_bounds_determine_is_solved(name):
+    """R knows x1 + x2 alone; x1 >= 3 and x2 >= 0 leave one answer for a sum that should be 1."""
+    program = LeastSquares(np.array([[1.0, 1.0]]), np.array([1.0]), lower=np.array([3.0, 0.0]))
+    if name == "quadprog":
+        # Goldfarb and Idnani's method needs a positive definite Hessian, and says so.
+        with pytest.raises(NoSolutionError, match=name):
+            backends.get(name).solve(program)
+        return
+    np.testing.assert_allclose(backends.get(name).solve(program).x, [3.0, 0.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+def test_an_infeasible_program_is_an_error_and_never_a_number(name):
+    program, _ = random_program(0, scale=False)
+    impossible = program.replace(lower=np.full(6, 1.0))
+    with pytest.raises(NoSolutionError, match=re.escape(f"backend {name}:")):
+        backends.get(name).solve(impossible)
+
+
+def test_contradicting_equalities_are_found_before_any_solver():
+    program = LeastSquares(np.eye(2), np.zeros(2), A=np.array([[1.0, 1.0], [2.0, 2.0]]), b=np.array([1.0, 3.0]))
+    with pytest.raises(InfeasibleError, match="equalities contradict"):
+        backends.get("kkt").solve(program)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_equality_said_twice_does_no_harm(name):
+    program, sizes = random_program(5)
+    twice = program.replace(A=np.concatenate([program.A, 2 * program.A]), b=np.concatenate([program.b, 2 * program.b]))
+    expected = kkt_by_hand(program)
+    np.testing.assert_allclose(
+        backends.get(name).solve(twice).x / sizes, expected / sizes, atol=1e-6 * np.max(np.abs(expected / sizes))
+    )
+
+
+def test_the_closed_form_refuses_an_active_bound_and_names_another_backend():
+    program, _ = random_program(1)
+    upper = np.full(6, np.inf)
+    upper[0] = kkt_by_hand(program)[0] - 0.5 * abs(kkt_by_hand(program)[0])
+    with pytest.raises(UnsuitableError, match="equalities only; choose another backend, clarabel"):
+        backends.get("kkt").solve(program.replace(upper=upper))
+
+
+def test_auto_takes_the_closed_form_while_it_holds_and_clarabel_beyond():
+    program, _ = random_program(1)
+    assert backends.get("auto").solve(program).status == "closed form"
+    upper = np.full(6, np.inf)
+    upper[0] = kkt_by_hand(program)[0] - 0.5 * abs(kkt_by_hand(program)[0])
+    bounded = backends.get("auto").solve(program.replace(upper=upper))
+    np.testing.assert_allclose(bounded.x[0], upper[0], rtol=1e-6)
+
+
+def test_the_closed_form_refuses_what_nothing_determines():
+    with pytest.raises(NoSolutionError, match="do not determine every unknown"):
+        backends.get("kkt").solve(LeastSquares(np.array([[1.0, 1.0]]), np.array([1.0])))
+
+
+class Careless(Backend):
+    """A backend that is wrong in the last place it should be."""
+
+    name = "careless"
+
+    def __init__(self, error):
+        self.error = error
+
+    def answer(self, problem):
+        exact = backends.get("kkt").answer(problem)
+        return Answer(exact.z + self.error, exact.y, exact.w, "solved, it says", 1)
+
+
+def test_a_certificate_is_computed_and_never_believed():
+    program, _ = random_program(2)
+    with pytest.raises(
+        NoSolutionError, match=r"backend careless: inaccurate solution \(its own status: solved, it says\)"
+    ):
+        backends.get(Careless(1e-4)).solve(program)
+    assert backends.get(Careless(1e-9)).solve(program).certificate.worst > 1e-10
+
+
+def test_a_backend_of_ones_own_is_listed_once_registered(monkeypatch):
+    monkeypatch.setattr("cvxshear.backends.installed._registered", {})
+    backends.register(Careless(0.0))
+    assert "careless" in backends.available()
+    assert backends.get("careless").name == "careless"
+
+
+def test_an_unknown_backend_is_refused_with_the_nearest_name():
+    with pytest.raises(InputError, match=r"no backend named 'clarable' is installed here; did you mean 'clarabel'\?"):
+        backends.get("clarable")
+
+
+def test_a_far_bound_changes_neither_the_answer_nor_the_scaling():
+    program, sizes = random_program(3)
+    far = program.replace(lower=-1e9 * sizes, upper=1e9 * sizes)
+    for name in ("clarabel", "osqp", "scs"):
+        np.testing.assert_allclose(
+            backends.get(name).solve(far).x / sizes,
+            kkt_by_hand(program) / sizes,
+            atol=1e-6 * np.max(np.abs(kkt_by_hand(program) / sizes)),
+        )
+
+
+def test_cvxpy_compiles_a_shape_once(monkeypatch):
+    compiled = []
+    original = cvxpy_backend.parametrised
+    monkeypatch.setattr(cvxpy_backend, "parametrised", lambda *shape: compiled.append(shape) or original(*shape))
+    backend = cvxpy_backend.Cvxpy("CLARABEL")
+    for seed in range(4):
+        backend.solve(random_program(seed)[0])
+    backend.solve(random_program(0, n=4)[0])
+    assert compiled == [(6, 1, 0, False), (4, 1, 0, False)]
+
+
+def test_the_scaled_program_has_unit_hessian_and_unit_rows():
+    program, _ = random_program(4)
+    G = np.random.default_rng(0).standard_normal((3, 6))
+    scaled = canonical(program.replace(G=G, h=np.ones(3)))
+    np.testing.assert_array_equal(scaled.C, np.eye(6))
+    np.testing.assert_allclose(np.linalg.norm(scaled.F, axis=1), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(scaled.E, axis=1), 1.0)
+    x = np.arange(1.0, 7.0)
+    # There and back through a triangle as badly conditioned as the rows: 2e7.
+    rounding = np.finfo(float).eps * np.linalg.cond(program.R)
+    np.testing.assert_allclose(scaled.to_x(scaled.to_z(x)), x, rtol=rounding)
+
+
+def test_no_solver_prints():
+    """HiGHS 1.16 tells its version on standard output, once a process; what others' tools read would begin with it."""
+    script = "import cvxshear\nfor name in ('highs', 'osqp', 'scs'): cvxshear.identify('paper', backend=name)"
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ran.stdout == ""
+
+
+def test_auto_fails_with_what_the_first_general_solver_said():
+    """The closed form cannot, by an inequality or a program without one; the first failure is raised."""
+
+    class Failing:
+        def __init__(self, name, kind=NoSolutionError):
+            self.name, self.kind = name, kind
+
+        def certified(self, program, problem, start):
+            raise self.kind(f"{self.name} failed") if self.kind is UnsuitableError else NoSolutionError(self.name, "no")
+
+    singular = SimpleNamespace(F=np.ones((1, 2)), singular=True)
+    definite = SimpleNamespace(F=np.ones((1, 2)), singular=False)
+    for closed in (Failing("kkt", UnsuitableError), Failing("kkt")):
+        auto = Auto(closed, [Failing("a"), Failing("b")], [Failing("c"), Failing("d")])
+        for problem, name in ((definite, "a"), (singular, "c")):
+            with pytest.raises(NoSolutionError) as caught:
+                auto.certified(None, problem)
+            assert caught.value.backend == name
+    with pytest.raises(NoSolutionError) as caught:
+        Auto(Failing("kkt"), [Failing("a")], []).certified(None, SimpleNamespace(F=np.ones((0, 2)), singular=False))
+    assert caught.value.backend == "kkt"
+    with pytest.raises(NoSolutionError, match="there is no general solver"):
+        Auto(Failing("kkt"), [], []).certified(None, definite)

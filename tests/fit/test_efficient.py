@@ -1,0 +1,324 @@
+"""The efficient estimator: incomplete data, scales, uncertainty, refusals."""
+
+import dataclasses
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from cvxshear import Experiment, backends, identify
+from cvxshear.effects import Gravity, Placed
+from cvxshear.fit.domain import Domain, domain_of
+from cvxshear.fit.efficient import efficient
+from cvxshear.fit.gauss_newton import gauss_newton
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.start import starts
+from cvxshear.fit.uncertainty import uncertainty
+from cvxshear.priors import Bounds, Nominal, Value
+from cvxshear.util.errors import UnsuitableError
+from tests.frames import configuration, experiment, modes_of
+
+MASS = np.array([10.0, 7.5, 5.0])
+STIFFNESS = np.array([1800.0, 1200.0, 600.0])
+MASS6 = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3, 12e3])
+STIFFNESS6 = np.array([30e6, 36e6, 33e6, 27e6, 22e6, 16e6])
+THETA6 = np.concatenate([MASS6, STIFFNESS6])
+
+
+def of6(*tables, **keys):
+    return Experiment.from_dict(experiment(MASS6, STIFFNESS6, *tables, **keys))
+
+
+def noisy6(seed=0, added=(None, [2e3, 6e3, 4e3, 7e3, 3e3, 5e3]), **keys):
+    rng = np.random.default_rng(seed)
+    tables = [
+        configuration(MASS6, STIFFNESS6, each, rng=rng, shape_noise=0.01, frequency_noise=0.001, **keys)
+        for each in added
+    ]
+    return of6(*tables)
+
+
+def assert_exact(found, mass=MASS6, stiffness=STIFFNESS6, rtol=1e-6):
+    np.testing.assert_allclose(found.frame.floor_mass, mass, rtol=rtol)
+    np.testing.assert_allclose(found.frame.story_stiffness, stiffness, rtol=rtol)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"modes": [1, 2, 3, 4]},
+        {"measured_floors": [1, 2, 4, 5, 6]},
+        {"modes": [1, 2, 3, 4], "measured_floors": [1, 2, 4, 5, 6]},
+        {"modes": [2, 4, 5]},
+        {"modes": [1, 2, 3, 5], "measured_floors": [2, 3, 4, 6]},
+    ],
+)
+def test_incomplete_exact_data_give_the_exact_frame(keys):
+    assert_exact(identify(of6(configuration(MASS6, STIFFNESS6, **keys))))
+
+
+def test_entries_that_were_not_measured_do_not_count():
+    table = configuration(MASS6, STIFFNESS6)
+    shapes = np.array(table["mode_shapes"])
+    shapes[0, 3] = shapes[2, 5] = shapes[4, :2] = np.nan
+    table["mode_shapes"] = shapes.tolist()
+    found = identify(of6(table))
+    assert_exact(found)
+    assert found.fit.dof == 6 + 36 - 4 - 6 - (5 + 6)
+
+
+def test_a_row_of_nan_is_a_frequency_alone():
+    table = configuration(MASS6, STIFFNESS6)
+    table["mode_shapes"][5] = [float("nan")] * 6
+    assert_exact(identify(of6(table)))
+
+
+def test_different_modes_and_floors_in_different_configurations():
+    tables = (
+        configuration(MASS6, STIFFNESS6, modes=[1, 2], measured_floors=[2, 4, 6]),
+        configuration(MASS6, STIFFNESS6, [0, 0, 8e3, 0, 0, 4e3], modes=[2, 3, 4], measured_floors=[1, 3, 5, 6]),
+        configuration(MASS6, STIFFNESS6, [5e3, 0, 0, 0, 6e3, 0], modes=[1, 5, 6]),
+    )
+    assert_exact(identify(of6(*tables)))
+
+
+def test_different_added_mass_tells_the_scale():
+    tables = configuration(MASS6, STIFFNESS6), configuration(MASS6, STIFFNESS6, [3e3, 0, 0, 5e3, 0, 9e3])
+    assert_exact(identify(of6(*tables, frame={})))
+
+
+def test_mass_normalized_shapes_tell_the_scale():
+    table = configuration(MASS6, STIFFNESS6, mass_normalized=True)
+    shapes = np.array(table["mode_shapes"])
+    modal = np.sum(shapes**2 * MASS6, axis=1)
+    table["mode_shapes"] = (shapes / np.sqrt(modal)[:, None] * np.array([1, -1, 1, -1, 1, -1])[:, None]).tolist()
+    assert_exact(identify(of6(table, frame={})))
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        Value("floor_mass", at=3, value=19.5e3),
+        Nominal("story_stiffness", values=STIFFNESS6),
+        Value("story_stiffness", at=1, value=30e6),
+    ],
+)
+def test_a_prior_tells_the_scale(prior):
+    table = experiment(MASS6, STIFFNESS6, frame={})
+    of = Experiment.from_dict({**table, "prior": [prior.to_dict()]})
+    assert_exact(identify(of))
+
+
+def test_frequencies_alone_leave_directions_open_and_name_them():
+    table = configuration(MASS, STIFFNESS)
+    table["mode_shapes"] = [[float("nan")] * 3] * 3
+    found = identify(Experiment.from_dict(experiment(MASS, STIFFNESS, table)))
+    assert len(found.undetermined) == 2
+    assert all(name.split()[0] in ("floor_mass", "story_stiffness") for names in found.undetermined for name in names)
+    assert None in found.to_dict()["frame"]["floor_mass"]
+
+
+def test_no_step_makes_the_fit_worse_and_the_reason_is_named():
+    of = noisy6()
+    misfit = Misfit(of)
+    theta = starts(of)[1]
+    seen = []
+
+    class Watching(Misfit):
+        def evaluate(self, theta, *, derivatives=True):
+            found = super().evaluate(theta, derivatives=derivatives)
+            if derivatives:
+                seen.append(found.chi2)
+            return found
+
+    fit = gauss_newton(Watching(of), theta, domain_of(of, (), theta), backends.get("auto"))
+    # What the certificate evaluates beside the final point comes after.
+    path = seen[: fit.evaluations]
+    assert len(path) > 3
+    assert np.all(np.diff(path) < 0)
+    assert fit.reason in ("step below tolerance", "no step lowers the misfit")
+    assert fit.at.chi2 == pytest.approx(misfit.evaluate(fit.theta).chi2)
+
+
+def test_gradient_vanishes_at_the_fit_within_the_known_total():
+    of = noisy6()
+    found = efficient(of, backends.get("kkt"))
+    gradient = found.fit.at.J.T @ found.fit.at.r * found.theta
+    gradient[:6] -= found.theta[:6] * np.mean(gradient[:6] / found.theta[:6])
+    assert np.max(np.abs(gradient)) < 1e-2
+
+
+@pytest.mark.parametrize("std", [1e-6, 1e-9, 1e-12, 1e-13])
+@pytest.mark.parametrize("quantity", ["floor_mass", "story_stiffness"])
+def test_a_ratio_known_ever_better_ends_where_the_exact_one_does(quantity, std):
+    """It does not concern the common size of the two, and must not hold it back."""
+    tables = noisy6().to_dict()["configuration"]
+    true = MASS6 if quantity == "floor_mass" else STIFFNESS6
+    prior = {"kind": "ratio", "quantity": quantity, "of": 3, "to": 2, "value": 1.02 * true[2] / true[1]}
+    soft, exact = (identify(of6(*tables, prior=[{**prior, **each}])) for each in ({"std": std}, {}))
+    assert soft.converged
+    for key in ("floor_mass", "story_stiffness"):
+        off = getattr(soft.frame, key) - getattr(exact.frame, key)
+        assert np.all(np.abs(off) < 1e-3 * getattr(exact.frame, key + "_std"))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_all_starts_lead_to_the_same_fit(seed):
+    of = noisy6(seed)
+    fits = [
+        gauss_newton(Misfit(of), start, domain_of(of, (), start), backends.get("auto")).theta for start in starts(of)
+    ]
+    for theta in fits[1:]:
+        np.testing.assert_allclose(theta, fits[0], rtol=1e-6)
+
+
+def test_derivatives_of_the_residuals_against_finite_differences():
+    of = dataclasses.replace(noisy6(), priors=(Value("floor_mass", at=2, value=18e3, std=0.1),))
+    misfit = Misfit(of)
+    at = misfit.evaluate(THETA6)
+    # The projected derivative differs from the full one by a term along the residual; J' r does not.
+    gradient = at.J.T @ at.r
+    for p in range(12):
+        h = 1e-6 * THETA6[p]
+        up, down = THETA6.copy(), THETA6.copy()
+        up[p] += h
+        down[p] -= h
+        slope = (misfit.evaluate(up).chi2 - misfit.evaluate(down).chi2) / (4 * h)
+        assert gradient[p] == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.abs(gradient * THETA6).max() / THETA6[p])
+
+
+@pytest.mark.parametrize("name", ["kkt", "clarabel", "osqp", "quadprog", "scs", "cvxpy-clarabel"])
+def test_every_backend_takes_the_same_steps(name):
+    of = noisy6()
+    expected = identify(of, backend="auto")
+    found = identify(of, backend=name)
+    np.testing.assert_allclose(found.frame.floor_mass, expected.frame.floor_mass, rtol=1e-7)
+    np.testing.assert_allclose(found.frame.story_stiffness, expected.frame.story_stiffness, rtol=1e-7)
+
+
+def test_backends_agree_where_a_bound_is_active():
+    of = noisy6()
+    free = identify(of).frame.story_stiffness
+    prior = Bounds("story_stiffness", upper=[1e9, 1e9, 0.99 * free[2], 1e9, 1e9, 1e9])
+    answers = {name: identify(of, backend=name, priors=[prior]).frame for name in backends.available() if name != "kkt"}
+    for name, frame in answers.items():
+        assert frame.story_stiffness[2] == pytest.approx(0.99 * free[2], rel=1e-6), name
+        np.testing.assert_allclose(frame.story_stiffness, answers["quadprog"].story_stiffness, rtol=1e-5, err_msg=name)
+
+
+def test_a_parameter_on_its_bound_has_no_deviation_and_the_others_less():
+    of = noisy6()
+    free = identify(of).frame
+    upper = np.full(6, 1e9)
+    upper[2] = 0.99 * free.story_stiffness[2]
+    held = identify(of, priors=[Bounds("story_stiffness", upper=upper)]).frame
+    assert held.story_stiffness_std[2] == pytest.approx(0.0, abs=1e-3)
+    assert np.all(held.story_stiffness_std[[0, 1, 3]] <= free.story_stiffness_std[[0, 1, 3]])
+
+
+def test_the_known_total_leaves_the_masses_negatively_correlated():
+    found = identify(noisy6())
+    n = 6
+    std = found.frame.floor_mass_std
+    covariance = found.correlation[:n, :n] * np.outer(std, std)
+    assert np.ones(n) @ covariance @ np.ones(n) == pytest.approx(0.0, abs=1e-6 * np.sum(std**2))
+
+
+def test_covariance_against_one_computed_by_finite_differences_and_elimination():
+    """Masses m6 = total - the others; information from differenced data; a direct inverse."""
+    of = noisy6()
+    found = efficient(of, backends.get("auto"))
+    misfit = Misfit(of)
+
+    def residual(free):
+        theta = np.concatenate([free[:5], [MASS6.sum() - free[:5].sum()], free[5:]])
+        return misfit.evaluate(theta).r
+
+    free = np.delete(found.theta, 5)
+    steps = 1e-6 * free
+    J = np.array(
+        [(residual(free + e) - residual(free - e)) / (2 * h) for h, e in zip(steps, np.diag(steps), strict=True)]
+    ).T
+    covariance = np.linalg.inv(J.T @ J)
+    # The differenced Jacobian has the term along the residual that Gauss-Newton leaves out, of the order of the noise.
+    np.testing.assert_allclose(np.delete(found.std, 5), np.sqrt(np.diag(covariance)), rtol=0.02)
+
+
+def test_an_undeclared_noise_is_estimated():
+    rng = np.random.default_rng(7)
+    tables = [
+        configuration(MASS6, STIFFNESS6, added, rng=rng, shape_noise=0.03, frequency_noise=0.006)
+        for added in (None, [2e3, 6e3, 4e3, 7e3, 3e3, 5e3], [9e3, 0, 0, 4e3, 0, 0])
+    ]
+    for table in tables:
+        del table["frequency_std"], table["mode_shape_std"]
+    found = efficient(of6(*tables), backends.get("auto"))
+    factors = dict(found.noise.noise.factors)
+    # The defaults are 0.2 % and 1 %, and each factor is known within its own stated deviation.
+    assert factors["frequency"] == pytest.approx(3.0, rel=0.4)
+    assert factors["mode_shape"] == pytest.approx(3.0, rel=0.2)
+    stds = found.noise.to_dict()
+    assert all(abs(stds[kind]["factor"] - 3.0) < 3 * stds[kind]["std"] for kind in factors)
+    assert found.quality.p_value is None
+    z = (found.theta - THETA6) / found.std
+    assert np.sqrt(np.mean(z**2)) < 2
+
+
+def test_modes_that_changed_places_stay_paired():
+    of = noisy6()
+    first = of.configurations[0]
+    swapped = dataclasses.replace(
+        first, mode_shapes=first.mode_shapes[[0, 1, 2, 3, 5, 4]], frequencies=first.frequencies
+    )
+    (model,) = Misfit(dataclasses.replace(of, configurations=(swapped,))).evaluate(THETA6).models
+    np.testing.assert_array_equal(model.paired, [0, 1, 2, 3, 5, 4])
+
+
+def test_null_directions_are_named_in_words():
+    of = of6(configuration(MASS6, STIFFNESS6), frame={"total_mass": float(MASS6.sum()), "story_heights": 3.0})
+    effects = (Placed(Gravity()),)
+    theta = np.concatenate([THETA6, [1.1]])
+    at = Misfit(of, effects).evaluate(theta)
+    names = [f"m{i}" for i in range(1, 7)] + [f"k{i}" for i in range(1, 7)] + ["gravity"]
+    found = uncertainty(at.J, theta, Domain((), theta, np.full(13, np.inf)), names)
+    assert any("gravity" in direction for direction in found.null_directions)
+
+
+def test_the_fit_reports_its_degrees_of_freedom():
+    found = identify(noisy6())
+    assert found.fit.dof == 2 * (6 + 30) - (6 - 1 + 6)
+
+
+def test_where_nothing_is_left_over_there_is_no_probability_of_a_worse_fit():
+    """One story: 4 pi^2 f^2 m is its stiffness, with twice the relative deviation of its frequency."""
+    table = {"frequencies": [2.0], "mode_shapes": [[1.0]], "frequency_std": 0.01, "mode_shape_std": 0.01}
+    found = identify(Experiment.from_dict({"frame": {"stories": 1, "total_mass": 10.0}, "configuration": [table]}))
+    assert (found.fit.dof, found.fit.p_value) == (0, None)
+    assert found.frame.story_stiffness == pytest.approx(10.0 * (4 * np.pi) ** 2)
+    assert found.frame.story_stiffness_std == pytest.approx(0.02 * found.frame.story_stiffness)
+
+
+def test_identical_experiments_give_identical_numbers():
+    a, b = identify(noisy6()).to_dict(), identify(noisy6()).to_dict()
+    assert a == b
+
+
+def test_frequencies_are_those_of_an_independent_eigenvalue_solution():
+    found = identify(of6(configuration(MASS6, STIFFNESS6, [1e3] * 6)))
+    frequencies, _ = modes_of(MASS6 + 1e3, STIFFNESS6)
+    np.testing.assert_allclose(found.parts[0].predictions[0].frequencies, frequencies, rtol=1e-8)
+
+
+def test_a_fit_that_needs_too_much_memory_is_refused_before_it_is_made():
+    """Two thousand stories in one mode: 32 million entries of squares in the parameters, several times over."""
+    stories = 2000
+    declared = {
+        "frame": {"stories": stories, "total_mass": 1e6},
+        "configuration": [{"frequencies": [0.1], "mode_shapes": [np.linspace(0.001, 1.0, stories).tolist()]}],
+    }
+    tracemalloc.start()
+    with pytest.raises(UnsuitableError, match=r"would take about .* GB, more than the 1 GB that are allowed; name the"):
+        identify(Experiment.from_dict(declared))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 50e6

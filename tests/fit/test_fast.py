@@ -1,0 +1,276 @@
+"""Programs without pair rows, fewer iterations, many at once: the same numbers as the plain way."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from functools import partial
+from pathlib import Path
+
+import joblib
+import numpy as np
+import pytest
+
+from cvxshear import Experiment, InputError, NoSolutionError, UnsuitableError, backends, close_loop, identify
+from cvxshear.model.shear import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
+from cvxshear.paper.setups import three_story
+from cvxshear.priors import Ratio
+from cvxshear.programs.constraints import feasible, plainly_feasible, statements
+from cvxshear.programs.pair_rows import (
+    digits_lost,
+    factored,
+    mass_rows,
+    normalized,
+    one_shot_rows,
+    pair_adjoint,
+    pair_normal,
+    pair_products,
+    stiffness_rows,
+)
+from cvxshear.util.parallel import each
+from tests.frames import configuration, experiment
+
+KKT = backends.get("kkt")
+
+
+def random_frame(stories, seed=0, spread=0.3):
+    rng = np.random.default_rng(seed)
+    mass = 2e4 * (1 + spread * rng.uniform(-1, 1, stories))
+    return mass, 2e7 * stories * (1 + spread * rng.uniform(-1, 1, stories)), rng
+
+
+def measured(stories, noise, seed=0, prior=()):
+    mass, stiffness, rng = random_frame(stories, seed)
+    table = configuration(mass, stiffness, rng=rng, shape_noise=noise, mode_shape_std=max(noise, 1e-3))
+    return Experiment.from_dict(experiment(mass, stiffness, table, prior=prior))
+
+
+@pytest.mark.parametrize("diagonal", [True, False])
+def test_the_normal_matrix_and_the_adjoint_are_those_of_the_rows(diagonal):
+    rng = np.random.default_rng(1)
+    P = rng.standard_normal((5, 4))
+    A = pair_products(P, diagonal=diagonal)
+    E = rng.standard_normal((4, 4))
+    E = E + E.T
+    np.testing.assert_allclose(pair_normal(P, diagonal=diagonal), A.T @ A, rtol=1e-12, atol=1e-12)
+    i, j = np.triu_indices(4, k=0 if diagonal else 1)
+    np.testing.assert_allclose(pair_adjoint(P, E, diagonal=diagonal), A.T @ E[i, j], rtol=1e-12, atol=1e-12)
+
+
+def test_a_normal_matrix_that_is_not_definite_still_has_a_root():
+    A = np.random.default_rng(2).standard_normal((3, 5))
+    x = np.arange(5.0)
+    R, s = factored(A.T @ A, A.T @ (A @ x))
+    np.testing.assert_allclose(R.T @ R, A.T @ A, atol=1e-10)
+    np.testing.assert_allclose(R.T @ s, A.T @ (A @ x), atol=1e-10)
+    assert digits_lost(R) > 12
+
+
+@pytest.mark.parametrize("stories", [2, 7, 45])
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_factors_and_rows_have_the_same_answer(stories, noise):
+    of = measured(stories, noise)
+    shapes = of.configurations[0].mode_shapes.T
+    eigenvalues = (2 * np.pi * of.configurations[0].frequencies) ** 2
+    total = of.frame.total_mass
+    start = np.full(stories, total / stories)
+    P = normalized(shapes, start)
+    for build in (
+        partial(mass_rows, P, start, total),
+        partial(one_shot_rows, shapes, total),
+        partial(stiffness_rows, P, eigenvalues),
+    ):
+        rows, factor = build(rows=True), build(rows=False)
+        assert rows.R.shape[0] > stories or stories == 2
+        assert factor.R.shape == (stories, stories)
+        expected = KKT.solve(rows).x
+        np.testing.assert_allclose(KKT.solve(factor).x, expected, rtol=1e-9, atol=1e-10 * np.max(np.abs(expected)))
+
+
+def test_a_centred_program_gives_back_the_digits_that_the_square_has_cost():
+    """Forty nearly proportional modes: the square of the condition number takes eight digits."""
+    rng = np.random.default_rng(0)
+    P = rng.standard_normal((40, 40))
+    P = P[:, :1] + 0.01 * P
+    exact = KKT.solve(one_shot_rows(P, 40.0, rows=True)).x
+    program = one_shot_rows(P, 40.0, rows=False)
+    assert digits_lost(program.R) > 6
+    once = KKT.solve(program).x
+    twice = once + KKT.solve(one_shot_rows(P, 40.0, rows=False, at=once)).x
+    size = np.max(np.abs(exact))
+    assert np.max(np.abs(once - exact)) > 1e-11 * size
+    np.testing.assert_allclose(twice, exact, atol=1e-12 * size)
+
+
+@pytest.mark.parametrize("method", ["two-stage", "one-shot"])
+def test_identify_has_the_same_answer_from_rows_and_from_factors(method):
+    of = measured(40, 0.01, prior=[{"kind": "bounds", "quantity": "story_stiffness", "lower": 1e6}])
+    rows, factors = (identify(of, method, rows=each).frame for each in (True, False))
+    np.testing.assert_allclose(factors.floor_mass, rows.floor_mass, rtol=1e-9)
+    np.testing.assert_allclose(factors.story_stiffness, rows.story_stiffness, rtol=1e-9)
+
+
+def test_rows_mean_nothing_to_the_efficient_method():
+    with pytest.raises(UnsuitableError, match="method efficient does not choose"):
+        identify(measured(3, 0.0), rows=True)
+
+
+LARGE = textwrap.dedent("""
+    import sys
+    from pathlib import Path
+    import numpy as np
+    from cvxshear import Configuration, Experiment, Frame, identify
+    from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+    n = 1000
+    rng = np.random.default_rng(0)
+    mass, stiffness = 2e4 * rng.uniform(0.7, 1.3, n), 2e10 * rng.uniform(0.7, 1.3, n)
+    found = modes(mass_matrix(mass), stiffness_matrix(stiffness))
+    of = Experiment(Frame(stories=n, total_mass=mass.sum()), (Configuration(found.frequencies, found.shapes),))
+    frame = identify(of, sys.argv[1]).frame
+    status = Path("/proc/self/status").read_text().splitlines()
+    print(np.max(np.abs(frame.floor_mass / mass - 1)), np.max(np.abs(frame.story_stiffness / stiffness - 1)),
+          next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM")))
+""")
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of a process is read from /proc")
+@pytest.mark.parametrize("method", ["one-shot", "two-stage"])
+def test_a_thousand_stories_fit_into_300_mb_and_keep_ten_digits(method):
+    run = subprocess.run(
+        [sys.executable, "-c", LARGE, method], capture_output=True, text=True, check=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    mass, stiffness, megabytes = map(float, run.stdout.split())
+    assert mass < 1e-10
+    assert stiffness < 1e-10
+    assert megabytes < 300
+
+
+def test_a_tall_frame_has_the_same_modes_from_the_tridiagonal_solver():
+    """Checked by what modes are, since the general solver is not used at that size."""
+    mass, stiffness, _ = random_frame(60)
+    M, K = mass_matrix(mass), stiffness_matrix(stiffness)
+    found = modes(M, K)
+    np.testing.assert_allclose(found.shapes @ M @ found.shapes.T, np.eye(60), atol=1e-12)
+    np.testing.assert_allclose(
+        K @ found.shapes.T, M @ found.shapes.T * found.eigenvalues, atol=1e-11 * found.eigenvalues[-1] * mass.max()
+    )
+    K[0, 5] = K[5, 0] = -1e7
+    coupled = modes(M, K)
+    np.testing.assert_allclose(coupled.shapes @ K @ coupled.shapes.T, np.diag(coupled.eigenvalues), atol=1e-8 * K.max())
+
+
+def test_mode_derivatives_hold_for_a_tall_frame():
+    mass, stiffness, _ = random_frame(45)
+    system = shear_system(mass, stiffness)
+    dlam, _ = mode_derivatives(modes(system.M, system.K), system, [0, 3])
+    step = 1e-4 * stiffness[7]
+    up, down = (
+        modes(mass_matrix(mass), stiffness_matrix(stiffness + sign * step * np.eye(45)[7])).eigenvalues
+        for sign in (1, -1)
+    )
+    np.testing.assert_allclose(dlam[45 + 7], (up - down)[[0, 3]] / (2 * step), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("total", "possible"), [(22.5, True), (-1.0, False)])
+def test_feasibility_seen_at_once_is_feasibility(total, possible):
+    parts = statements((), "floor_mass", 3)
+    parts.append(type(parts[0])("total", Ratio("floor_mass", of=1, to=2, value=1.0).constraints(3)))
+    assert not plainly_feasible(parts, 3)
+    said = parts[1].constraints
+    parts[1] = type(parts[0])("total", type(said)(A=np.ones((1, 3)), b=np.array([total])))
+    assert plainly_feasible(parts, 3) is possible
+    assert feasible(parts, 3) is possible
+
+
+def noisy_samples(count):
+    setup = three_story(0.05)
+    frequencies, shapes = setup.draw(np.random.default_rng(1), count)
+    return [setup.experiment(f, s) for f, s in zip(frequencies, shapes, strict=True)]
+
+
+def _masses(experiment):
+    return identify(experiment).frame.floor_mass
+
+
+def test_two_processes_have_the_same_numbers_as_one_and_say_how_far_they_are():
+    samples = noisy_samples(6)
+    heard = []
+    one = each(_masses, samples)
+    two = each(_masses, samples, jobs=2, progress=lambda *done: heard.append(done))
+    np.testing.assert_array_equal(one, two)
+    assert heard[-1] == (6, 6)
+
+
+def _fail(item):
+    raise NoSolutionError("test", f"item {item}")
+
+
+def test_an_error_of_another_process_comes_back_whole():
+    with pytest.raises(NoSolutionError, match=r"backend test: item [01]") as caught:
+        each(_fail, [0, 1], jobs=2)
+    assert caught.value.backend == "test"
+
+
+def test_a_number_of_jobs_that_means_nothing_is_refused():
+    with pytest.raises(InputError, match="jobs = 0 must lie between 1"):
+        each(abs, [1], jobs=0)
+
+
+def _twice_deadly(item, folder):
+    """Ends the worker it runs in, the first two times, as the system does for want of memory."""
+    for marker in ("first", "second"):
+        with contextlib.suppress(FileExistsError):
+            os.close(os.open(os.path.join(folder, marker), os.O_CREAT | os.O_EXCL))
+            os.kill(os.getpid(), signal.SIGKILL)
+    return identify(item, "efficient").frame.floor_mass
+
+
+def test_a_dask_cluster_has_the_same_numbers_and_loses_nothing_with_two_workers(tmp_path):
+    distributed = pytest.importorskip("dask.distributed")
+    samples = noisy_samples(8)
+    expected = [identify(item, "efficient").frame.floor_mass for item in samples]
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory=str(tmp_path), silence_logs=50
+        ) as cluster,
+        distributed.Client(cluster),
+        joblib.parallel_config(backend="dask"),
+    ):
+        plain = each(_masses, samples, jobs=-1)
+        survived = each(partial(_twice_deadly, folder=str(tmp_path)), samples, jobs=-1)
+    assert {"first", "second"} <= {path.name for path in tmp_path.iterdir()}
+    np.testing.assert_array_equal(plain, expected)
+    np.testing.assert_array_equal(survived, expected)
+
+
+def test_candidates_fitted_over_processes_close_the_loop_the_same_way():
+    mass, stiffness, rng = random_frame(4, seed=3)
+    tables = [
+        configuration(mass, stiffness, added, rng=rng, shape_noise=0.01, frequency_noise=0.001)
+        for added in ([0, 0, 0, 0], [0, 0, 0, 6e3])
+    ]
+    tables[1]["added_mass"] = [0, 0, 0, 1e3]
+    of = Experiment.from_dict(experiment(mass, stiffness, *tables))
+    one, two = (close_loop(of, jobs=jobs) for jobs in (1, 2))
+    assert one.effects
+    assert two.to_dict() == one.to_dict()
+
+
+def test_design_values_are_where_a_large_fit_starts():
+    """Sixty stories, eight modes at fifteen floors: only the design values say where between the floors to begin."""
+    mass, stiffness, rng = random_frame(60, seed=4, spread=0.05)
+    table = configuration(
+        mass, stiffness, rng=rng, shape_noise=0.01, frequency_noise=0.001, modes=list(range(1, 9)),
+        measured_floors=list(range(4, 61, 4)),
+    )  # fmt: skip
+    prior = [
+        {"kind": "nominal", "quantity": "floor_mass", "values": [2e4] * 60, "std": 0.05},
+        {"kind": "nominal", "quantity": "story_stiffness", "values": [1.2e9] * 60, "std": 0.05},
+    ]
+    found = identify(Experiment.from_dict(experiment(mass, stiffness, table, prior=prior)))
+    assert found.converged
+    assert found.fit.p_value > 0.01
+    assert np.max(np.abs(found.frame.floor_mass / mass - 1)) < 0.15

@@ -1,0 +1,140 @@
+"""How far a test would set fits apart: against the formula written out, and numerical derivatives of other modes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear import backends
+from cvxshear.effects import Gravity, Placed
+from cvxshear.fit.efficient import efficient, fitted_with
+from cvxshear.fit.expectation import EffectPrior
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.separation import disagreement, imagined, separation
+from cvxshear.loop.hypotheses import chosen, hypotheses
+from tests.frames import configuration, experiment, modes_of
+
+MASS, STIFFNESS = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
+
+
+@pytest.mark.parametrize("columns", [3, 40])
+def test_the_separation_is_the_formula(columns):
+    rng = np.random.default_rng(columns)
+    d, S = rng.standard_normal((12, 2)), 5 * rng.standard_normal((12, columns))
+    slow = d.T @ np.linalg.inv(np.eye(12) + S @ S.T) @ d
+    np.testing.assert_allclose(separation(d, S), slow, rtol=1e-8)
+
+
+def fits(**keys):
+    tested = configuration(MASS, STIFFNESS, **keys)
+    declared = experiment(MASS, STIFFNESS, tested, frame={"total_mass": 37.0, "story_heights": 0.4})
+    declared["prior"] = [{"kind": "nominal", "quantity": "story_stiffness", "values": STIFFNESS, "std": 0.05}]
+    of = cvxshear.Experiment.from_dict(declared)
+    return [efficient(of, backends.get("auto"), effects) for effects in ((), (Placed(Gravity()),))]
+
+
+def predictions(theta, added, floors, modes, gravity):
+    """Logarithms of frequencies, and shapes at some floors with a first entry of 1."""
+    mass, stiffness = theta[:4] + added, theta[4:8].copy()
+    if gravity:
+        above = np.cumsum(mass[::-1])[::-1]
+        stiffness -= theta[8] * 9.81 * above / 0.4
+    frequencies, shapes = modes_of(mass, stiffness)
+    shapes = shapes[:modes][:, floors]
+    return np.log(frequencies[:modes]), shapes
+
+
+@pytest.mark.parametrize("floors", [[0, 3], [0, 1, 3], [0, 1, 2, 3]])
+def test_the_distance_is_that_of_numerical_derivatives_with_the_scale_a_parameter(floors):
+    """Of two fits, floors 1 and 4 measured: also at floors that had no sensor."""
+    plain, heavy = fits(measured_floors=[1, 4], modes=[1, 2], frequency_std=0.002, mode_shape_std=0.02)
+    first = plain.experiment.configurations[0]
+    added = np.array([0.0, 6.0, 0.0, 0.0])
+    test = imagined(plain, first, added)
+    found = disagreement(plain, heavy, test, first).at(np.array(floors))
+
+    def said(estimate, theta, scale):
+        frequency, shapes = predictions(theta, added, np.arange(4), 2, len(theta) > 8)
+        # On the scale of the first model's shapes; the largest entry of those at the first sensors is the noise's unit.
+        own = predictions(plain.theta, added, np.arange(4), 2, False)[1]
+        shapes = shapes * (np.sum(own * shapes, axis=1) / np.sum(shapes**2, axis=1))[:, None]
+        unit = 0.02 * np.abs(own[:, [0, 3]]).max(axis=1, keepdims=True)
+        return np.concatenate([frequency / 0.002, ((shapes + scale[:, None] * own) / unit)[:, floors].ravel()])
+
+    columns = []
+    for estimate in (plain, heavy):
+        theta, covariance = estimate.theta, estimate.uncertainty.covariance()
+        steps = np.diag(1e-6 * np.maximum(np.abs(theta), 1e-3))
+        J = np.array(
+            [
+                (said(estimate, theta + h, np.zeros(2)) - said(estimate, theta - h, np.zeros(2))) / (2 * h.sum())
+                for h in steps
+            ]
+        ).T
+        columns.append(J @ covariance @ J.T)
+    base = said(plain, plain.theta, np.zeros(2))
+    free = 1e4 * np.array([said(plain, plain.theta, unit) - base for unit in np.eye(2)]).T
+    spread = np.eye(len(base)) + columns[0] + columns[1] + free @ free.T
+    d = said(heavy, heavy.theta, np.zeros(2)) - base
+    assert found == pytest.approx(np.sqrt(d @ np.linalg.solve(spread, d)), rel=2e-3)
+
+
+def test_more_sensors_never_tell_less():
+    plain, heavy = fits(measured_floors=[1, 4], modes=[1, 2])
+    first = plain.experiment.configurations[0]
+    said = disagreement(plain, heavy, imagined(plain, first, np.array([0.0, 0.0, 5.0, 0.0])), first)
+    apart = [said.at(np.array(floors)) for floors in ([3], [0, 3], [0, 2, 3], [0, 1, 2, 3])]
+    assert apart == sorted(apart)
+    assert apart[-1] > apart[0]
+
+
+def test_an_entry_that_no_sensor_showed_is_not_counted_on():
+    plain, heavy = fits()
+    first = plain.experiment.configurations[0]
+    shapes = first.mode_shapes.copy()
+    shapes[:, 2] = np.nan
+    blind = dataclasses.replace(first, mode_shapes=shapes)
+    masses = np.array([0.0, 0.0, 5.0, 0.0])
+    test = imagined(plain, blind, masses)
+    without = disagreement(plain, heavy, test, blind)
+    assert without.at(np.arange(4)) == without.at(np.array([0, 1, 3]))
+    nothing = dataclasses.replace(first, mode_shapes=np.full_like(shapes, np.nan))
+    frequencies_alone = disagreement(plain, heavy, imagined(plain, nothing, masses), nothing)
+    assert frequencies_alone.at(np.arange(4)) == frequencies_alone.at(np.array([0]))
+
+
+def test_every_effect_says_something_of_a_test_with_more_sensors_and_no_priors():
+    """The effects are those of three instrumented floors and a soft prior; the imagined test has four floors and none.
+
+    What changes neither masses nor stiffnesses nor sensors says what the shear model says.
+    """
+    keys = {"measured_floors": [1, 3, 4], "frequency_std": 0.002, "mode_shape_std": 0.02}
+    tests = [
+        {**configuration(MASS, STIFFNESS, added, **keys), "name": name, "state": name}
+        for name, added in (("before", None), ("after", [0.0, 2.0, 0.0, 0.0]))
+    ]
+    declared = experiment(MASS, STIFFNESS, *tests, frame={"total_mass": 37.0, "story_heights": 0.4})
+    declared["prior"] = [{"kind": "nominal", "quantity": "story_stiffness", "values": STIFFNESS, "std": 0.05}]
+    of = cvxshear.Experiment.from_dict(declared)
+    start = efficient(of, backends.get("auto"))
+    expectation = EffectPrior(start.scale)
+    plain, *others = (
+        fitted_with(
+            Misfit(of, effects, expectation=expectation),
+            np.concatenate([start.theta, *(np.array(placed.start) for placed in effects)]),
+            backends.get("auto"),
+        )
+        for effects in [(), *((item.placed,) for item in hypotheses(of, chosen(None), ()))]
+    )
+    first = of.configurations[0]
+    test = imagined(plain, first, np.array([0.0, 6.0, 0.0, 0.0]))
+    apart = {}
+    for other in others:
+        (placed,) = other.effects
+        apart[placed.effect.name] = disagreement(plain, other, test, first).at(np.arange(4))
+    assert {"other_gains", "other_stiffness", "attached_mass"} <= set(apart)
+    assert np.all(np.isfinite(list(apart.values())))
+    assert apart["other_shapes"] == pytest.approx(0.0, abs=1e-6)
+    # Where the prior holds the fit may move by what the prior and exact data differ in rounding.
+    assert apart["wrong_prior"] == pytest.approx(0.0, abs=1e-3)

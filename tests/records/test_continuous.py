@@ -1,0 +1,157 @@
+"""Observers, projections and covariances of continuous records, against recursions and sums written out."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from cvxshear.records import continuous
+from cvxshear.records.continuous import CovarianceSource, OkidSource, SubspaceSource, Triangles
+
+
+@pytest.mark.parametrize(
+    ("stories", "outputs", "samples", "lags", "rows"),
+    [(3, 3, 10**5, 20, 30), (6, 3, 10**5, 28, 30), (5, 3, 10**5, 24, 30), (14, 2, 10**5, 98, 42), (14, 5, 1200, 20, 30),
+     (14, 2, 1500, 50, 42), (8, 1, 10**5, 112, 48)],
+)  # fmt: skip
+def test_lags_and_rows_hold_samples_enough_for_each_state(stories, outputs, samples, lags, rows):
+    assert continuous.lags_for(stories, outputs, samples) == lags
+    assert continuous.rows_for(stories, outputs) == rows
+
+
+def test_triangles_add_up_without_one_block_or_several():
+    rng = np.random.default_rng(0)
+    blocks = [rng.standard_normal((count, 5)) for count in (9, 3, 12, 7)]
+    triangles = Triangles([continuous._triangle(block) for block in blocks])
+    for gone in ([], [0], [2], [3], [0, 2], [1, 3]):
+        keep = np.isin(np.arange(4), gone, invert=True)
+        found = triangles.together(keep if gone else None)
+        products = sum(block.T @ block for block, kept in zip(blocks, keep, strict=True) if kept)
+        np.testing.assert_allclose(found.T @ found, products)
+        np.testing.assert_allclose(np.tril(found, -1), 0.0, atol=1e-12)
+
+
+def test_rows_of_the_regressions_hold_what_came_before():
+    u, y = np.arange(8.0)[:, None], 10.0 * np.arange(8.0)[:, None] + np.arange(2.0)
+    found = continuous._regression(u, y, 3)
+    assert found.shape == (5, 1 + 3 * 3 + 2)
+    np.testing.assert_array_equal(found[1], [4, 3, 30, 31, 2, 20, 21, 1, 10, 11, 40, 41])
+    found = continuous._data(u, y, 2)
+    assert found.shape == (5, 2 + 2 + 4 + 4)
+    np.testing.assert_array_equal(found[1], [3, 4, 1, 2, 10, 11, 20, 21, 30, 31, 40, 41])
+
+
+def arx(rng, lags=3, outputs=2):
+    """An observer of two outputs and one input whose poles decay."""
+    return (0.5 * rng.standard_normal((outputs, 1)), rng.standard_normal((lags, outputs, 1)),
+            0.25 * rng.standard_normal((lags, outputs, outputs)))  # fmt: skip
+
+
+def impulse_response(direct, inputs, outputs, count):
+    found = [direct]
+    for k in range(1, count + 1):
+        own = inputs[k - 1] if k <= len(inputs) else np.zeros_like(direct)
+        found.append(own + sum(outputs[i - 1] @ found[k - i] for i in range(1, min(k, len(outputs)) + 1)))
+    return np.array(found)
+
+
+def test_markov_parameters_are_the_answer_to_a_unit_pulse():
+    direct, inputs, outputs = arx(np.random.default_rng(1))
+    found = continuous._system_markov(direct, inputs, outputs, 40)
+    np.testing.assert_allclose(found, impulse_response(direct, inputs, outputs, 40), atol=1e-10)
+    # A pole may come out a little unstable by chance; one that is well outside stands for nothing.
+    one = np.ones((1, 1, 1))
+    for pole, later in ((1.0015, 1.0015 ** np.arange(5)), (1.0025, np.zeros(5))):
+        found = continuous._system_markov(np.zeros((1, 1)), one, pole * one, 5)
+        np.testing.assert_allclose(found[:, 0, 0], [0.0, *later], atol=1e-9)
+
+
+def driven(samples=260, seed=2):
+    """Input and output of such a system, from rest."""
+    rng = np.random.default_rng(seed)
+    direct, inputs, outputs = arx(rng)
+    u = rng.standard_normal((samples, 1))
+    response = impulse_response(direct, inputs, outputs, samples)
+    y = np.array([sum(response[k] @ u[at - k] for k in range(at + 1)) for at in range(samples)])
+    return u, y, response
+
+
+def test_an_observer_of_exact_data_is_the_system():
+    u, y, response = driven()
+    pieces = [(u[:140], y[:140]), (u[120:], y[120:])]
+    source = OkidSource(pieces, 50.0, floor=2, lags=6)
+    for keep in (None, np.array([True, False])):
+        np.testing.assert_allclose(source.markov(keep)[:40], response[:40], atol=1e-8)
+    impulse = source.impulse()
+    assert (impulse.start, impulse.driven.tolist()) == (12, [2])
+    np.testing.assert_allclose(source.energies, [np.mean(piece[1] ** 2) for piece in pieces])
+
+
+def test_a_rougher_observer_is_that_of_half_the_lags_on_the_same_samples():
+    u, y, _ = driven()
+    y = y + 0.3 * np.random.default_rng(3).standard_normal(y.shape)
+    pieces = [(u[:140], y[:140]), (u[120:], y[120:])]
+    rougher = OkidSource(pieces, 50.0, lags=6).rougher()
+    half = OkidSource([(a[3:], b[3:]) for a, b in pieces], 50.0, lags=3)
+    np.testing.assert_allclose(rougher.markov(), half.markov(), atol=1e-9)
+    inner = SubspaceSource(pieces, 50.0, rows=5, lags=20)
+    assert inner._observer.lags == 9
+    assert inner.rougher()._observer.lags == 4
+    np.testing.assert_allclose(inner.impulse().sequence, OkidSource(pieces, 50.0, lags=9).markov())
+
+
+def test_the_factor_of_a_subspace_is_the_future_as_the_past_explains_it():
+    """Future outputs and the past, each less what future inputs explain; the one projected on the other."""
+    u, y, _ = driven()
+    y = y + 0.3 * np.random.default_rng(4).standard_normal(y.shape)
+    pieces = [(u[:140], y[:140]), (u[120:], y[120:])]
+    rows = np.vstack([continuous._data(*piece, 4) for piece in pieces])
+    future_inputs, past, future = np.split(rows, [4, 4 + 12], axis=1)
+
+    def less(values, basis):
+        return values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
+
+    explained = less(future, future_inputs) - less(less(future, future_inputs), less(past, future_inputs))
+    factor = SubspaceSource(pieces, 50.0, rows=4, lags=6).factor()
+    np.testing.assert_allclose(factor @ factor.T, explained.T @ explained, atol=1e-8)
+    norms = np.linalg.norm(factor, axis=0)
+    assert np.all(np.diff(norms) <= 0)
+
+
+def test_covariances_of_an_ambient_record_are_means_of_products():
+    rng = np.random.default_rng(5)
+    pieces = [rng.standard_normal((count, 2)).cumsum(axis=0) for count in (60, 90)]
+    source = CovarianceSource(pieces, 10.0, rows=4, columns=3)
+    counts = [len(piece) - 7 for piece in pieces]
+
+    def at(lag, chosen):
+        total = sum(np.outer(pieces[k][t + lag], pieces[k][t]) for k in chosen for t in range(counts[k]))
+        return total / sum(counts[k] for k in chosen)
+
+    for keep, chosen in ((None, (0, 1)), (np.array([False, True]), (1,))):
+        found = source.markov(keep)
+        assert len(found) == 8
+        np.testing.assert_allclose(found, [at(lag, chosen) for lag in range(8)])
+    np.testing.assert_allclose(source.energies, [np.mean(piece**2) for piece in pieces])
+    R = source.markov()
+    hankel = np.block([[R[1 + i + j] for j in range(3)] for i in range(4)])
+    data = source.data()
+    np.testing.assert_allclose(data @ data.T, hankel @ hankel.T)
+    past = np.block([[R[i - j].T if i >= j else R[j - i] for j in range(3)] for i in range(3)])
+    root = continuous._root(past)
+    np.testing.assert_allclose(np.triu(root, 1), 0.0)
+    lift = (root @ root.T - past)[0, 0]
+    np.testing.assert_allclose(root @ root.T, past + lift * np.eye(6), atol=1e-9)
+    least = linalg.eigvalsh(past)[0]
+    assert lift == pytest.approx(1e-8 * past.diagonal().max() - min(0.0, least), abs=1e-9)
+    factor = source.factor()
+    weighted = hankel @ np.linalg.solve(root @ root.T, hankel.T)
+    np.testing.assert_allclose(factor @ factor.T, weighted, rtol=1e-6, atol=1e-6 * np.abs(weighted).max())
+    future = continuous._toeplitz(R, 4)
+    expected = np.block([[R[i - j] if i >= j else R[j - i].T for j in range(4)] for i in range(4)])
+    np.testing.assert_allclose(future, expected)
+    # The weight of the future is undone, but it decides what counts.
+    inverse = np.linalg.inv(continuous._root(future))
+    sizes = np.linalg.norm(inverse @ factor, axis=0)
+    alike = (inverse @ factor).T @ (inverse @ factor) / np.outer(sizes, sizes)
+    np.testing.assert_allclose(alike, np.eye(6), atol=1e-6)
+    assert np.all(np.diff(sizes) <= 0)

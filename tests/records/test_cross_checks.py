@@ -1,0 +1,90 @@
+"""The same records through the maintained libraries, where they are installed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cvxshear.data.pairing import mac
+from cvxshear.io.modes import modes_from_file
+from cvxshear.records import Channel, Run, TimeRecord, from_pyoma, from_sdypy, identify_modes
+from cvxshear.records.simulate import PAPER_FRAME, ambient_record, base_record
+from tests.records.shared import DATA, needs_southampton, southampton
+
+# What these libraries warn of, on import and at work, is theirs to mend.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def by_poles(transition, output, rate):
+    """Frequencies, damping and shapes of a discrete state-space model, well damped poles left out."""
+    values, vectors = np.linalg.eig(transition)
+    poles = np.log(values.astype(complex)) * rate
+    used = (poles.imag > 0) & (-poles.real / np.abs(poles) < 0.05)
+    order = np.argsort(np.abs(poles[used]))
+    return np.abs(poles[used])[order] / (2 * np.pi), (output @ vectors)[:, used].T[order]
+
+
+def test_pyoma2():
+    single = pytest.importorskip("pyoma2.setup.single")
+    ssi = pytest.importorskip("pyoma2.algorithms.ssi")
+    record = ambient_record(PAPER_FRAME, 0, noise=0.05)
+    setup = single.SingleSetup(record.runs[0].responses, fs=20.0)
+    algorithm = ssi.SSI(name="ssi", method="cov", br=40, ordmax=12)
+    setup.add_algorithms(algorithm)
+    setup.run_by_name("ssi")
+    setup.mpe("ssi", sel_freq=[1.03, 2.21, 3.28], order_in=10)
+    theirs, ours = from_pyoma(algorithm), identify_modes(record)
+    # Two estimators of one record differ by a part of what the record's length leaves open, 0.1 %.
+    np.testing.assert_allclose(ours.frequencies, theirs.frequencies, rtol=2e-3)
+    for first, second in zip(ours.mode_shapes, theirs.mode_shapes, strict=True):
+        assert mac(first, second) > 0.9999
+
+
+def test_mdof():
+    mdof = pytest.importorskip("mdof")
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0)
+    shaken = record.runs[0]
+    transition, _, output, *_ = mdof.sysid(shaken.excitation[None], shaken.responses.T, method="srim", order=6, dt=0.05)
+    frequencies, shapes = by_poles(np.asarray(transition), np.asarray(output), 20.0)
+    ours = identify_modes(record)
+    assert len(ours.frequencies) == 3
+    for frequency, shape in zip(ours.frequencies, ours.mode_shapes, strict=True):
+        nearest = int(np.argmin(np.abs(frequencies - frequency)))
+        assert frequencies[nearest] == pytest.approx(frequency, rel=2e-4)
+        assert mac(shapes[nearest], shape) > 0.99999
+
+
+def test_pyyeti():
+    era = pytest.importorskip("pyyeti.era")
+    omega = 2 * np.pi * np.array([2.0, 6.0])
+    time = np.arange(2000) / 100
+    modal = np.exp(-0.01 * omega * time[:, None]) * np.cos(omega * np.sqrt(1 - 1e-4) * time[:, None])
+    values = modal @ np.array([[0.5, 1.0], [1.0, -0.6]]) + 1e-3 * np.random.default_rng(0).standard_normal((2000, 2))
+    theirs = era.ERA(values.T[:, :, None], sr=100.0, svd_tol=4, auto=True, show_plot=False, verbose=False)
+    record = TimeRecord(
+        (Channel("a", 1), Channel("b", 2)), runs=(Run(values),), sampling_rate=100.0, input="free_decay"
+    )
+    ours = identify_modes(record)
+    np.testing.assert_allclose(ours.frequencies, np.sort(theirs.freqs_hz), rtol=1e-3)
+    np.testing.assert_allclose(ours.damping_ratios, 0.01, rtol=0.02)
+
+
+@needs_southampton
+def test_sdypy_ema(tmp_path):
+    ema = pytest.importorskip("sdypy.EMA")
+    table = np.loadtxt(DATA / "southampton" / "set-3.csv", delimiter=",", skiprows=1)
+    functions = (table[:, 1::2] + 1j * table[:, 2::2]).T
+    model = ema.Model(functions, table[:, 0], lower=5, upper=60, pol_order_high=60, frf_type="accelerance")
+    model.get_poles(show_progress=False)
+    model.select_closest_poles([6.51, 17.46, 26.50], f_window=2)
+    ours, _ = modes_from_file(southampton(tmp_path))
+    found = np.array(model.nat_freq) > 0
+    assert found.any()
+    # Which of its many orders the library picks a pole from changes with the last digits of the linear algebra; the
+    # poles of all orders lie within one line of the functions, 1/32 Hz.
+    np.testing.assert_allclose(np.array(model.nat_freq)[found], ours.frequencies[found], rtol=0, atol=1 / 32)
+    np.testing.assert_allclose(np.array(model.nat_xi)[found], ours.damping_ratios[found], rtol=0.15)
+    if found.all():
+        model.get_constants()
+        theirs = from_sdypy(model, floors=[1, 2, 3])
+        assert min(mac(a, b) for a, b in zip(theirs.mode_shapes, ours.mode_shapes, strict=True)) > 0.99

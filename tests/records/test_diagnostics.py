@@ -1,0 +1,428 @@
+"""What is wrong with a record is found and said with its number, and what is right is left alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cvxshear import InputError
+from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
+from cvxshear.records.clock_offsets import offsets
+from cvxshear.records.deviations import SENSOR_STD, entry_std
+from cvxshear.records.diagnostics import reciprocity_findings
+from cvxshear.records.record import Finding
+from cvxshear.records.sick_channels import channel_findings
+from cvxshear.records.signals import in_step, struck
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
+from tests.benchmarks.record_faults import only
+from tests.records.shared import TWO_STORY_FREQUENCIES, two_story_frf
+
+QUIET = {"clock offset", "sign", "swapped channels", "amplitude", "reciprocity", "dead channel", "clipped channel"}
+
+
+@pytest.fixture(scope="module")
+def record() -> TimeRecord:
+    return base_record(PAPER_FRAME, 7, noise=0.01, duration=150.0)
+
+
+def changed(record: TimeRecord, change) -> TimeRecord:
+    values = record.runs[0].responses.copy()
+    change(values)
+    return dataclasses.replace(record, runs=(Run(values, record.runs[0].excitation),))
+
+
+def kinds(result) -> set[str]:
+    return {finding.kind for finding in result.findings}
+
+
+def found(result, kind):
+    return [finding for finding in result.findings if finding.kind == kind]
+
+
+def test_a_sound_record_is_left_alone(record):
+    assert not kinds(identify_modes(record)) & QUIET
+    assert not kinds(identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=2))) & QUIET
+
+
+def test_hits_at_another_floor_than_is_said_are_named():
+    record = hammer_record(PAPER_FRAME, 3, noise=0.03, floors=(2, 3), hits=3)
+    wrong = tuple(dataclasses.replace(run, floor=3) if run.name == "hit 2 at floor 2" else run for run in record.runs)
+    [finding] = found(identify_modes(dataclasses.replace(record, runs=wrong)), "hit")
+    assert finding.numbers == {"floor": 3, "runs": ["hit 2 at floor 2"]}
+    assert "hit" not in kinds(identify_modes(record))
+
+
+def test_hits_at_another_floor_than_all_runs_say_are_told_by_the_signs_of_their_residues():
+    record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(2,), hits=3)
+    assert "scale" not in kinds(identify_modes(record))
+    elsewhere = tuple(dataclasses.replace(run, floor=3) for run in record.runs)
+    result = identify_modes(dataclasses.replace(record, runs=elsewhere))
+    [finding] = found(result, "scale")
+    assert finding.numbers == {"floor": 3, "positive_at": [2]}
+    assert not result.mass_normalized
+
+
+def test_several_hits_in_one_run_are_counted_with_how_to_part_them():
+    record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(2,), hits=3)
+    length = record.runs[0].samples / record.sampling_rate
+    one = dataclasses.replace(
+        record.runs[0],
+        responses=np.concatenate([run.responses for run in record.runs]),
+        excitation=np.concatenate([run.excitation for run in record.runs]),
+    )
+    with pytest.raises(InputError, match=r"holds 3 hits, at .* s: give each a") as error:
+        identify_modes(dataclasses.replace(record, runs=(one,)))
+    start, end = re.search(r"start = ([\d.]+), end = ([\d.]+),", str(error.value)).groups()
+    assert float(end) - float(start) == pytest.approx(length, abs=0.01)
+
+
+def test_clock_offset_is_found_and_corrected(record):
+    late = in_step(record, {"floor2": (-0.008, 0.0)})
+    result = identify_modes(late)
+    [finding] = found(result, "clock offset")
+    assert finding.numbers["channel"] == "floor2"
+    assert finding.numbers["seconds"] == pytest.approx(0.008, abs=3e-4)
+    again = identify_modes(late, correct_clocks=True)
+    assert [f.message.endswith("; corrected") for f in found(again, "clock offset")] == [True]
+    np.testing.assert_allclose(again.mode_shapes, identify_modes(record).mode_shapes, atol=2e-3)
+
+
+@pytest.mark.parametrize(("kept", "both"), [([0, 2], True), ([0, 1, 2], False)])
+def test_of_two_clocks_alone_nobody_tells_which_is_off(kept, both):
+    record = in_step(ambient_record(PAPER_FRAME, 3, noise=0.01, duration=600.0), {"floor3": (-0.01, 0.0)})
+    [finding] = found(identify_modes(only(record, np.array(kept))), "clock offset")
+    assert finding.numbers["channel"] == "floor3"
+    assert ("which of the two is off no third clock tells" in finding.message) is both
+
+
+def test_what_the_modes_leave_of_a_drift_s_start_is_counted_with_it():
+    """The clock agrees with all others when the record begins."""
+    frame = KnownFrame(np.full(4, 1000.0), np.full(4, 2.5e6), 0.012)
+    record = base_record(frame, 1, noise=0.02, duration=240.0, sampling_rate=40.0)
+    result = identify_modes(in_step(record, {"floor3": (0.0, 150e-6)}))
+    [finding] = [item for item in result.findings if item.kind.startswith("clock")]
+    assert finding.kind == "clock drift"
+    start, std = result.clock_offsets["floor3"]
+    assert finding.numbers["seconds"] == start
+    assert abs(start) < 3.0 * std
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_a_late_channel_is_told_whichever_the_phases_are_counted_from(late):
+    """Also the one that all modes move most, which phases without an input are compared with."""
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0])
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.7, -0.6], [-0.7, 1.0, -0.4]])
+    seconds = np.where(np.arange(3) == late, 0.004, 0.0)
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * seconds)
+    told = offsets(eigenvalues, turned)
+    assert told.reference != late
+    np.testing.assert_allclose(told.seconds, seconds, atol=1e-9)
+    np.testing.assert_allclose(told.unexplained, 0.0, atol=1e-6)
+    assert told.before[late] > 5.0
+
+
+def test_clock_offset_of_the_input(record):
+    late = in_step(record, {"input": (-0.012, 0.0)})
+    [finding] = found(identify_modes(late), "clock offset")
+    assert finding.numbers["channel"] == "input"
+    assert finding.numbers["seconds"] == pytest.approx(0.012, abs=5e-4)
+
+
+def test_offsets_of_exact_shapes():
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 11.0]) - 0.1
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.8], [-0.7, 1.0, -0.5]])
+    late = np.array([0.004, 0.0, -0.002])
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * late) * np.exp([[0.3j], [2j], [-1j]])
+    np.testing.assert_allclose(offsets(eigenvalues, turned).seconds, late, atol=1e-9)
+
+
+def test_a_mode_next_to_half_the_sampling_rate_says_nothing_of_clocks():
+    """Phases of such a mode are off by up to 15 degrees, of which the others know nothing."""
+    eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0]) - 0.1
+    shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.8], [-0.7, 1.0, -0.5]])
+    late = np.array([0.004, 0.0, -0.002])
+    turned = shapes * np.exp(-1j * eigenvalues.imag[:, None] * late)
+    turned[2] *= np.exp(1j * np.radians([15.0, 0.0, -8.0]))
+    np.testing.assert_allclose(offsets(eigenvalues, turned, sampling_rate=20.0).seconds, late, atol=1e-9)
+    assert np.max(np.abs(offsets(eigenvalues, turned, sampling_rate=40.0).seconds - late)) > 1e-3
+    # Two modes are what an offset is told by at least.
+    pair = offsets(eigenvalues[1:], turned[1:], sampling_rate=20.0)
+    np.testing.assert_array_equal(pair.seconds, offsets(eigenvalues[1:], turned[1:]).seconds)
+
+
+def test_no_clock_of_a_tall_frame_is_off_whose_highest_mode_is_next_to_half_the_sampling_rate():
+    stories = 10
+    soft = KnownFrame(np.full(stories, 2e5), np.linspace(1.5e8, 0.8e8, stories), 0.01)
+    stiffnesses = soft.stiffnesses * (9.0 / soft.modes()[0][-1]) ** 2
+    frame = KnownFrame(soft.masses, stiffnesses, 0.01)
+    # Standard deviations from few pieces: the phases are looked at as they stand.
+    result = identify_modes(base_record(frame, 0, noise=0.02, duration=300.0), blocks=7)
+    assert len(result.frequencies) == stories
+    assert found(result, "clock offset") == []
+
+
+def test_shift_is_exact_for_a_slow_sine(record):
+    time = np.arange(1000) / 20.0
+    wave = np.column_stack([np.sin(2 * np.pi * 1.3 * time)] * 3)
+    run = Run(wave, np.cos(time))
+    moved = in_step(dataclasses.replace(record, runs=(run,)), {"floor1": (0.013, 0.0)}).runs[0].responses
+    edge = (1000 - len(moved)) // 2
+    expected = np.sin(2 * np.pi * 1.3 * (time + 0.013))[edge : edge + len(moved)]
+    np.testing.assert_allclose(moved[50:-50, 0], expected[50:-50], atol=2e-3)
+    np.testing.assert_allclose(moved[:, 1], wave[edge : edge + len(moved), 1], atol=1e-9)
+
+
+def test_sign(record):
+    def turn(values):
+        values[:, 1] *= -1
+
+    result = identify_modes(changed(record, turn))
+    [finding] = found(result, "sign")
+    assert finding.numbers["channel"] == "floor2"
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
+
+
+def test_dead_channel_is_left_out(record):
+    def cut_wire(values):
+        values[:, 1] = 1e-9 * np.random.default_rng(0).standard_normal(len(values))
+
+    result = identify_modes(changed(record, cut_wire))
+    [finding] = found(result, "dead channel")
+    assert finding.numbers["floor"] == 2
+    np.testing.assert_array_equal(result.floors, [1, 3])
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
+
+
+def test_clipped_channel(record):
+    level = 0.5 * np.abs(record.runs[0].responses[:, 2]).max()
+
+    def clip(values):
+        np.clip(values[:, 2], -level, level, out=values[:, 2])
+
+    [finding] = [f for f in channel_findings(changed(record, clip)) if f.kind == "clipped channel"]
+    assert finding.numbers["channel"] == "floor3"
+    assert abs(finding.numbers["level"]) == pytest.approx(level)
+    assert "of 3000 samples" in finding.message
+
+
+@pytest.mark.parametrize(("frequency", "noise"), [(3.5, 7.0), (3.5, 0.0), (0.8, 0.3), (0.8, 0.0)])
+def test_a_rounded_peak_is_no_clip(frequency, noise):
+    """Decays at 512 Hz of a thousand steps of the converter, with noise in steps; cut off at 70 % they are clipped."""
+    time = np.arange(4096) / 512
+    clips = {1.0: 0, 0.7: 0}
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        moved = 1000.0 * np.exp(-0.2 * time) * np.sin(2 * np.pi * frequency * time + seed)
+        moved = np.round(moved + noise * random.standard_normal(len(time)))
+        for share in clips:
+            limit = np.round(share * np.abs(moved).max())
+            values = np.column_stack([np.clip(moved, -limit, limit), np.roll(moved, 7)])
+            channels = (Channel("a1", 1), Channel("a2", 2))
+            series = TimeRecord(channels, runs=(Run(values),), sampling_rate=512.0, input="free_decay")
+            clips[share] += any(item.kind == "clipped channel" for item in channel_findings(series))
+    assert clips == {1.0: 0, 0.7: 20}
+
+
+def test_drift(record):
+    def warm_up(values):
+        values[:, 0] += np.linspace(0, 3 * values[:, 0].std(), len(values))
+
+    [finding] = [f for f in channel_findings(changed(record, warm_up)) if f.kind == "drift"]
+    assert finding.numbers["channel"] == "floor1"
+    assert finding.numbers["over_std"] == pytest.approx(2.7, abs=0.3)
+
+
+def test_held_samples(record):
+    def fill_up(values):
+        values[1::2, 2] = values[::2, 2]
+
+    [finding] = [f for f in channel_findings(changed(record, fill_up)) if f.kind == "held samples"]
+    assert finding.numbers["repeats"] == 2
+
+
+def test_aliasing(record):
+    def hum(values):
+        # 49.6 Hz sampled at 20 Hz folds to 9.6 Hz; a sine of amplitude s has half the power of s^2.
+        values[:, 0] += values[:, 0].std() * np.sin(2 * np.pi * 49.6 * np.arange(len(values)) / 20)
+
+    [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "aliasing"]
+    assert finding.numbers["channel"] == "floor1"
+    assert finding.numbers["share"] == pytest.approx(1 / 3, abs=0.05)
+
+
+def test_a_hammer_sampled_at_a_third_of_the_mains_does_not_hum():
+    """At 20 Hz three lines of the mains fold to 0 Hz, where a blow has its power, and three to 10 Hz."""
+    sound = hammer_record(PAPER_FRAME, 4, noise=0.02, hits=1)
+    assert not [f for f in channel_findings(sound) if f.kind == "mains hum"]
+
+
+def test_mains_hum(record):
+    def hum(values):
+        # 50 Hz folds to 10 Hz, half the sampling rate: the sine of amplitude s is s or -s at each sample.
+        values[:, 0] += values[:, 0].std() * np.cos(2 * np.pi * 50.0 * np.arange(len(values)) / 20)
+
+    [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "mains hum"]
+    assert finding.numbers["channel"] == "floor1"
+    assert finding.numbers["share"] == pytest.approx(1 / 2, abs=0.05)
+
+
+def test_ambient_record_too_short():
+    result = identify_modes(ambient_record(PAPER_FRAME, 1, noise=0.01, duration=240.0))
+    [finding] = [f for f in found(result, "resolution") if "periods" in f.numbers]
+    assert finding.numbers["periods"] == pytest.approx(240 * 1.0336, rel=0.01)
+
+
+def frf_record(damping: float, gain: float = 1.0) -> FrfRecord:
+    frequencies = np.arange(1, 1025) / 32
+    runs = tuple(
+        FrfRun(two_story_frf(frequencies, damping, floor) * (gain if floor == 2 else 1.0), floor) for floor in (1, 2)
+    )
+    return FrfRecord((Channel("a1", 1), Channel("a2", 2)), runs=runs, frequencies=frequencies)
+
+
+def test_functions_give_the_masses():
+    result = identify_modes(frf_record(0.01))
+    np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=2e-4)
+    np.testing.assert_allclose(result.damping_ratios, 0.01, rtol=0.02)
+    assert result.mass_normalized
+    np.testing.assert_allclose(np.linalg.inv(result.mode_shapes.T @ result.mode_shapes), np.diag([2.0, 1.0]), atol=0.02)
+    assert not found(result, "reciprocity")
+
+
+def test_reciprocity_violation():
+    [finding] = found(identify_modes(frf_record(0.01, gain=1.07)), "reciprocity")
+    assert finding.numbers["floors"] == [1, 2]
+    assert finding.numbers["largest"] == pytest.approx(0.07 / 1.035, abs=0.005)
+
+
+def test_a_transfer_near_a_node_tells_nothing_of_calibrations():
+    """Floor 2 hardly moves in mode 2: 0.1 % of crosstalk makes its transfers differ by a tenth there."""
+    real = np.array([[0.6, 1.0], [1.0, 0.01]])
+    products = np.einsum("ri,rj->rij", real, real).astype(complex)
+    setting = SimpleNamespace(base=False, floors=np.array([1, 2]))
+    full = SimpleNamespace(products=products, real=real, driven=np.array([1, 2]))
+    products[1, 0, 1] += 0.001
+    assert not list(reciprocity_findings(full, setting))
+    products[0, 0, 1] *= 1.05
+    (said,) = reciprocity_findings(full, setting)
+    assert "up to 4.9 % (mode 1; " in said.message
+
+
+def test_another_mode_than_all_may_be_of_a_story_that_was_not_declared():
+    """Sensors at floors 2 and 4 of four stories, declared as floors 2 and 3 of three: four modes are found."""
+    frame = KnownFrame(np.full(4, 10.0), np.full(4, 2e4), 0.01)
+    base = base_record(frame, 0, noise=0.01, duration=200.0, sampling_rate=64.0)
+    run = dataclasses.replace(base.runs[0], responses=base.runs[0].responses[:, [1, 3]])
+    told = dataclasses.replace(base, channels=(Channel("a", 2), Channel("b", 3)), runs=(run,), stories=3)
+    (other,) = found(identify_modes(told), "other mode")
+    assert min(np.abs(frame.modes()[0] - other.numbers["frequency"])) < 0.05
+    assert "one more than 3 stories can have" in other.message
+    assert other.message.endswith("or the frame has more")
+
+
+def test_resolution_coarser_than_the_line():
+    finding = found(identify_modes(frf_record(0.001)), "resolution")[0]
+    assert finding.numbers["resolution"] == pytest.approx(1 / 32)
+    assert finding.numbers["bandwidth"] == pytest.approx(0.002 * TWO_STORY_FREQUENCIES[0], rel=0.05)
+
+
+def test_frequency_that_depends_on_amplitude():
+    """Half the record shaken five times as hard, and 1 % softer by it."""
+    soft = dataclasses.replace(PAPER_FRAME, stiffnesses=0.98 * PAPER_FRAME.stiffnesses)
+    weak = base_record(PAPER_FRAME, 1, noise=0.01, duration=150.0).runs[0]
+    strong = base_record(soft, 2, noise=0.01, duration=150.0).runs[0]
+    strong = Run(5 * strong.responses, 5 * strong.excitation, name="strong")
+    channels = tuple(Channel(f"floor{floor}", floor) for floor in (1, 2, 3))
+    record = TimeRecord(channels, runs=(weak, strong), sampling_rate=20.0, input="base")
+    changes = [finding.numbers["change"] for finding in found(identify_modes(record), "amplitude")]
+    assert len(changes) == 3
+    np.testing.assert_allclose(changes, np.log(0.98) / 2, atol=0.002)
+
+
+def earthquake(seed: int, limit: float | None = None, rate: float = 20.0, steps: int = 20) -> TimeRecord:
+    """Ground motion that dies away to a hundredth; a second story that slides beyond `limit` times its elastic peak."""
+    random = np.random.default_rng(seed)
+    time, inner = np.arange(0.0, 120.0, 1 / rate), np.arange(0.0, 120.0, 1 / (rate * steps))
+    ground = np.interp(inner, time, random.standard_normal(len(time)) * np.minimum(time / 4, np.exp((4 - time) / 25)))
+    masses, (frequencies, shapes) = PAPER_FRAME.masses, PAPER_FRAME.modes()
+    weighed = shapes * masses
+    damper = weighed.T @ np.diag(4 * np.pi * PAPER_FRAME.damping * frequencies) @ weighed
+    slides = np.inf
+    for passed in range(1 if limit is None else 2):
+        place, speed, slid, peak, moved = np.zeros(3), np.zeros(3), 0.0, 0.0, np.zeros((len(inner), 3))
+        for row, shaken in enumerate(ground):
+            drift = np.diff(place, prepend=0.0) - [0.0, slid, 0.0]
+            peak = max(peak, abs(drift[1]))
+            slid += drift[1] - np.clip(drift[1], -slides, slides)
+            drift[1] = np.clip(drift[1], -slides, slides)
+            shear = PAPER_FRAME.stiffnesses * drift
+            moved[row] = (np.append(shear[1:], 0.0) - shear - damper @ speed) / masses
+            speed = speed + (moved[row] - shaken) / (rate * steps)
+            place = place + speed / (rate * steps)
+        slides = np.inf if limit is None or passed else limit * peak
+    sampled = np.column_stack([ground, moved])[::steps]
+    noisy = sampled + 0.01 * sampled.std(axis=0) * random.standard_normal(sampled.shape)
+    channels = tuple(Channel(f"floor{floor}", floor) for floor in (1, 2, 3))
+    return TimeRecord(channels, runs=(Run(noisy[:, 1:], noisy[:, 0]),), sampling_rate=rate, input="base")
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.3])
+def test_a_mode_that_dies_away_where_hum_folds_to_is_no_hum(decay):
+    """50 Hz sampled at 40 Hz shows at 10 Hz, where a lightly damped mode may be, narrower than a line of 20 s."""
+    time = np.arange(0.0, 30.0, 1 / 40.0)
+    noise = 0.01 * np.random.default_rng(1).standard_normal((len(time), 2))
+    motion = noise + np.outer(np.exp(-decay * time) * np.cos(20.0 * np.pi * time), [1.0, 0.6])
+    channels = (Channel("floor1", 1), Channel("floor2", 2))
+    record = TimeRecord(channels, runs=(Run(motion),), sampling_rate=40.0, input="free_decay")
+    assert ("mains hum" in {finding.kind for finding in channel_findings(record)}) == (decay == 0.0)
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7, 9])
+def test_earthquake_on_a_linear_frame_has_no_amplitude_in_its_frequencies(seed):
+    """The weaker half of its record is a tenth of the motion and all of the noise."""
+    assert not found(identify_modes(earthquake(seed)), "amplitude")
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_earthquake_in_which_a_story_slides_is_suspected(seed):
+    said = found(identify_modes(earthquake(seed, limit=0.5)), "amplitude")
+    assert any("scatters" in finding.message for finding in said)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.02, -0.02])
+def test_blows_are_blows_whatever_the_offset_of_the_force(offset):
+    """Over a run an offset of 2 % of the peak has more energy than the blow; sound runs outvote one without a blow."""
+    record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(1, 3), hits=3)
+    peak = max(float(np.max(run.excitation)) for run in record.runs)
+    runs = [dataclasses.replace(run, excitation=run.excitation + offset * peak) for run in record.runs]
+    result = identify_modes(dataclasses.replace(record, runs=tuple(runs)))
+    assert result.method == "era"
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=2e-4)
+    quiet = dataclasses.replace(runs[0], excitation=offset * peak + 0.01 * np.sin(np.arange(runs[0].samples)))
+    assert struck(dataclasses.replace(record, runs=(quiet, *runs[1:])))
+
+
+def test_findings_are_plain_values(record):
+    finding = channel_findings(changed(record, lambda values: values.__setitem__((slice(None), 0), 0.0)))[0]
+    assert finding.to_dict()["kind"] == "dead channel"
+    assert isinstance(finding.to_dict()["numbers"]["std"], float)
+
+
+def test_shapes_are_as_uncertain_as_a_failure_of_reciprocity_says():
+    """Calibrations drawn at random, of two sensors and two driving points: what they do to a shape and to the pair."""
+    s, draws = 0.03, 20_000
+    sensors, forces = s * np.random.default_rng(3).standard_normal((2, draws, 2))
+    # The residue of floor i driven at j is (1 + sensor i)(1 + force j) phi_i phi_j; a driving point gives phi_i twice.
+    entry = np.sqrt((1 + sensors) * (1 + forces)) - 1
+    failure = (1 + sensors[:, 0]) * (1 + forces[:, 1]) / ((1 + sensors[:, 1]) * (1 + forces[:, 0])) - 1
+    seen = float(np.sqrt(np.mean(failure**2)))
+    finding = Finding("reciprocity", "", {"floors": [1, 2], "by_mode": [seen, seen]})
+    shapes = np.array([[0.5, -1.0, 0.2], [2.0, 1.0, -1.0]])
+    std = entry_std(np.zeros((2, 3)), shapes, np.array([1, 2, 3]), [finding])
+    expected = np.sqrt(np.mean(entry**2)) * np.abs(shapes) / np.abs(shapes).max(axis=1, keepdims=True)
+    expected[:, 2] = 0.0
+    np.testing.assert_allclose(std, np.hypot(expected, SENSOR_STD), rtol=0.02)

@@ -1,0 +1,699 @@
+"""Faults of records are named with their channel before anything is identified; sound records are left as they are."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import linalg, signal
+
+from cvxshear import Experiment, identify
+from cvxshear.records import Channel, Run, TimeRecord, from_arrays, identify_modes, second_opinion
+from cvxshear.records.diagnostics import cables_changed
+from cvxshear.records.examination import examined
+from cvxshear.records.floors import one_a_floor
+from cvxshear.records.placement import ChannelMistake, findings_of, weighed
+from cvxshear.records.signals import in_step, scaled
+from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
+from cvxshear.report import terminal
+from cvxshear.response.sensor_faults import SensorRecord
+from cvxshear.response.sources import load_unscaled
+from cvxshear.screening import Screening
+from cvxshear.util.errors import InputError
+from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged, only, sound_record
+from tests.frames import modes_of
+
+
+@pytest.mark.parametrize("kind", INPUTS)
+def test_a_sound_record_comes_back_as_it_went_in(kind):
+    record = case_of(51, kind, "sound").record
+    seen = examined(record)
+    assert [finding.kind for finding in seen.findings] == []
+    for before, after in zip(record.runs, seen.record.runs, strict=True):
+        np.testing.assert_array_equal(before.responses, after.responses)
+
+
+@pytest.mark.parametrize("kind", INPUTS)
+@pytest.mark.parametrize("fault", ["delay", "drift", "dead", "stuck", "saturated", "spikes"])
+def test_a_fault_of_one_channel_is_named(kind, fault):
+    """Before any mode is looked for; delays and drifts to a tenth of a sample, from the size that was put in."""
+    least = {"delay": 0.05, "drift": 100.0}.get(fault, -1.0)
+    case = next(case for seed in range(60, 90) if abs((case := case_of(seed, kind, fault)).size) > least)
+    found = [item for item in examined(case.record).findings if item.numbers.get("channel") in case.channels]
+    assert {item.kind for item in found} & set(NAMED_BY[fault])
+    first = next(item for item in found if item.kind in NAMED_BY[fault])
+    if fault == "delay":
+        assert first.numbers["seconds"] == pytest.approx(case.size, abs=0.15 / case.record.sampling_rate)
+    if fault == "drift":
+        # Three releases have few stretches of motion: what is stated says how well they tell it.
+        within = 3e6 * first.numbers["drift_std"] if kind == "free_decay" else 5.0
+        assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=within)
+
+
+def damped_record(kind: str, late: float = 0.0, hit: int = 0) -> TimeRecord:
+    """Sensors with noise on all floors of `damped_motion` but 2; `late` delays floor 4, by a whole number of steps."""
+    rate, finer = 64.0, 5
+    moved, base, force, random = copy.deepcopy(damped_motion(kind, hit, rate, finer))
+    moved[:, 3] = np.roll(moved[:, 3], round(late * rate * finer))
+    values = moved[::finer][:, [0, 2, 3, 4]]
+    values = values + 0.005 * values.std(axis=0) * random.standard_normal(values.shape)
+    driven = {"base": base[::finer], "force": force[::finer, (hit or 3) - 1]}.get(kind)
+    run = Run(values, driven, (hit or 3) if kind == "force" else 0)
+    channels = [Channel(f"floor{floor}", floor) for floor in (1, 3, 4, 5)]
+    return TimeRecord(channels, runs=[run], sampling_rate=rate, input=kind, stories=5)
+
+
+@functools.cache
+def damped_motion(kind: str, hit: int, rate: float, finer: int):
+    """Five stories at 2 Hz with a dashpot in story 2 alone, 2 to 9 % of damping, modes far from real.
+
+    Exact for forces held over steps a fifth of a sample long. White base motion, a sweep of a shaker, wind, a knock.
+    Accelerations of the floors, the base's, the forces, and the generator of random numbers.
+    """
+    count, random = 5, np.random.default_rng([21, INPUTS.index(kind)])
+    drift = np.eye(count) - np.eye(count, k=-1)
+    stiffness = drift.T @ np.diag([1.0, 0.9, 0.9, 0.7, 0.6]) @ drift
+    stiffness *= (4 * np.pi) ** 2 / np.linalg.eigvalsh(stiffness)[0]
+    damper = 0.0015 * stiffness + 9.0 * np.outer(drift[1], drift[1])
+    state = np.block([[np.zeros((count, count)), np.eye(count)], [-stiffness, -damper]])
+    step = linalg.expm(state / (rate * finer))
+    held = np.linalg.solve(state, step - np.eye(2 * count))[:, count:]
+    samples = int({"base": 120, "force": 120, "none": 600, "free_decay": 40}[kind] * rate * finer)
+    time = np.arange(samples) / (rate * finer)
+    base, force = np.zeros(samples), np.zeros((samples, count))
+    if kind == "base":
+        base = signal.sosfilt(signal.butter(2, 14.0, fs=rate * finer, output="sos"), random.standard_normal(samples))
+        force -= base[:, None]
+    elif hit:
+        force[320:326, hit - 1] = 5.0
+    elif kind == "force":
+        force[:, 2] = signal.chirp(time, 0.5, time[-1], 14.0)
+    elif kind == "none":
+        force = random.standard_normal((samples, count))
+    else:
+        force[500:503, 3] = 5.0
+        force[500:, 4] = -1.0
+    forced, moved, x = force @ held.T, np.empty((samples, 2 * count)), np.zeros(2 * count)
+    for place in range(samples):
+        moved[place] = x
+        x = step @ x + forced[place]
+    return force + moved @ state[count:].T + base[:, None], base, force, random
+
+
+def test_a_damper_is_no_drift_where_one_floor_is_hit_after_another():
+    """The phases that a damper makes change with the floor that is hit, and so with time."""
+    runs, random = [], np.random.default_rng(3)
+    for floor in (1, 5):
+        record = damped_record("force", hit=floor)
+        whole = record.runs[0]
+        for _ in range(3):
+            noise = 0.01 * whole.responses[:1600].std(axis=0) * random.standard_normal((1600, 4))
+            runs.append(Run(whole.responses[:1600] + noise, whole.excitation[:1600], floor))
+    found = examined(dataclasses.replace(record, runs=tuple(runs))).findings
+    assert "clock drift" not in {finding.kind for finding in found}
+
+
+@pytest.mark.parametrize("drift", [0.0, 6e-5])
+def test_a_drift_from_release_to_release(drift):
+    """Four releases in closed form, a dashpot in story 2; floor 4 is sampled at the times that its own clock shows."""
+    count, rate, random = 5, 30.0, np.random.default_rng(4)
+    story = np.eye(count) - np.eye(count, k=-1)
+    stiffness = 900.0 * story.T @ np.diag([1.0, 0.9, 0.9, 0.7, 0.6]) @ story
+    damper = 0.0006 * stiffness + 1.5 * np.outer(story[1], story[1])
+    system = np.block([[np.zeros((count, count)), np.eye(count)], [-stiffness, -damper]])
+    poles, vectors = np.linalg.eig(system)
+    runs, since = [], 0.0
+    for _ in range(4):
+        pulled = np.linalg.solve(stiffness, random.normal(size=count))
+        released = np.linalg.solve(vectors, np.append(pulled, np.zeros(count)))
+        weights = poles**2 * vectors[:count] * released
+        time = np.arange(-60, int(50 * rate)) / rate
+        late = time[:, None] - drift * (since + time[:, None] + 2.0) * (np.arange(count) == 3)
+        moved = np.einsum("ir,tir->ti", weights, np.exp(np.maximum(late, 0.0)[..., None] * poles)).real * (late >= 0.0)
+        runs.append(Run(moved + 0.01 * moved.std(axis=0) * random.standard_normal(moved.shape)))
+        since += len(time) / rate
+    channels = [Channel(f"floor{floor}", floor) for floor in range(1, count + 1)]
+    result = identify_modes(TimeRecord(channels, runs=runs, sampling_rate=rate, input="free_decay"))
+    found = [item for item in result.findings if item.kind == "clock drift"]
+    assert [item.numbers["channel"] for item in found] == ["floor4"] * bool(drift)
+    for item in found:
+        assert item.numbers["drift"] == pytest.approx(drift, abs=3.0 * item.numbers["drift_std"])
+        assert item.numbers["drift_std"] < 15e-6
+        assert item.message.startswith('the clock of "floor4" runs slow by')
+    exact = np.sort(np.abs(poles[poles.imag > 0])) / (2 * np.pi)
+    np.testing.assert_allclose(result.frequencies, exact, rtol=3e-3)
+
+
+@pytest.mark.parametrize("drift", [0.0, 4e-4])
+def test_a_drift_under_a_sweep_is_said_with_both_its_causes(drift):
+    """A sweep passes each mode once: a damper could turn the phases as the clock does, so the drift is left in."""
+    frame, rate, finer = KnownFrame(np.full(6, 1e3), np.full(6, 8e5), 0.01), 40.0, 4
+    time = np.arange(int(120 * rate) * finer) / (rate * finer)
+    base = signal.chirp(time, 0.4, time[-1], 12.0, method="logarithmic")
+    moved = (frame.accelerations(-base[:, None] * frame.masses, time[1]) + base[:, None])[::finer]
+    moved += 0.01 * moved.std(axis=0) * np.random.default_rng(0).standard_normal(moved.shape)
+    channels = [Channel(f"floor{floor}", floor) for floor in range(1, 7)]
+    record = TimeRecord(channels, runs=[Run(moved, base[::finer])], sampling_rate=rate, input="base")
+    # A clock that is set right though it was right runs slow.
+    record = in_step(record, {"floor3": (0.0, -drift)}) if drift else record
+    found = examined(record).findings
+    assert {item.numbers["channel"] for item in found} == ({"floor3"} if drift else set())
+    for item in (item for item in found if item.kind == "clock drift"):
+        assert not item.numbers["corrected"]
+        assert item.numbers["drift"] == pytest.approx(drift, rel=0.2)
+    assert len([item for item in found if item.kind == "clock drift"]) == bool(drift)
+    (run,) = record.runs
+    sensors = SensorRecord(record.channels, (run.responses,), (run.excitation,), rate, "base").set_right(6)
+    assert not np.any(sensors.late[:, 1])
+    assert len([said for said in sensors.remarks if "may run slow" in said]) == bool(drift)
+
+
+@pytest.mark.parametrize("kind", INPUTS)
+def test_a_damper_is_no_late_clock_and_no_spike(kind):
+    """A sweep passes a damper's phases one after the other, which is no drift; a knock on a sensor's floor no spike."""
+    record = damped_record(kind)
+    assert [finding.message for finding in examined(record).findings] == []
+    if kind != "free_decay":  # one decay of modes so damped has no standard deviations
+        accused = {"clock offset", "clock drift", "sign", "swapped channels"}
+        assert not accused & {finding.kind for finding in identify_modes(record).findings}
+
+
+@pytest.mark.parametrize("kind", INPUTS)
+@pytest.mark.parametrize("late", [-0.25, 1.0])
+def test_a_late_clock_is_named_beside_a_damper(kind, late):
+    record = damped_record(kind, late)
+    [finding] = examined(record).findings
+    assert (finding.kind, finding.numbers["channel"]) == ("clock offset", "floor4")
+    # The damper's own phases stay, and the deviation says so.
+    within = 4 * finding.numbers["std"] + 1e-4
+    assert finding.numbers["seconds"] == pytest.approx(late, abs=within)
+    if kind in ("base", "none"):
+        said = [item for item in identify_modes(record).findings if item.kind == "clock offset"]
+        assert [item.numbers["channel"] for item in said] == ["floor4"]
+        assert said[0].numbers["seconds"] == pytest.approx(late, abs=2 * within)
+
+
+@pytest.mark.parametrize("kind", INPUTS)
+@pytest.mark.parametrize("fault", ["reversed", "exchanged", "in g"])
+def test_places_signs_and_units_are_named(kind, fault):
+    outcome, why = judged(case_of(11, kind, fault))
+    assert outcome in ("named", "refused"), why
+
+
+def test_numbers_of_modes_follow_from_repaired_signs():
+    """Six stories, five sensors, the fourth floor's reversed: the lowest mode was called the third."""
+    frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
+    record = base_record(frame, 0, noise=0.02, duration=200.0, sampling_rate=42.0)
+    kept = [0, 1, 2, 3, 5]
+    runs = tuple(dataclasses.replace(run, responses=run.responses[:, kept]) for run in record.runs)
+    record = dataclasses.replace(record, channels=tuple(record.channels[place] for place in kept), runs=runs)
+    result = identify_modes(scaled(record, {"floor4": -1.0}))
+    np.testing.assert_array_equal(result.modes, np.arange(1, 7))
+    np.testing.assert_allclose(result.frequencies, frame.modes()[0], rtol=3e-3)
+    assert (result.mode_shapes[0] > 0).all()
+
+
+def test_the_input_is_named_where_most_floors_move_against_it():
+    record = scaled(base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0), {"input": -1.0})
+    assert [item.numbers["channel"] for item in examined(record).findings if item.kind == "sign"] == ["input"]
+
+
+@pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False)])
+def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest, told):
+    """A table without motion below so many times the first frequency; floor 2 is reversed, floor 3 in g."""
+    frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
+    record = base_record(frame, 1, noise=0.0, duration=300.0, sampling_rate=50.0)
+    (run,), random = record.runs, np.random.default_rng(1)
+    cut = signal.butter(8, lowest * frame.modes()[0][0], "high", fs=50.0, output="sos")
+    moved = signal.sosfilt(cut, np.column_stack([run.excitation, run.responses]), axis=0)
+    moved += 0.01 * moved.std(axis=0) * random.standard_normal(moved.shape)
+    record = dataclasses.replace(record, runs=(Run(moved[:, 1:], moved[:, 0]),))
+    found = examined(scaled(record, {"floor2": -1.0, "floor3": 1 / 9.80665})).findings
+    expected = [("sign", "floor2"), ("unit", "floor3")] if told else []
+    assert [(item.kind, item.numbers["channel"]) for item in found] == expected
+
+
+def test_a_channel_in_another_unit_and_a_reversed_one_are_told_together():
+    """Modes of a uniform frame of six stories in closed form: floor 4 in g, and floor 2 or floor 4 itself reversed."""
+    floors = np.arange(1, 7)
+    angles = np.pi / 13 * np.array([1, 3])
+    shapes = np.sin(angles[:, None] * floors)
+    channels = [Channel(f"floor{floor}", floor) for floor in floors.tolist()]
+    for turned in (1, 3):
+        factors = np.ones(6)
+        factors[3] = 1 / 9.80665
+        factors[turned] *= -1.0
+        hypotheses = weighed(2.0 * np.sin(angles / 2), shapes * factors, floors, 6)
+        np.testing.assert_allclose(hypotheses[0].undone(shapes * factors), shapes)
+        unit, sign = findings_of(hypotheses, channels, shapes[0] * factors)
+        assert (unit.numbers["channel"], unit.numbers["unit"]) == ("floor4", "g")
+        assert sign.numbers["channel"] == f"floor{turned + 1}"
+
+
+@pytest.mark.parametrize(("floors", "pair", "turned"), [([1, 2, 4, 5, 6], (1, 3), 1), ([2, 3, 4, 5, 6], (0, 4), 2)])
+def test_two_channels_exchanged_and_one_reversed_are_told(floors, pair, turned):
+    """The modes of a uniform frame of six stories are sines: (2 r - 1) pi / 13 times the floor."""
+    floors = np.array(floors)
+    angles = np.pi / 13 * np.array([1, 3])
+    shapes = np.sin(angles[:, None] * floors)
+    columns = np.arange(5)
+    columns[list(pair)] = pair[::-1]
+    recorded = shapes[:, columns] * np.where(columns == columns[turned], -1.0, 1.0)
+    hypotheses = weighed(2.0 * np.sin(angles / 2), recorded, floors, 6)
+    best = hypotheses[0]
+    assert (best.kind, best.places, best.turned) == ("swapped channels", pair, (turned,))
+    assert best.probability > 0.95
+    channels = [Channel(f"floor{floor}", int(floor)) for floor in floors]
+    [finding] = findings_of(hypotheses, channels, recorded[0])
+    assert finding.kind == "swapped channels"
+    assert f'look swapped, and channel "floor{floors[turned]}" (floor {floors[turned]}) reversed' in finding.message
+    np.testing.assert_allclose(np.abs(best.undone(recorded)), np.abs(shapes))
+    np.testing.assert_allclose(np.sign(best.undone(recorded)[0]), best.undone(recorded)[0] / shapes[0])
+
+
+def test_a_missed_mode_is_weighed_against_a_reversed_channel():
+    """Two sensors and modes two and three of a frame: the ratio of frequencies speaks for a mode that was missed."""
+    frequencies, shapes = KnownFrame(np.ones(6), np.ones(6), 0.01).modes()
+    floors = np.array([2, 6])
+    best = weighed(frequencies[1:3], shapes[1:3][:, floors - 1], floors, 6)[0]
+    assert (best.kind, best.missed > 0.5) == ("sound", True)
+    turned = shapes[:2][:, floors - 1] * np.array([1.0, -1.0])
+    assert weighed(frequencies[:2], turned, floors, 6)[0].kind == "sign"
+
+
+@pytest.mark.parametrize("kept", [[0, 1, 3], [0, 2, 3], [1, 2, 3]])
+def test_poles_of_noise_take_no_number(kept):
+    """Two modes of four lie below half the sampling rate; between them the model has stable poles of noise."""
+    frame = KnownFrame(np.array([20.3, 19.8, 20.1, 16.2]), np.array([55e3, 63e3, 47e3, 41e3]), 0.015)
+    result = identify_modes(only(base_record(frame, 1, noise=0.01, duration=300.0), np.array(kept)), method="subspace")
+    np.testing.assert_array_equal(result.modes, [1, 2])
+    np.testing.assert_allclose(result.frequencies, frame.modes()[0][:2], rtol=2e-4)
+    assert not [item for item in result.findings if item.kind in ("overlooked mode", "other mode")]
+
+
+def test_missing_modes_are_said_only_where_some_are_missing():
+    record = only(base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0), np.array([0, 2]))
+    assert "missing mode" not in {item.kind for item in identify_modes(record).findings}
+    said = {item.kind: item.message for item in identify_modes(record, count=2).findings}
+    assert said["missing mode"].startswith("2 of 3 modes were asked for, and 2 of 3 floors are measured")
+
+
+def test_a_mode_found_twice_is_said_and_takes_one_number():
+    """Two runs of one record, between which every story lost 5 % of its stiffness."""
+    weaker = dataclasses.replace(PAPER_FRAME, stiffnesses=0.95 * PAPER_FRAME.stiffnesses)
+    before, after = (base_record(frame, 3, noise=0.002, duration=400.0) for frame in (PAPER_FRAME, weaker))
+    result = identify_modes(dataclasses.replace(before, runs=(before.runs[0], after.runs[0])))
+    np.testing.assert_array_equal(result.modes, [1, 2, 3])
+    assert "split mode" in {item.kind for item in result.findings}
+
+
+@pytest.mark.parametrize("second", ["fdd", "okid"])
+def test_a_second_opinion_of_every_mode(second):
+    """Against the frame's own modes, not against the first opinion."""
+    result = identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=300.0), second=second)
+    said = [item.numbers for item in result.findings if item.kind == "second opinion"]
+    assert [(item["mode"], item["agrees"]) for item in said] == [(1, True), (2, True), (3, True)]
+    np.testing.assert_allclose([item["frequency"] for item in said], PAPER_FRAME.modes()[0], rtol=5e-3)
+
+
+def test_a_peer_that_sees_other_modes_is_said():
+    frequencies, shapes = PAPER_FRAME.modes()
+    result = from_arrays(frequencies, shapes)
+    peer = from_arrays([frequencies[0] * 1.01, frequencies[1], 9.0], shapes[[0, 2, 1]], name="peer")
+    said = second_opinion(result, peer)
+    assert [(item.numbers.get("mode"), item.numbers["agrees"]) for item in said] == [
+        (1, True), (2, False), (3, False), (None, False), (None, False),
+    ]  # fmt: skip
+    assert said[0].message == "peer has mode 1 at 1.0439 Hz (+1.00 %), MAC 1.0000"
+    assert "peer has no mode 2, 2.21 Hz; its nearest is 2.21 Hz, MAC" in said[1].message
+    with pytest.raises(InputError, match="second"):
+        identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0), second="other")
+
+
+def torsional_record() -> tuple[TimeRecord, float]:
+    """A sway record whose roof turns at 1.6 Hz, seen by two sensors at unequal distances from the centre."""
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=300.0)
+    run, random = record.runs[0], np.random.default_rng(1)
+    turning = signal.lfilter(*signal.iirpeak(1.6, 30, fs=20), random.standard_normal(run.samples))
+    turning *= 0.8 * run.responses[:, 2].std() / turning.std()
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], top + 1.3 * turning, top - 0.7 * turning])
+    channels = (Channel("a1", 1), Channel("a2", 2), Channel("left", 3, position=(0, 1.3)), Channel("right", 3))
+    return dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)), 1.6
+
+
+def test_two_sensors_on_a_floor_are_its_motion_and_its_rotation():
+    record, torsion = torsional_record()
+    result = identify_modes(record)
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
+    aside = [item for item in result.findings if item.kind == "rotation" and "frequency" in item.numbers]
+    assert [item.numbers["frequency"] for item in aside] == [pytest.approx(torsion, rel=0.01)]
+
+
+@pytest.mark.parametrize(
+    ("places", "weights"),
+    [((1.3, -0.7), (0.35, 0.65)), ((0.5, 2.0), (4 / 3, -1 / 3)), ((2.0, 2.5), (0.5, 0.5)), ((None, 1.0), (0.5, 0.5))],
+)
+def test_the_floors_center_follows_from_the_positions(places, weights):
+    """Sensors at y1 and y2 across show U - t y: U is (y2 u1 - y1 u2) / (y2 - y1), unless that extrapolates far."""
+    record, _ = torsional_record()
+    channels = (
+        *record.channels[:2],
+        *(
+            dataclasses.replace(channel, position=None if place is None else (0.0, place))
+            for channel, place in zip(record.channels[2:], places, strict=True)
+        ),
+    )
+    record = dataclasses.replace(record, channels=channels)
+    single, _ = one_a_floor(record)
+    expected = record.runs[0].responses[:, 2:] @ np.array(weights)
+    np.testing.assert_allclose(single.runs[0].responses[:, 2], expected, atol=1e-12)
+
+
+def test_a_roof_that_turns_with_the_sway_is_said_mode_by_mode():
+    """With the positions declared the shapes are those of the centers, though the roof turns in its second mode."""
+    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
+    run = record.runs[0]
+    second = PAPER_FRAME.modes()[0][1]
+    turning = 1.5 * signal.lfilter(*signal.iirpeak(second, 30, fs=20), run.responses[:, 1])
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], top - 1.3 * turning, top + 0.5 * turning])
+    channels = (
+        *record.channels[:2], Channel("left", 3, position=(0.0, 1.3)), Channel("right", 3, position=(0.0, -0.5))
+    )  # fmt: skip
+    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
+    turned = [item.numbers["mode"] for item in result.findings if item.kind == "rotation" and "mode" in item.numbers]
+    assert turned == [2]
+    shapes = PAPER_FRAME.modes()[1]
+    np.testing.assert_allclose(
+        result.mode_shapes, shapes / np.take_along_axis(shapes, np.abs(shapes).argmax(1)[:, None], 1), atol=0.02
+    )
+
+
+@pytest.mark.parametrize(("factor", "said"), [(-1.0, "reversed"), (9.80665, "another unit"), (0.01, "another unit")])
+def test_two_sensors_that_contradict_each_other_are_refused(factor, said):
+    record, _ = torsional_record()
+    with pytest.raises(InputError, match=rf'channel "(left|right)" .* contradict each other: .* {said}'):
+        identify_modes(scaled(record, {"right": factor}))
+
+
+def test_a_center_somewhere_between_two_sensors_makes_its_entries_as_uncertain():
+    """The roof turns by a fifth of its sway about a center that is nearer to one sensor."""
+    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
+    run = record.runs[0]
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], 1.3 * top, 0.9 * top])
+    channels = (*record.channels[:2], Channel("left", 3), Channel("right", 3))
+    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
+    shapes = PAPER_FRAME.modes()[1]
+    ratio = result.mode_shapes[:, 2] / result.mode_shapes[:, 1] * shapes[:, 1] / shapes[:, 2]
+    np.testing.assert_allclose(ratio, 1.1, rtol=0.02)
+    largest = np.abs(result.mode_shapes).max(axis=1)
+    stated = result.entry_std[:, 2] * largest / np.abs(result.mode_shapes[:, 2])
+    # Half of the difference is 0.2 of 1.1, and uniform between the sensors.
+    np.testing.assert_allclose(stated, 0.2 / 1.1 / np.sqrt(3.0), rtol=0.05)
+
+
+def test_one_sensor_beside_the_center_is_as_uncertain_as_the_other_floors_turn():
+    """The roof turns by 0.2 of 1.1 a metre; a sensor half a metre off the center then errs by half of that."""
+    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
+    run = record.runs[0]
+    top = run.responses[:, 2]
+    both = np.column_stack([run.responses[:, :2], 1.3 * top, 0.9 * top])
+    places = {"left": (0.0, -1.0), "right": (0.0, 1.0)}
+    roof = [Channel(name, 3, position=place) for name, place in places.items()]
+    middle = dataclasses.replace(record.channels[1], position=(0.0, -0.5))
+    channels = (record.channels[0], middle, *roof)
+    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
+    largest = np.abs(result.mode_shapes).max(axis=1)
+    stated = result.entry_std[:, 1] * largest / np.abs(result.mode_shapes[:, 1])
+    np.testing.assert_allclose(stated[:2], 0.1 / 1.1, rtol=0.05)
+    assert any("floor 2 has one sensor, 0.5 m across" in item.message for item in result.findings)
+
+
+def test_a_sensor_that_points_backwards_is_turned_before_rotation_is_looked_for():
+    record, torsion = torsional_record()
+    expected = examined(record).turning(torsion)
+    channels = (*record.channels[:3], dataclasses.replace(record.channels[3], direction=180.0))
+    turned = examined(dataclasses.replace(scaled(record, {"right": -1.0}), channels=channels))
+    assert turned.turning(torsion) == pytest.approx(expected)
+
+
+def test_of_two_channels_either_may_be_the_reversed_one():
+    frequencies, shapes = PAPER_FRAME.modes()
+    seen = shapes[:, [0, 2]] * np.array([1.0, -1.0])
+    channels = [Channel("low", 1), Channel("high", 3)]
+    found = findings_of(weighed(frequencies, seen, np.array([1, 3]), 3), channels, seen[0])
+    assert 'channel "low" (floor 1) or channel "high" (floor 3) is reversed' in found[0].message
+    assert found[0].numbers["channels"] == ["low", "high"]
+
+
+def test_a_sensor_across_the_direction_of_test_is_left_out_and_one_askew_is_turned():
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=100.0)
+    askew = scaled(record, {"floor2": np.cos(np.radians(20.0))})
+    channels = (
+        record.channels[0],
+        *(dataclasses.replace(c, direction=d) for c, d in zip(record.channels[1:], (20.0, 90.0), strict=True)),
+    )
+    seen = examined(dataclasses.replace(askew, channels=channels))
+    assert [channel.floor for channel in seen.record.channels] == [1, 2]
+    np.testing.assert_allclose(seen.record.runs[0].responses[:, 1], record.runs[0].responses[:, 1])
+
+
+@pytest.mark.parametrize(("gain", "lost", "named"), [(1.1, 0.0, True), (1.0, 0.15, False)])
+def test_between_two_records_a_gain_is_a_cable_and_damage_is_not(gain, lost, named):
+    stiffnesses = np.full(5, 8e5)
+    hurt = np.where(np.arange(5) == 2, 1.0 - lost, 1.0) * stiffnesses
+    before = identify_modes(base_record(KnownFrame(np.full(5, 1e3), stiffnesses, 0.01), 0, noise=0.02, duration=300.0))
+    record = base_record(KnownFrame(np.full(5, 1e3), hurt, 0.01), 1, noise=0.02, duration=300.0)
+    found = cables_changed(before, identify_modes(scaled(record, {"floor3": gain})))
+    assert [item.numbers["floor"] for item in found] == ([3] if named else [])
+
+
+def cabled(factors, *, floors=5, modes=5, hurt=1.0):
+    """What is found between the modes of a frame and those with factors on entries, mode by mode at another scale."""
+    stiffnesses = np.full(5, 8e5)
+    frequencies, shapes = KnownFrame(np.full(5, 1e3), stiffnesses, 0.01).modes()
+    stiffnesses[2] *= hurt
+    others, changed = KnownFrame(np.full(5, 1e3), stiffnesses, 0.01).modes()
+    changed = changed * factors * np.array([1.0, -2.0, 0.5, 3.0, 1.0])[:, None]
+    before = from_arrays(frequencies, shapes, name="before")
+    after = from_arrays(others[:modes], changed[:modes, 5 - floors :], floors=list(range(6 - floors, 6)), name="after")
+    return cables_changed(before, after)
+
+
+ROWS = np.linspace(1.0, 1.4, 5)[:, None]
+
+
+@pytest.mark.parametrize(
+    ("factors", "keys", "expected"),
+    [
+        ([1, 1, 1, 1, 1], {}, None),
+        ([1, 1, 1.2, 1, 1], {}, (3, 1.2, "floor 3 reads 1.200 times as much")),
+        ([1, 1, 1, 1, 0.7], {"floors": 3}, (5, 0.7, "floor 5 reads 0.700 times as much")),
+        ([1, -1, 1, 1, 1], {}, (2, -1.0, 'floor 2 is reversed in "after" as against "before"')),
+        ([1, 1, 1.2, 1, 1], {"modes": 2}, (3, 1.2, "floor 3")),
+        # Less than an instrument drifts by; two at a time; another factor in each mode; damage.
+        ([1, 1, 1.02, 1, 1], {}, None),
+        ([1, 1, 1.2, 1.1, 1], {}, None),
+        (np.where(np.arange(5) == 2, ROWS, 1.0), {}, None),
+        ([1, 1, 1, 1, 1], {"hurt": 0.6}, None),
+        # Too little to tell from.
+        ([1, 1, 1, 1, 1.2], {"floors": 2}, None),
+        ([1, 1, 1, 1, 1.2], {"modes": 1}, None),
+    ],
+)
+def test_a_cable_changes_one_channel_by_one_factor_in_every_mode(factors, keys, expected):
+    found = cabled(np.array(factors), **keys)
+    assert len(found) == (expected is not None)
+    for item in found:
+        assert (item.numbers["floor"], item.numbers["gain"]) == (expected[0], pytest.approx(expected[1]))
+        assert item.message.startswith(expected[2])
+
+
+def test_records_from_arrays_and_tables():
+    pandas = pytest.importorskip("pandas")
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)
+    run = record.runs[0]
+    plain = TimeRecord.of(run.responses, excitation=run.excitation, sampling_rate=20.0)
+    time = np.arange(run.samples) / 20.0
+    frame = pandas.DataFrame(run.responses, index=time, columns=["a", "b", "c"]).assign(base=run.excitation)
+    named = TimeRecord.of(frame, floors={"c": 3, "a": 1}, excitation="base")
+    np.testing.assert_allclose(named.runs[0].responses, plain.runs[0].responses[:, [0, 2]])
+    assert (plain.input, named.input, named.floors.tolist()) == ("base", "base", [1, 3])
+    assert named.sampling_rate == pytest.approx(20.0)
+
+
+STEPS = np.arange(400) / 50.0
+
+
+@pytest.mark.parametrize(
+    ("index", "columns", "rate", "found"),
+    [
+        (lambda pd: pd.date_range("2024-03-31 01:59", periods=400, freq="20ms", tz="Europe/Berlin"), "ab", None, 50.0),
+        (lambda pd: (STEPS + 600.0).astype(np.float32), "ab", None, 50.0),
+        (lambda pd: STEPS, [("acc", 1), ("acc", 2)], None, 50.0),
+        (lambda pd: STEPS[::-1], "ab", 50.0, "the table: the time must ascend; its median step is -0.02 s"),
+        (lambda pd: STEPS, "ab", 100.0, "sampling_rate = 100 Hz, but the time of the table ticks at 50 Hz"),
+        (lambda pd: 0.0 * STEPS, "ab", None, "the time must ascend; its median step is 0 s"),
+        (lambda pd: np.where(STEPS == 0.1, np.nan, STEPS), "ab", None, "the table, sample 6: the time is missing"),
+        (lambda pd: STEPS, "aa", None, 'has the column "a" 2 times'),
+    ],
+)
+def test_times_and_names_of_a_data_frame(index, columns, rate, found):
+    pandas = pytest.importorskip("pandas")
+    values = np.random.default_rng(0).standard_normal((400, 2)).astype(np.float32)
+    table = pandas.DataFrame(values, index=index(pandas), columns=list(columns))
+    if isinstance(found, str):
+        with pytest.raises(InputError, match=found):
+            TimeRecord.of(table, sampling_rate=rate)
+        return
+    record = TimeRecord.of(table, floors={table.columns[1]: 2}, sampling_rate=rate)
+    assert record.sampling_rate == pytest.approx(found, rel=1e-5)
+    np.testing.assert_array_equal(record.runs[0].responses[:, 0], values[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "quantity"),
+    [("g", 9.80665, "acceleration"), ("mm s-2", 1e-3, "acceleration"), ("cm/s", 1e-2, "velocity"), ("apple", None, "")],
+)
+def test_units_of_a_table(unit, factor, quantity):
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame(np.random.default_rng(0).standard_normal((400, 2)), index=STEPS, columns=["a", "ground"])
+    table.attrs["units"] = unit
+    if factor is None:
+        with pytest.raises(InputError, match='units = "apple" of the table is none of m/s2'):
+            TimeRecord.of(table)
+        return
+    record = TimeRecord.of(table, excitation="ground")
+    assert record.quantity == quantity
+    np.testing.assert_allclose(record.runs[0].responses[:, 0], factor * table["a"])
+    np.testing.assert_allclose(record.runs[0].excitation, factor * table["ground"])
+    with pytest.raises(InputError, match="none of quantity"):
+        TimeRecord.of(table, quantity="displacement")
+
+
+class DataArray:
+    """What of xarray's class is read: values, dims, and coords whose entries have values."""
+
+    def __init__(self, values, dims, coords):
+        self.values, self.dims = values, dims
+        self.coords = {name: SimpleNamespace(values=np.asarray(of)) for name, of in coords.items()}
+
+
+@pytest.mark.parametrize("library", ["stand-in", "xarray"])
+@pytest.mark.parametrize("dates", [False, True])
+def test_records_from_data_arrays(library, dates):
+    kind = DataArray if library == "stand-in" else pytest.importorskip("xarray").DataArray
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)
+    responses = np.column_stack([record.runs[0].responses, record.runs[0].excitation])
+    time = np.arange(len(responses)) / 20.0
+    if dates:
+        time = np.datetime64("2024-05-01T12:00:00", "ms") + np.rint(1000 * time).astype("timedelta64[ms]")
+    array = kind(responses, dims=("time", "channel"), coords={"time": time, "channel": ["a", "b", "c", "ground"]})
+    found = TimeRecord.of(array, excitation="ground")
+    assert [channel.name for channel in found.channels] == ["a", "b", "c"]
+    assert (found.input, found.sampling_rate) == ("base", pytest.approx(20.0))
+    np.testing.assert_array_equal(found.runs[0].responses, record.runs[0].responses)
+    bare = TimeRecord.of(kind(responses, dims=("time", "channel"), coords={"time": time}), floors=[1, 2, 3, 4])
+    assert [channel.name for channel in bare.channels] == ["channel 1", "channel 2", "channel 3", "channel 4"]
+    with pytest.raises(InputError, match="needs two, time and channels"):
+        TimeRecord.of(kind(responses[None], dims=("test", "time", "channel"), coords={}))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "give sampling_rate"),
+        ({"sampling_rate": 20.0, "floors": [1]}, "floors must have 3 entries"),
+        ({"sampling_rate": 20.0, "excitation": "base"}, 'no channel "base" in the table; there are channel 1'),
+    ],
+)
+def test_a_table_that_does_not_say_enough(options, message):
+    with pytest.raises(InputError, match=message):
+        TimeRecord.of(np.zeros((400, 3)), **options)
+
+
+def test_modes_as_a_data_frame():
+    pytest.importorskip("pandas")
+    result = identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0))
+    table = result.to_dataframe()
+    assert table.index.tolist() == [1, 2, 3]
+    relative = table["frequency_std_Hz"] / table["frequency_Hz"]
+    np.testing.assert_allclose(relative, result.configuration()["frequency_std"])
+    np.testing.assert_allclose(table[["floor_1", "floor_2", "floor_3"]], result.mode_shapes)
+
+
+def test_a_total_mass_that_nobody_gave_is_a_placeholder():
+    result = identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=200.0))
+    declared = result.to_experiment()
+    assert declared["frame"]["total_mass_placeholder"] is True
+    experiment = Experiment.from_dict(declared)
+    assert "total_mass" in {finding.name for finding in Screening.of(experiment).findings}
+    shown = "\n".join(str(item) for item in terminal.shown(identify(experiment)))
+    assert " kg" not in shown
+    with pytest.raises(InputError, match="total_mass_placeholder belongs to total_mass"):
+        Experiment.from_dict({**declared, "frame": {"stories": 3, "total_mass_placeholder": True}})
+
+
+def test_a_measurement_file_without_a_mass_is_read_with_a_placeholder(tmp_path):
+    path = tmp_path / "modes.toml"
+    path.write_text("[[configuration]]\nfrequencies = [1.0, 3.0]\nmode_shapes = [[0.5, 1.0], [1.0, -0.6]]\n")
+    assert load_unscaled(path).frame.total_mass_placeholder
+
+
+@pytest.mark.parametrize(
+    ("declared", "times", "expected", "unit"),
+    [
+        ("g", 9.80665, "floor 2 is declared in g and looks like m/s2: ", "m/s2"),
+        ("m/s2", 1 / 9.80665, "floor 2 is declared in m/s2 and looks like g: ", "g"),
+        ("mg", 1 / 9.80665, "floor 2 is declared in mg and looks like 9.81 times that: ", None),
+        (None, 1 / 9.80665, "floor 2 looks like g, the others like m/s2: ", "g"),
+        (None, 9.80665, "floor 2 looks like m/s2, the others like g: ", None),
+    ],
+)
+def test_a_wrong_unit_is_said_beside_the_declared_one(declared, times, expected, unit):
+    """The lowest modes of a uniform frame of five stories; floor 2 shows so many times what the others do."""
+    frequencies, shapes = modes_of(np.full(5, 10.0), np.full(5, 2e4))
+    shapes[:, 1] *= times
+    channels = [Channel(f"acc {floor}", floor, unit=declared if floor == 2 else None) for floor in range(1, 6)]
+    (finding,) = findings_of(weighed(frequencies[:2], shapes[:2], np.arange(1, 6), 5), channels, shapes[0])
+    assert finding.message.startswith(expected)
+    assert finding.numbers["unit"] == unit
+    assert finding.numbers["factor"] == pytest.approx(1 / times)
+    assert (f'Write unit = "{unit}"' in finding.message) == (unit is not None)
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "expected"),
+    [
+        (
+            (0.91, 0.002, 0.088),
+            'by the lowest modes channel "acc_2 (g)" (floor 2) is in g (91.0 %), or the channels are as declared '
+            "(0.2 %) or something else is wrong (8.8 %); look at",
+        ),
+        (
+            (0.45, 0.40, 0.15),
+            'the lowest modes cannot tell what is wrong: channel "acc_2 (g)" (floor 2) is in g (45.0 %), the channels '
+            "are as declared (40.0 %) or something else is wrong (15.0 %); look at",
+        ),
+    ],
+)
+def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole(probabilities, expected):
+    in_g, sound, other = probabilities
+    channels = [Channel("acc_1", 1), Channel("acc_2 (g)", 2)]
+    weights = [ChannelMistake("unit", (1,), 9.80665, in_g), ChannelMistake("sound", probability=sound)]
+    others = ChannelMistake("sign", (0,), probability=other)
+    (finding,) = findings_of([*weights, others], channels, np.array([0.6, 0.1]))
+    assert finding.message.startswith(expected)
+    assert "The record is taken as declared: nothing reaches 95 %" in finding.message
+    assert finding.numbers["corrected"] is False
+
+
+def test_what_a_release_leaves_in_the_model_is_no_spike():
+    """The model of spikes looks 24 samples back: nine after this release it errs by ten of its deviations."""
+    assert "spikes" not in {finding.kind for finding in examined(sound_record(120002, "free_decay")).findings}

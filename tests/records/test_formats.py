@@ -1,0 +1,292 @@
+"""Readers and writers: the same record by every road, and modes out and in again."""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import io
+
+import cvxshear
+from cvxshear.io.csv import read_csv
+from cvxshear.io.mat import read_mat
+from cvxshear.io.modes import write_merged
+from cvxshear.io.record_file import read_record
+from cvxshear.io.toml import write_measurement
+from cvxshear.io.uff import read_modes, read_uff, write_uff
+from cvxshear.records import IdentifiedRecord, from_arrays
+from cvxshear.util.errors import InputError
+from tests.records.shared import csv
+
+NAMES = ["t", "force", "a1", "a2"]
+CHANNELS = """
+[[channel]]
+column = "force"
+quantity = "force"
+floor = 2
+calibration = 10.0
+
+[[channel]]
+column = "a2"
+floor = 2
+sign = -1
+
+[[channel]]
+column = "a1"
+floor = 1
+calibration = 2.0
+"""
+
+
+@pytest.fixture
+def values() -> np.ndarray:
+    random = np.random.default_rng(4)
+    return np.column_stack([np.arange(300) / 50, random.standard_normal((300, 3))])
+
+
+def record_file(folder, file, more="", channels=CHANNELS):
+    path = folder / "record.toml"
+    path.write_text(f'[record]\ninput = "force"\nfile = "{file}"\n{more}\n{channels}')
+    return path
+
+
+def check(record, values):
+    assert record.sampling_rate == pytest.approx(50.0)
+    np.testing.assert_array_equal(record.floors, [1, 2])
+    assert record.runs[0].floor == 2
+    np.testing.assert_allclose(record.runs[0].responses[:, 0], 2 * values[:, 2], rtol=1e-6)
+    np.testing.assert_allclose(record.runs[0].responses[:, 1], -values[:, 3], rtol=1e-6)
+    np.testing.assert_allclose(record.runs[0].excitation, 10 * values[:, 1], rtol=1e-6)
+
+
+def test_csv(tmp_path, values):
+    csv(tmp_path / "a.csv", NAMES, values)
+    check(read_record(record_file(tmp_path, "a.csv")).record, values)
+
+
+@pytest.mark.parametrize(("separator", "comma"), [(";", True), ("\t", False), (" ", False)])
+def test_other_separators(tmp_path, values, separator, comma):
+    lines = [separator.join(NAMES)]
+    lines += [separator.join(f"{value:.9g}" for value in row) for row in values]
+    text = "# a comment\n" + "\n".join(lines)
+    (tmp_path / "a.txt").write_text(text.replace(".", ",") if comma else text, encoding="utf-8-sig")
+    check(read_record(record_file(tmp_path, "a.txt")).record, values)
+
+
+def test_line_numbers_count_comments(tmp_path):
+    rows = "\n".join("1,2" for _ in range(40))
+    (tmp_path / "a.csv").write_text(f"# made by hand\n\na,b\n{rows}\n3,x\n")
+    with pytest.raises(InputError, match=r'line 44: channel "b" holds \'x\''):
+        read_csv(tmp_path / "a.csv")
+
+
+def test_no_header(tmp_path):
+    (tmp_path / "a.csv").write_text("1,2\n3,4\n")
+    with pytest.raises(InputError, match="line 1: the first line must name the columns"):
+        read_csv(tmp_path / "a.csv")
+
+
+def test_mat_version_5(tmp_path, values):
+    io.savemat(tmp_path / "a.mat", {"t": values[:, 0], "force": values[:, 1], "test": {"acc": values[:, 2:]}, "n": 3})
+    channels = CHANNELS.replace('"a2"', '"test.acc[2]"').replace('"a1"', '"test.acc[1]"')
+    check(read_record(record_file(tmp_path, "a.mat", channels=channels)).record, values)
+
+
+def test_every_array_of_a_mat_file_is_what_scipy_wrote_there(tmp_path, values):
+    held = {
+        "whole": np.arange(300, dtype=np.int16), "large": np.arange(600, dtype=np.uint64).reshape(300, 2) + 2**52,
+        "single": values[:, 1].astype(np.float32), "logical": values[:, 1] > 0, "few": np.arange(3.0),
+        "complex": values[:, 2] + 1j * values[:, 1], "cells": np.array([values[:, 0], "x"], dtype=object),
+        "run": {"a": values[:, 2:], "inner": {"b": values[:, [1]].T}, "text": "words"},
+    }  # fmt: skip
+    for compress in (False, True):
+        io.savemat(tmp_path / "a.mat", held, do_compression=compress)
+        ours = read_mat(tmp_path / "a.mat")
+        expected = {
+            "whole": held["whole"], "large[1]": held["large"][:, 0], "large[2]": held["large"][:, 1],
+            "single": held["single"], "logical": held["logical"], "complex_re": values[:, 2],
+            "complex_im": values[:, 1], "run.inner.b": values[:, 1],
+            **{f"run.a[{place + 1}]": column for place, column in enumerate(values[:, 2:].T)},
+        }  # fmt: skip
+        assert set(ours.names) == set(expected)
+        for name, column in expected.items():
+            np.testing.assert_array_equal(ours.values[:, ours.names.index(name)], column)
+
+
+def test_mat_version_7(tmp_path, values):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file["t"], file["force"] = values[:, [0]].T, values[:, [1]].T
+        file["acc"] = values[:, 2:].T
+        file["h"] = np.zeros((1, 300), dtype=[("real", "f8"), ("imag", "f8")])
+    header = b"MATLAB 7.3 MAT-file".ljust(512)
+    content = (tmp_path / "a.mat").read_bytes()
+    (tmp_path / "a.mat").write_bytes(header + content[512:])
+    channels = CHANNELS.replace('"a2"', '"acc[2]"').replace('"a1"', '"acc[1]"')
+    check(read_record(record_file(tmp_path, "a.mat", channels=channels)).record, values)
+    assert {"h_re", "h_im"} <= set(read_mat(tmp_path / "a.mat").names)
+
+
+def test_mat_that_is_none(tmp_path):
+    (tmp_path / "a.mat").write_bytes(b"nothing of the kind" * 20)
+    with pytest.raises(InputError, match="is not a MAT file"):
+        read_mat(tmp_path / "a.mat")
+
+
+def universal(path, values, kinds, step=0.02):
+    """Data sets 58 by pyuff: real time histories of nodes 1 and 2 and a force."""
+    pyuff = pytest.importorskip("pyuff")
+    sets = [
+        pyuff.prepare_58(
+            binary=0,
+            func_type=1,
+            rsp_node=node,
+            rsp_dir=direction,
+            ref_node=2,
+            ref_dir=1,
+            data=column,
+            x=np.arange(len(column)) * step,
+            id1=f"channel {node}",
+            ver_num=0,
+            load_case_id=0,
+            rsp_ent_name="NONE",
+            ref_ent_name="NONE",
+            abscissa_spacing=1,
+            abscissa_spec_data_type=17,
+            ordinate_spec_data_type=12,
+            orddenom_spec_data_type=0,
+        )
+        for (node, direction), column in zip(kinds, values.T, strict=True)
+    ]
+    pyuff.UFF(str(path)).write_sets(sets, mode="add")
+
+
+def test_universal_file(tmp_path, values):
+    universal(tmp_path / "a.uff", values[:, 1:], [(9, 1), (1, 1), (2, -1)])
+    channels = CHANNELS.replace('"force"\nquantity', '"9x"\nquantity').replace('"a2"', '"2x-"').replace('"a1"', '"1x"')
+    record = read_record(record_file(tmp_path, "a.uff", channels=channels)).record
+    check(record, values)
+
+
+def test_universal_file_of_one_set(tmp_path, values):
+    universal(tmp_path / "a.uff", values[:, [2]], [(1, 1)])
+    path = tmp_path / "record.toml"
+    path.write_text('[record]\nfile = "a.uff"\n[[channel]]\ncolumn = "1x"\nfloor = 1\n')
+    np.testing.assert_allclose(read_record(path).record.runs[0].responses[:, 0], values[:, 2], rtol=1e-5)
+
+
+def test_modes_to_a_universal_file_and_back(tmp_path):
+    pytest.importorskip("pyuff")
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], damping_ratios=[0.01, 0.02], name="pair")
+    write_uff(tmp_path / "modes.uff", given)
+    write_uff(tmp_path / "modes.uff", given)
+    frequencies, damping, shapes, _ = read_modes(tmp_path / "modes.uff")
+    np.testing.assert_allclose(frequencies, [3.0, 9.0], rtol=1e-5)
+    np.testing.assert_allclose(damping, [0.01, 0.02], rtol=1e-5)
+    np.testing.assert_allclose(shapes, given.mode_shapes, rtol=1e-5)
+    assert [path.name for path in tmp_path.iterdir()] == ["modes.uff"]
+
+
+def test_a_name_does_not_end_a_data_set(tmp_path):
+    pytest.importorskip("pyuff")
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="a\n    -1\n    -1\n    58\nb\x00ä" * 9)
+    write_uff(tmp_path / "modes.uff", given)
+    np.testing.assert_allclose(read_modes(tmp_path / "modes.uff")[0], [3.0, 9.0], rtol=1e-5)
+
+
+def test_what_is_no_universal_file(tmp_path):
+    pytest.importorskip("pyuff")
+    (tmp_path / "a.uff").write_text("nothing\n")
+    with pytest.raises(InputError, match=r"a\.uff"):
+        read_uff(tmp_path / "a.uff")
+    with pytest.raises(InputError, match="no such file"):
+        read_uff(tmp_path / "b.uff")
+
+
+def test_measurement_file_says_what_was_given(tmp_path):
+    declared = {
+        "frame": {"stories": 2, "total_mass": 12.0},
+        "prior": [{"kind": "ratio", "quantity": "story_stiffness", "of": 1, "to": 2, "value": 1.0, "std": 0.1}],
+        "configuration": [
+            {
+                "name": 'an "odd" name\\',
+                "frequencies": [1.0, 2.5e-1 * 8],
+                "mode_shapes": [[0.5, float("nan")], [1.0, -0.25]],
+                "modes": [1, 2],
+                "mass_normalized": False,
+            }
+        ],
+    }
+    write_measurement(tmp_path / "a.toml", declared, ["a comment\nthat [breaks] its line", "word " * 60])
+    text = (tmp_path / "a.toml").read_text()
+    again = tomllib.loads(text)
+    assert np.isnan(again["configuration"][0]["mode_shapes"][0].pop())
+    assert np.isnan(declared["configuration"][0]["mode_shapes"][0].pop())
+    assert again == declared
+    assert all(len(line) <= 120 for line in text.splitlines())
+
+
+def test_frame_and_priors_pass_through(tmp_path, values):
+    csv(tmp_path / "a.csv", NAMES, values)
+    more = "[frame]\ntotal_mass = 20.0\nstory_heights = 0.4\n[[prior]]\nkind = 'monotone'\n"
+    more += "quantity = 'story_stiffness'\ndirection = 'decreasing'"
+    path = record_file(tmp_path, "a.csv", more)
+    path.write_text("added_mass = [0.0, 1.5]\n" + path.read_text())
+    found = read_record(path)
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
+    test = IdentifiedRecord("a.toml", given, found.frame, found.priors, found.added_mass)
+    write_merged(tmp_path / "out.toml", [test])
+    experiment = cvxshear.load(tmp_path / "out.toml")
+    assert experiment.frame.total_mass == 20.0
+    assert len(experiment.priors) == 1
+    np.testing.assert_array_equal(experiment.configurations[0].added_mass, [0.0, 1.5])
+
+
+def test_a_file_that_would_be_refused_is_not_written(tmp_path):
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
+    with pytest.raises(InputError, match="floor_masses"):
+        write_merged(tmp_path / "out.toml", [IdentifiedRecord("a.toml", given, {"floor_masses": [1.0, -2.0]})])
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_mass_is_said(tmp_path):
+    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
+    write_merged(tmp_path / "out.toml", [IdentifiedRecord("a.toml", given, {})])
+    said = (tmp_path / "out.toml").read_text()
+    assert "nothing tells how heavy the frame is: total_mass = 1 is written in its place" in said
+    assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0
+
+
+def test_modes_are_identified_without_a_reader_or_a_writer():
+    """`formats` makes records of `modal`, so `modal` imports nothing of it, not even inside a function."""
+    for path in (Path(cvxshear.__file__).parent / "modal").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            assert not any(name.startswith("cvxshear.io") for name in names), path.name
+
+
+@pytest.mark.parametrize("direction", [100, -100])
+def test_a_direction_that_the_universal_file_does_not_know_has_its_number(tmp_path, values, direction):
+    universal(tmp_path / "a.uff", values[:, [2]], [(1, 1)])
+    text = (tmp_path / "a.uff").read_text()
+    lines = text.splitlines()
+    head = lines[7]
+    assert head[41:55] == "         1   1"
+    lines[7] = f"{head[:51]}{direction:4d}{head[55:]}"
+    (tmp_path / "a.uff").write_text("\n".join(lines) + "\n")
+    assert read_uff(tmp_path / "a.uff").names == ("time", "1d100" if direction > 0 else "1d100-")
+
+
+def test_rows_of_a_shape_are_lines_of_the_file(tmp_path):
+    shapes = [[0.1234567891, float("nan")], [1.0, -2.5e-7]]
+    declared = {"configuration": [{"name": "a [\n1,\n] b", "frequencies": [3, 9.5], "mode_shapes": shapes}]}
+    write_measurement(tmp_path / "a.toml", declared, ["said\n of\x1b it"])
+    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    assert text.startswith("# said of\\x1b it\n\n")
+    assert "frequencies = [3, 9.5]\n" in text
+    assert "    [0.12345679, nan],\n    [1.0, -2.5e-07],\n" in text
+    assert tomllib.loads(text)["configuration"][0]["name"] == "a [\n1,\n] b"

@@ -1,0 +1,130 @@
+"""Measured functions against the dynamic stiffness, coherence against its closed form, and poles picked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cvxshear.records import Channel, Run, TimeRecord, from_arrays, identify_modes
+from cvxshear.records.agreement import band_of, synthesized
+from cvxshear.records.frf import reach
+from cvxshear.records.functions import measured_functions
+from cvxshear.records.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
+from cvxshear.util.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def hammer():
+    return identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.005, hits=2), functions=True)
+
+
+def accelerance(lines):
+    """Of the paper's frame by its dynamic stiffness, shape (lines, outputs, inputs)."""
+    frequencies, shapes = PAPER_FRAME.modes()
+    mass = np.diag(PAPER_FRAME.masses)
+    damper = mass @ shapes.T @ np.diag(4 * np.pi * PAPER_FRAME.damping * frequencies) @ shapes @ mass
+    w = 2 * np.pi * lines
+    return np.array([-(x**2) * np.linalg.inv(PAPER_FRAME.stiffness - x**2 * mass + 1j * x * damper) for x in w])
+
+
+def test_functions_of_hits_are_those_of_the_frame(hammer):
+    seen = hammer.functions
+    within = band_of(seen.frequencies, hammer.frequencies)
+    exact = accelerance(seen.frequencies[within])
+    error = np.abs(seen.values[within] - exact) / np.sqrt(np.mean(np.abs(exact) ** 2))
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    np.testing.assert_array_equal(seen.inputs, [1, 2, 3])
+
+
+def test_the_modes_make_the_same_functions(hammer):
+    seen = hammer.functions
+    within = band_of(seen.frequencies, hammer.frequencies)
+    exact = accelerance(seen.frequencies[within])
+    error = np.abs(synthesized(hammer)[within] - exact) / np.sqrt(np.mean(np.abs(exact) ** 2))
+    assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_the_indicator_peaks_at_the_modes(hammer):
+    seen = hammer.functions
+    largest = seen.indicator[:, 0]
+    peaks = seen.frequencies[1:-1][(largest[1:-1] > largest[:-2]) & (largest[1:-1] > largest[2:])]
+    for frequency in hammer.frequencies:
+        assert np.abs(peaks - frequency).min() < 0.02
+
+
+def test_half_spectra_of_an_ambient_record_are_made_of_its_modes():
+    result = identify_modes(ambient_record(PAPER_FRAME, 0, noise=0.01, duration=600.0), functions=True)
+    seen = result.functions
+    assert not seen.driven
+    within = band_of(seen.frequencies, result.frequencies)
+    left = synthesized(result)[within] - seen.values[within]
+    assert np.linalg.norm(left) < 0.15 * np.linalg.norm(seen.values[within])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5, 1.0])
+def test_coherence_is_the_share_of_the_response_that_the_input_makes(noise):
+    random = np.random.default_rng(3)
+    force = random.standard_normal(40_000)
+    response = 2.0 * force + 2.0 * noise * random.standard_normal(len(force))
+    record = TimeRecord((Channel("a", 1),), runs=(Run(response[:, None], force, 1),), sampling_rate=50.0, input="force")
+    seen = measured_functions(record, 20.0)
+    assert np.mean(seen.coherence) == pytest.approx(1 / (1 + noise**2), abs=0.02)
+    assert np.mean(seen.values.real) == pytest.approx(2.0, rel=0.02)
+    assert seen.frequencies.max() <= 20.0
+
+
+def test_a_continuous_force_carries_the_masses():
+    result = identify_modes(shaker_record(PAPER_FRAME, 0, noise=0.01, floor=3))
+    assert result.mass_normalized
+    frequencies, shapes = PAPER_FRAME.modes()
+    np.testing.assert_allclose(result.frequencies, frequencies, rtol=1e-3)
+    np.testing.assert_allclose(np.abs(result.mode_shapes), np.abs(shapes), atol=0.005)
+
+
+def test_modes_picked_by_hand():
+    record = hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2)
+    result = identify_modes(record, pick=[3.3, 1.03])
+    np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0][[0, 2]], rtol=1e-3)
+    np.testing.assert_array_equal(result.modes, [1, 3])
+    for pick, count, expected in (
+        ([1.03, 1.3], None, r"no stable pole of its own within 3 % of 1\.3 Hz; there are"),
+        ([1.0, 2.2, 3.2, 4.0], None, "pick names 4 modes; a frame of 3 stories has no more than 3"),
+        ([1.03], 2, "give either count or pick"),
+        ([-1.0], None, "pick"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            identify_modes(record, pick=pick, count=count)
+
+
+def test_a_mode_left_out_by_hand_is_not_called_missing():
+    record = hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2)
+    for options, absent in (({"pick": [1.03, 3.28]}, 2), ({"count": 2}, 3)):
+        said = {finding.kind: finding.message for finding in identify_modes(record, **options).findings}
+        assert said["missing mode"] == f"mode {absent} of 3 was not asked for"
+        assert said["other mode"].endswith("is not among the modes asked for")
+
+
+def test_poles_out_of_reach_are_told_up_to_the_frequency_asked_for():
+    """The first mode and one that is not there: the record is not decimated until the third is out of sight."""
+    record = shaker_record(PAPER_FRAME, 0, noise=0.01, floor=3, duration=120.0, sampling_rate=64.0)
+    with pytest.raises(InputError, match=r"no stable pole of its own within 3 % of 20 Hz; there are .*3\.28"):
+        identify_modes(record, pick=[1.03, 20.0])
+
+
+def test_what_was_not_kept_is_said():
+    with pytest.raises(InputError, match="holds no functions"):
+        synthesized(from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]]))
+
+
+def test_a_blow_of_one_sample_reaches_half_the_sampling_rate():
+    """Its spectrum is flat; that of half a sine of 8 samples is weak before 3 / 16 of the rate, where it vanishes."""
+    answers = np.random.default_rng(1).standard_normal((512, 1))
+
+    def reached(blow):
+        force = np.zeros(512)
+        force[20 : 20 + len(blow)] = blow
+        run = Run(answers, force, 1, "hit")
+        return reach(TimeRecord((Channel("top", 1),), stories=1, runs=(run,), sampling_rate=200.0, input="force"))
+
+    assert reached([1.0]) == pytest.approx(100.0)
+    assert 200.0 / 8 < reached(np.sin(np.pi * (np.arange(8) + 0.5) / 8)) < 200.0 * 3 / 16

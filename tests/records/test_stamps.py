@@ -1,0 +1,49 @@
+"""Sampling rates behind rounded time stamps: found where they are one, refused where a sample is missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cvxshear.io.columns import Columns
+from cvxshear.records.stamps import rounding_of, sampling_rate_of
+from cvxshear.util.errors import InputError
+
+
+def rate(time, declared=None):
+    return sampling_rate_of(time, Columns("log.csv", ("t",), time[:, None]), 'column "t"', declared)
+
+
+def stamps(frequency, count, start=0.0, missing=None):
+    time = start + np.arange(1, count + 1) / frequency
+    return np.delete(time, missing) if missing is not None else time
+
+
+@pytest.mark.parametrize("frequency", [51.2, 102.4, 128.0, 200.0, 256.0, 500.0, 512.0, 833.3, 1000.0, 1024.0])
+@pytest.mark.parametrize("start", [0.0, 1234.5678])
+@pytest.mark.parametrize("rounded", [np.round, np.floor])
+def test_stamps_rounded_to_a_millisecond(frequency, start, rounded):
+    time = rounded(stamps(frequency, 3000, start) * 1000 + 1e-9) / 1000
+    assert rate(time) == pytest.approx(frequency, rel=2e-4)
+
+
+@pytest.mark.parametrize("frequency", [100.0, 256.0, 512.0, 1000.0, 1024.0])
+@pytest.mark.parametrize("declared", [False, True])
+def test_a_missing_sample_is_refused(frequency, declared):
+    time = np.round(stamps(frequency, 3000, missing=1400), 3)
+    with pytest.raises(InputError, match=r"column .t. (has a gap|goes back|has two)|rounded to"):
+        rate(time, frequency if declared else None)
+
+
+def test_stamps_coarser_than_the_samples_need_the_rate():
+    time = np.round(stamps(4000.0, 3000), 3)
+    with pytest.raises(InputError, match=r"rounded to 0\.001 s, more than a sample.*give sampling_rate"):
+        rate(time)
+    assert rate(time, 4000.0) == pytest.approx(4000.0, rel=1e-3)
+
+
+def test_the_rounding_is_told_from_the_stamps():
+    time = stamps(256.0, 500)
+    assert rounding_of(np.round(time, 3)) == pytest.approx(1e-3)
+    assert rounding_of(np.round(time, 2)) == pytest.approx(1e-2)
+    assert rounding_of(np.sqrt(2) * time) == 0.0
