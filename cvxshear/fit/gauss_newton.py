@@ -142,7 +142,7 @@ class Fit(Generic[E]):
         return self.reason.converged
 
 
-class Damping:
+class StepDamping:
     """The weight of the damping rows."""
 
     def __init__(self, accuracy: Accuracy) -> None:
@@ -235,7 +235,7 @@ def _descended(
     feasible = made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else problem.evaluate(feasible)
     theta, evaluations = feasible, 1
-    damping, flat, failures = Damping(accuracy), 0, 0
+    damping, flat, failures = StepDamping(accuracy), 0, 0
     refused: NoSolutionError | None = None
     solution: Solution | None = None
     for step in range(1, accuracy.most_steps + 1):

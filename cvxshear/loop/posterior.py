@@ -90,27 +90,22 @@ class Posterior:
         return self.models[0]
 
     @cached_property
-    def within_sets(self) -> list[dict[Placed, float]]:
-        """For each set, the probability that it is right about each of its effects, the unknown cause included."""
-        return [
-            {placed: float(probability) * chance for placed, chance in self.many_causes_penalty(model.effects).items()}
-            for model, probability in zip(self.models, self.probabilities, strict=True)
-        ]
-
-    @cached_property
     def of_sets(self) -> Floats:
         """The probability that each set is right about all of its effects, shape (sets,)."""
-        pairs = zip(self.within_sets, self.probabilities, strict=True)
-        return np.array([min(effects.values(), default=float(probability)) for effects, probability in pairs])
+        factor = self.many_causes_penalty
+        least = [min((factor.get(placed, 1.0) for placed in model.effects), default=1.0) for model in self.models]
+        return self.probabilities * least
 
     @cached_property
     def of_effects(self) -> dict[Placed, float]:
-        """The probability of each effect: the sum over the sets that hold it."""
-        result = dict.fromkeys(self._prior, 0.0)
-        for effects in self.within_sets:
-            for placed, probability in effects.items():
-                result[placed] += probability
-        return {placed: min(probability, 1.0) for placed, probability in result.items()}
+        """The probability of each effect: the sum over the sets that hold it, with the penalty for many causes."""
+        factor = self.many_causes_penalty
+        return {placed: probability * factor.get(placed, 1.0) for placed, probability in self._in_sets.items()}
+
+    @cached_property
+    def _in_sets(self) -> dict[Placed, float]:
+        """The probability of the sets that hold each effect, before the penalty for many causes."""
+        return {placed: min(self._any([placed]), 1.0) for placed in self._prior}
 
     @cached_property
     def numberings(self) -> tuple[NumberingProbability, ...]:
@@ -129,38 +124,32 @@ class Posterior:
         """Return the same probabilities, with what no datum tells known."""
         return Posterior(self.models, self._hypotheses, twins)
 
-    def many_causes_penalty(self, effects: Iterable[Placed]) -> dict[Placed, float]:
-        """Return the factor on the probability of each effect of a set: many kinds against one unknown cause.
+    @cached_property
+    def many_causes_penalty(self) -> dict[Placed, float]:
+        """The factor on the probability of each effect of the verdict: many kinds against one unknown cause.
 
-        Effects of a state and of the frame act together there. With P the prior probability of their kinds and u that
-        of an unknown cause that imitates them, the factor is P / (P + u). An effect has the smallest factor of the
-        states that it acts in; with fewer than `MANY_CAUSES` kinds the factor is 1.
+        With P the prior probability of the kinds of effects in one state, or in the frame, and u that of an unknown
+        cause that imitates them, the factor is P / (P + u). With fewer than `MANY_CAUSES` kinds there is none.
         """
-        present = list(effects)
-        factors = dict.fromkeys(present, 1.0)
+        factors: dict[Placed, float] = {}
+        present = self.verdict_set()
         for state in {placed.place.state for placed in present}:
-            together = [placed for placed in present if placed.place.state in (state, None)]
+            together = [placed for placed in present if placed.place.state == state]
             kinds = {placed.effect.name for placed in together}
             if len(kinds) >= MANY_CAUSES:
-                known = float(np.prod([self._prior_of_kind[name, state] for name in kinds]))
+                known = float(np.prod([self._prior_of_kind(name, state) for name in sorted(kinds)]))
                 unknown = UNKNOWN_CAUSE * WITH_EACH_MORE ** (len(kinds) - MANY_CAUSES)
-                factors |= {placed: min(factors[placed], known / (known + unknown)) for placed in together}
+                factors |= dict.fromkeys(together, known / (known + unknown))
         return factors
 
-    @cached_property
-    def _prior_of_kind(self) -> Mapping[tuple[str, str | None], float]:
-        """The prior probability that an effect of a kind is anywhere in a state or in the frame, by name and state."""
-        absent = defaultdict[tuple[str, str | None], float](lambda: 1.0)
-        states = {item.placed.place.state for item in self._hypotheses}
-        for item in self._hypotheses:
-            own = item.placed.place.state
-            for state in states | {None} if own is None else {own}:
-                absent[item.placed.effect.name, state] *= 1.0 - item.probability
-        return {key: 1.0 - probability for key, probability in absent.items()}
+    def _prior_of_kind(self, name: str, state: str | None) -> float:
+        """Return the prior probability that an effect of a kind is anywhere in a state, or in the frame for None."""
+        places = [item for item in self._hypotheses if item.placed.effect.name == name]
+        return 1.0 - float(np.prod([1.0 - item.probability for item in places if item.placed.place.state == state]))
 
     def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
         """Effects, the most probable first; of those as probable, what changed from state to state comes first."""
-        chance = self.of_effects if probability is None else probability
+        chance = self._in_sets if probability is None else probability
         position = {placed: at for at, placed in enumerate(self._prior)}
         groups: list[list[Placed]] = []
         for placed in sorted(effects, key=lambda each: -chance[each]):
@@ -194,7 +183,7 @@ class Posterior:
                 chosen.append(self.ranked(free or alternatives)[0])
         # A rival of what is added is there in its place, not besides it.
         passed = {each for alternatives in alternatives_of.values() for each in alternatives}
-        more = [placed for placed in self.of_effects if placed not in passed and self._enough([placed])]
+        more = [placed for placed in self._prior if placed not in passed and self._enough([placed])]
         return frozenset((*chosen, *more))
 
     def _enough(self, alternatives: Sequence[Placed]) -> bool:
@@ -215,7 +204,7 @@ class Posterior:
     @cached_property
     def _kept_odds(self) -> frozenset[Placed]:
         """Effects whose odds the data left about as they were."""
-        return frozenset(placed for placed in self.of_effects if 1.0 / RAISED < self._raised([placed]) < RAISED)
+        return frozenset(placed for placed in self._prior if 1.0 / RAISED < self._raised([placed]) < RAISED)
 
     @cached_property
     def _indifferent(self) -> frozenset[Placed]:
@@ -239,7 +228,7 @@ class Posterior:
 
     def something(self) -> float:
         """Return the probability that anything is there of what the data have made more probable than it was."""
-        return self._any([placed for placed in self.of_effects if self._raised([placed]) >= RAISED])
+        return self._any([placed for placed in self._prior if self._raised([placed]) >= RAISED])
 
     def keeps_odds(self, placed: Placed) -> bool:
         """Tell whether the data left an effect's odds about as they were."""
@@ -249,7 +238,7 @@ class Posterior:
         """Effects whose odds the data left about as they were, though they are, or were, even or better."""
         return [
             placed
-            for placed, probability in self.of_effects.items()
+            for placed, probability in self._in_sets.items()
             if max(probability, self._prior[placed]) >= ADDED and placed in self._kept_odds
         ]
 
@@ -262,7 +251,7 @@ class Posterior:
         found = self._in_place_of(placed, self._holding(placed))
         twins = self._twins.get(placed, ())
         for other in twins:
-            found.setdefault(other, self.of_effects[other])
+            found.setdefault(other, self._in_sets[other])
         order = self.ranked(found, found)
         return [Rival(each, min(found[each], 1.0), each in twins) for each in order]
 
@@ -273,7 +262,7 @@ class Posterior:
     def _in_place_of(self, placed: Placed, best: ModelClass) -> dict[Placed, float]:
         """Find what replaces an effect of a set in the others, with its probability there."""
         found: dict[Placed, float] = {}
-        for model, probability, own in zip(self.models, self.probabilities, self.within_sets, strict=True):
+        for model, probability in zip(self.models, self.probabilities, strict=True):
             if probability < RIVAL * self.probabilities[0]:
                 break
             if placed in model.effects or placed not in best.effects:
@@ -281,7 +270,7 @@ class Posterior:
             gone, come = best.effects - model.effects, model.effects - best.effects
             other = replacement(placed, gone - (self._indifferent - {placed}), come - self._indifferent)
             if other is not None:
-                found[other] = found.get(other, 0.0) + own[other]
+                found[other] = found.get(other, 0.0) + float(probability)
         return found
 
     def deviations_about(self, estimate: Estimate, placed: Placed) -> Floats:

@@ -11,8 +11,8 @@ from cvxshear.fit.gauss_newton import (
     FULL,
     ROUGH,
     Accuracy,
-    Damping,
     Ending,
+    StepDamping,
     gauss_newton,
     halved,
     made_feasible,
@@ -71,7 +71,7 @@ def test_a_step_is_held_back_by_weights_in_proportion_to_sensitivities():
 
 
 def test_damping_grows_faster_with_each_failure_and_gives_way_to_success():
-    damping = Damping(FULL)
+    damping = StepDamping(FULL)
     assert (damping.active, damping.exhausted) == (False, False)
     weights = []
     for _ in range(4):
