@@ -84,9 +84,10 @@ def test_the_public_face_is_in_the_reference(site):
 
     text = "".join(path.read_text() for path in (site / "api").glob("*.html"))
     documented = set(re.findall(r'id="cvxshear\.(?:\w+\.)*(\w+)"', text))
-    modules = {"backends", "effects", "priors"}
+    modules = {"backends", "effects", "priors", "programs"}
     assert set(cvxshear.__all__) - modules <= documented
-    assert {*cvxshear.effects.__all__, *cvxshear.priors.__all__, *cvxshear.backends.__all__} - {
+    names = [*cvxshear.effects.__all__, *cvxshear.priors.__all__, *cvxshear.backends.__all__, *cvxshear.programs.__all__]
+    assert set(names) - {
         "QUANTITIES",
         "QUANTITY_UNITS",
     } <= documented
