@@ -21,10 +21,10 @@ COMPANIONS = ("click<8.3", "pyparsing<3.3")
 newer ones too, and the warning is no one's who calls this package; the tests take every warning for an error."""
 
 TESTS = (
-    "test_import.py", "test_backends.py", "test_certificates.py", "test_compiled.py", "test_identify.py",
-    "test_efficient.py", "test_cli.py", "test_writing.py", "test_lowest_versions.py", "formats", "campaign",
-    "modal/test_formats.py", "modal/test_adapters.py", "planning/test_choice.py", "response/test_files.py",
-    "report/test_figures.py", "report/test_html.py",
+    "test_import.py", "backends/test_backends.py", "backends/test_certificates.py", "backends/test_compiled.py",
+    "programs/test_formulations.py", "fit/test_identify.py", "fit/test_efficient.py", "test_cli.py", "test_writing.py",
+    "test_lowest_versions.py", "formats", "campaign", "records/test_formats.py", "records/test_adapters.py",
+    "planning/test_choice.py", "response/test_files.py", "report/test_figures.py", "report/test_html.py",
 )  # fmt: skip
 """Files and folders of tests that lean on other packages: solvers, readers, matplotlib, jinja, rich, typer, joblib."""
 
