@@ -276,15 +276,8 @@ class _Rates:
         if estimated:
             density[3 * N] = 2 * setting.ground_corner * noise.ground**2
         at = setting.floors - 1
-        seen, direct = total, through
-        if model.bracket is not None:
-            # a'' of a = total x + through p, x' = rates x + load p; p' and p'' are left out: dampers alone pass them
-            # on.
-            twice = total @ rates
-            seen = total - model.bracket[:, None] * (twice @ rates)
-            direct = through - model.bracket * (twice @ load)
         return _Rates(
-            rates, load, density, total, through, seen[at] * model.gain[at, None], direct[at] * model.gain[at],
+            rates, load, density, total, through, total[at] * model.gain[at, None], through[at] * model.gain[at],
             noise.sensors**2, 0.0 if estimated else noise.ground,
         )  # fmt: skip
 

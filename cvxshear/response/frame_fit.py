@@ -143,16 +143,9 @@ class FittedFrame:
         """Relative error of each sensor, the excitation's last, and its standard deviation, shapes (m,)."""
         at, m = self.errors.varied.sensor_gains, len(self.errors.setting.floors)
         # An excitation that was larger than its sensor shows: that one reads too little.
-        signs = np.where(np.arange(at.stop - at.start - m) < m, 1.0, -1.0)
-        logarithms, std = self._unknown(slice(at.start + m, at.stop), GAIN_UNIT * signs)
+        signs = np.where(np.arange(at.stop - at.start) < m, 1.0, -1.0)
+        logarithms, std = self._unknown(at, GAIN_UNIT * signs)
         return np.expm1(logarithms), np.exp(logarithms) * std
-
-    @property
-    def brackets(self) -> tuple[Floats, Floats]:
-        """What each sensor stands on (`DampedModel.bracket`), and its standard deviation, shapes (m,), s2."""
-        varied, m = self.errors.varied, len(self.errors.setting.floors)
-        first, units = varied.sensor_gains.start, varied.dbracket.sum(axis=1)
-        return self._unknown(slice(first, first + m), units[len(units) - varied.gains :][:m])
 
     @property
     def factors(self) -> Floats:

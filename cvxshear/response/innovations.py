@@ -188,8 +188,7 @@ class PredictionErrors:
         N, D, W, _ = varied.sizes
         masses = slice(N + D, N + D + W)
         self.upper[masses] = np.maximum(self.upper[masses], heavier[masses])
-        gains = varied.sensor_gains
-        self.upper[gains.start + len(setting.floors) : gains.stop] = FURTHEST_GAIN / GAIN_UNIT
+        self.upper[varied.sensor_gains] = FURTHEST_GAIN / GAIN_UNIT
         self.upper[force] = np.log(MOST_MISSED / noise.force)
         if setting.base_measured:
             self.upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)

@@ -30,7 +30,7 @@ from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted
 from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.quantities import listed, numbered, percent, ranged, significant
+from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
 
@@ -227,18 +227,6 @@ class Reconstruction(Shown):
         )
 
     @property
-    def brackets(self) -> tuple[tuple[int, float], ...]:
-        """Floors whose sensor reads more the higher the frequency, and the frequency of what it stands on, Hz."""
-        if not self.names_changes:
-            return ()
-        found = zip(self.recording.floors, *self.frame.brackets, strict=True)
-        return tuple(
-            (int(floor), 1.0 / (2 * np.pi * float(np.sqrt(value))))
-            for floor, value, std in found
-            if value > GAIN_OFF[0] * std
-        )
-
-    @property
     def change_probability(self) -> Floats | None:
         """Probability that each story changed by itself, shape (N,); None where that was not asked, or is not told."""
         return self.frame.story_probability if self.frame_fitted and not self.undetermined else None
@@ -356,10 +344,6 @@ def _warnings(found: Reconstruction) -> list[str]:
         f"{name} reads {percent(abs(value), 1)} ± {percent(std, 1)} too {'much' if value > 0 else 'little'}: the "
         "record contradicts the frame and its other sensors otherwise; that is taken out of the motion"
         for name, value, std in found.gains_off
-    ] + [
-        f"the sensor of floor {floor} reads more the higher the frequency, as on a bracket that swings at "
-        f"{significant(frequency, 2)} Hz; that is taken out of the motion"
-        for floor, frequency in found.brackets
     ]
     wider = widening(found.checks)
     if wider > WIDER:

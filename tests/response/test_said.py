@@ -38,7 +38,7 @@ def reconstructed(**more):
         "inflation": 1.5, "converged": True, "against_others": (np.zeros(4), np.full(4, 0.02)), "scale_std": 0.0,
         "story_probability": np.zeros(4), "dashpot_probability": np.zeros(4), "mass_probability": 0.0,
         "dashpots": (np.zeros(4), np.ones(4)), "gains": (np.zeros(3), np.full(3, 0.001)),
-        "brackets": (np.zeros(2), np.full(2, 1e-6)), "errors": SimpleNamespace(varied=SimpleNamespace(period=1.0)),
+        "errors": SimpleNamespace(varied=SimpleNamespace(period=1.0)),
     }  # fmt: skip
     envelopes = [np.full(10, 0.2)]
     recording = {"floors": FLOORS, "input": "base", "runs": [SimpleNamespace(measured=np.zeros((10, 2)))],
@@ -57,7 +57,7 @@ def reconstructed(**more):
 
 def test_of_a_sound_frame_nothing_is_named():
     found = reconstructed()
-    assert (found.changed, found.dampers, found.missed_most, found.gains_off, found.brackets) == ((),) * 5
+    assert (found.changed, found.dampers, found.missed_most, found.gains_off) == ((),) * 4
     assert (found.sound, found.masses_changed, found.warnings, found.widening) == (True, False, (), 1.0)
 
 
@@ -98,7 +98,7 @@ def test_dampers_and_masses_are_named_where_they_are_sure():
     assert Whiteness(2, 1.0, -0.11, 0.1, 0.009, 0, 0).coloured
 
 
-def test_gains_and_brackets_are_named_beyond_three_deviations():
+def test_gains_are_named_beyond_three_deviations():
     gains = np.array([0.031, -0.029, -0.0051]), np.array([0.01, 0.01, 0.001])
     found = reconstructed(gains=gains)
     assert [name for name, *_ in found.gains_off] == ["the sensor of floor 2", "the sensor of the base motion"]
@@ -110,9 +110,6 @@ def test_gains_and_brackets_are_named_beyond_three_deviations():
     assert len(reconstructed(gains=(gains[0][:2], gains[1][:2]), input="none").gains_off) == 1
     assert reconstructed(gains=gains, undetermined=(("a",),)).gains_off == ()
     assert reconstructed(gains=gains, frame_fitted=False).gains_off == ()
-    found = reconstructed(brackets=(np.array([2.9e-6, 3.1e-6]), np.full(2, 1e-6)))
-    assert found.brackets == ((4, pytest.approx(1 / (2 * np.pi * np.sqrt(3.1e-6)))),)
-    assert "bracket that swings at 90 Hz" in found.warnings[0]
 
 
 @pytest.mark.parametrize(
