@@ -25,25 +25,24 @@ from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
 from cvxshear.util.typing import Bools, Floats, Ints
 
 OTHER_DAMPING_STD = 0.3
-"""Standard deviation of the logarithm of each dashpot, or of Rayleigh's factors, by themselves; of each mode's ratio
-since the tests, too."""
+"""Standard deviation of the logarithm of each dashpot and of each Rayleigh factor, and of the change of each mode's
+ratio since the tests."""
 
 LEFT_BESIDE = 0.1
-"""Part of a mode's measured damping ratio that stays where a dashpot alone would give the whole of it."""
+"""Remaining share of a mode's measured damping ratio beside a dashpot that accounts for the whole ratio."""
 
 GAIN_UNIT = 0.01
 """Relative gain error of a sensor for an unknown of one."""
 
 EXACT_MASS = 1e-6
-"""Relative standard deviation of masses below which they were declared as exact."""
+"""Masses with a smaller relative standard deviation count as exact."""
 
 SAME_MASSES = 1e-3
-"""Smallest standard deviation of a pattern of floor masses, relative to the largest, that is not rounding of one that
-is exact, as the total may be."""
+"""Smallest standard deviation of a pattern of floor masses, relative to the largest; smaller ones are rounding."""
 
 COUPLED_MODES = 6
-"""Lowest modes that an error of the model's form mixes; of higher modes it changes the frequencies alone. Six have most
-of a building's motion, and more would be as many unknowns as all else together."""
+"""Number of lowest modes that an error of form couples. Six modes have most of a building's motion. An error of form
+changes only the frequencies of higher modes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +149,7 @@ class VariedFrame:
 
     @property
     def sensor_gains(self) -> slice:
-        """Which unknowns are gains: those of the floors' sensors, then that of the excitation's."""
+        """Slice of the gains: the floors' sensors, then the excitation's sensor."""
         N, D, W, _ = self.sizes
         return slice(N + D + W - self.gains, N + D + W)
 

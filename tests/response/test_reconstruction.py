@@ -19,7 +19,7 @@ from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, dynamics_slopes, recursion, settled_covariance
 from cvxshear.response.frame_motion import MOST_DIRECTIONS, PROBED_SAMPLES, FrameMotion, readings_of
-from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
+from cvxshear.response.innovations import Directions, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
 from cvxshear.response.sensor_checks import as_predicted
 from cvxshear.response.smoother import Observed, Steady, settled_slopes, settled_states, smooth
@@ -250,7 +250,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     sensors, start = np.array([[True, True], [True, False]]), 1e-3 * rng.standard_normal((2, 9))
     y[gap:, 1] = 1e3
     parts = [part for part in (slice(0, gap), slice(gap, 500)) if part.start < 500]
-    stretches = [Stretch(both[part], y[part], *own) for part, *own in zip(parts, sensors, start, strict=False)]
+    stretches = [Segment(both[part], y[part], *own) for part, *own in zip(parts, sensors, start, strict=False)]
     errors = PredictionErrors(VariedFrame.around(frame), setting, stretches, Noise(np.array([0.03, 0.02]), 0.02))
     p = 0.02 * rng.standard_normal(errors.size)
     at = errors.linearised(p, Directions(np.eye(errors.size), np.eye(errors.size)))
