@@ -64,8 +64,6 @@ class BandClock:
     time : float, optional
         The mean time, s, and the longest time from it to either end.
     reach : float, optional
-    steepest : float, optional
-        Drift, s a second, at which all lines agree best if only clocks turn them.
     """
 
     middle: float
@@ -77,7 +75,6 @@ class BandClock:
     freedom: int = 0
     time: float = 0.0
     reach: float = 0.0
-    steepest: float = 0.0
 
 
 def band_clock(segments: Segments, first: int, second: int) -> BandClock:
@@ -97,13 +94,12 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
     grid, step = grid[near], float(grid[1] - grid[0])
     time = float(np.average(times, weights=weights))
     around = times - time
-    drifting, steady, steepest = _best_lines(table, around, step, grid)
+    drifting, steady = _best_lines(table, around, step, grid)
     found = _fitted(squares, weights, around, grid[drifting[0]], drifting[1], step, segments)
     if drifting[1] and abs(found.slope) < TRUSTED_DRIFT * found.slope_std:
         # A sweep that passes a damper's phases one after the other looks like a drift as well.
         found = _fitted(squares, weights, around, grid[steady], 0, step, segments)
-    drift = steepest * step / max(float(np.abs(around).max()), 1e-9)
-    return replace(found, chance=chance, time=time, steepest=drift)
+    return replace(found, chance=chance, time=time)
 
 
 def _fitted(
@@ -223,10 +219,11 @@ def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segme
     return BandClock(middle, std, 1.0, 0.0, slope, float(np.sqrt(scatter / max(information, 1e-300))), freedom)
 
 
-def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int, int]:
-    """Place on the grid, and steps of drift from the middle to the end, of the largest agreement.
+def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int]:
+    """Return the line of the largest agreement, and the place of the largest agreement without a drift.
 
-    A drift that makes it little larger is none. Then the place without any drift, and the steps of the largest.
+    A line is a place on the grid and the steps of drift from the middle to the end. The line has a drift only if the
+    drift increases the agreement by more than `NO_DRIFT` allows.
     """
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
@@ -248,7 +245,7 @@ def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tup
         if total[place] > best[0]:
             best = (float(total[place]), place, turns)
     line = (without[1], 0) if without[0] >= NO_DRIFT * best[0] else best[1:]
-    return line, without[1], best[2]
+    return line, without[1]
 
 
 def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:

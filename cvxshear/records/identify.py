@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cvxshear.records import diagnostics
-from cvxshear.records.agreement import FDD, frequency_domain_decomposition, second_opinion
+from cvxshear.records.agreement import second_opinion
 from cvxshear.records.assemble import assembled
 from cvxshear.records.diagnostics import left_out, overlooked_modes
 from cvxshear.records.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
@@ -100,7 +100,7 @@ def identify_modes(
     functions : bool, optional
         Whether the result keeps what the record shows over frequency, for figures.
     second : str, optional
-        Another method, or "fdd" for the peaks in the frequency domain, whose opinion of each mode is a finding.
+        Another method; a finding for each mode says whether this method has the mode as well.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     if second is not None:
-        checks.choice(second, (*MODAL_METHODS, FDD), "second")
+        checks.choice(second, MODAL_METHODS, "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
     options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
@@ -130,27 +130,19 @@ def identify_modes(
             except InputError as error:
                 raise type(error)(str(error) + _besides(looked)) from None
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
-            if functions or second == FDD:
+            if functions:
                 result = dataclasses.replace(
                     result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
                 )
             if second is not None:
-                other = _second(record, result, dataclasses.replace(options, pick=()), second)
-                opinion = (*result.findings, *second_opinion(result, other))
-                result = dataclasses.replace(result, findings=opinion)
-            return result if functions else dataclasses.replace(result, functions=None)
+                other = _identified(record, dataclasses.replace(options, pick=(), method=second))
+                opinion = second_opinion(result, dataclasses.replace(other, name=second))
+                result = dataclasses.replace(result, findings=(*result.findings, *opinion))
+            return result
     except np.linalg.LinAlgError as error:
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
         raise NoSolutionError(options.method or default_method(record), reason) from error
-
-
-def _second(record: Record, result: ModalResult, options: Options, method: str) -> ModalResult:
-    """Identify the modes by another method."""
-    if method == FDD and result.functions is not None:
-        return frequency_domain_decomposition(result.functions, len(result.frequencies), record.stories)
-    other = _identified(record, dataclasses.replace(options, method=method))
-    return dataclasses.replace(other, name=method)
 
 
 def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:

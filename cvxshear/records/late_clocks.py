@@ -4,7 +4,7 @@ Two channels are compared by the phases of the whole band (`records.clocks`); wh
 channels tell.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 
 import numpy as np
@@ -39,11 +39,6 @@ DELAYS_AGREE = 0.05
 NEARLY_AS_GOOD = 0.8
 """Of the largest agreement of two clocks: a delay that reaches it is not contradicted by them. Dampers turn the few
 modes of a decay, and a sidelobe of theirs may then be higher than the delay."""
-SLOPES_AGREE = 0.6
-"""Of a drift: as near the drifts against every other clock must come to it. Those that dampers feign differ by more."""
-BEYOND_OTHERS = 4.0
-"""Times the median of what the other clocks seem to drift by among themselves: as much a drift under a sweep must be.
-Modes that a sweep passes one after the other feign as much in one sound sweep of a hundred."""
 MICROSECONDS = 6
 """Digits of sums of delays, s, that are compared: no clock is told finer."""
 HINT = 2.0
@@ -52,9 +47,6 @@ DRIFT_CHANCE = 1e-6
 """Probability that chance makes a slope so steep of the delays in the parts of a record."""
 DRIFT_SHORTEST = 0.08
 """Samples from the middle of the record to its end that a drift must make."""
-LIKELY_DRIFT = 5e-4
-"""s a second; a steeper one under a sweep is a damper's: crystals are 100 ppm off, and a poor one 200."""
-
 
 Compare = Callable[[int, int], BandClock]
 """How late the first of two clocks is against the second."""
@@ -91,9 +83,6 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     by_chance = float(np.median([item.chance for item in against.values()]))
     common = comparable and usual > min(AGREED, IN_COMMON * by_chance)
     drifts = {i: _drift(compare, i, heard, segments.rate) if common else (0.0, np.inf) for i in heard}
-    if driven and not struck(record):
-        steady = {i: clocks[i] for i, (slope, _) in drifts.items() if not slope and i < len(names)}
-        findings += _perhaps_drifting(compare, list(heard), steady, segments.rate)
     # The clock that is nearest to all others counts as right, of those that do not drift. Of an even number two are, to
     # the rounding of their sums: then the one that has more in common with the others.
     middles = {i: item.middle for i, item in heard.items()}
@@ -176,29 +165,6 @@ def _drift_of(clocks: list[BandClock], rate: float) -> tuple[float, float]:
     if abs(slope) < certain * std or abs(slope) * reach < DRIFT_SHORTEST / rate or alone:
         return 0.0, std
     return slope, std
-
-
-def _perhaps_drifting(compare: Compare, heard: list[int], names: Mapping[int, str], rate: float) -> Iterator[Finding]:
-    """Report channels that seem to drift where one mode after the other is driven.
-
-    There all clocks seem to drift against each other. Of one that drifts all comparisons say the same, and those of the
-    other clocks among themselves much less.
-    """
-    if len(heard) < 4:
-        return
-    # Of two clocks the second drifts against the first by as much the other way.
-    upper = np.array([[compare(i, k).steepest if i < k else 0.0 for k in heard] for i in heard])
-    seen = upper - upper.T
-    for row, place in enumerate(heard):
-        slopes = np.delete(seen[row], row)
-        slope = float(np.median(slopes))
-        reach = float(np.median([compare(min(place, k), max(place, k)).reach for k in heard if k != place]))
-        among = np.delete(np.delete(seen, row, axis=0), row, axis=1)[np.triu_indices(len(slopes), 1)]
-        least = max(BEYOND_OTHERS * float(np.median(np.abs(among))), LATE / 2 / rate / max(reach, 1e-9))
-        alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
-        if place in names and alike and least < abs(slope) < LIKELY_DRIFT:
-            numbers = {"channel": names[place], "drift": slope, "corrected": False}
-            yield finding("clock drift/doubtful", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope))
 
 
 def _silent(channel: Channel, clock: BandClock) -> Finding:

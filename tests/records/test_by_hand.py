@@ -32,7 +32,7 @@ from cvxshear.records.frf import (
     residues,
     table_spectra,
 )
-from cvxshear.records.functions import Functions, _segment
+from cvxshear.records.functions import _segment
 from cvxshear.records.identify import Options, _about_unknown_centers, _out_of_reach, _wanted
 from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.picking import PoleCandidate, Sweep, Values
@@ -465,25 +465,6 @@ def test_a_mode_has_the_energy_of_its_own_decay():
     found = energies(factor, list(zip(values[:2], shapes[:2] + 0j, strict=True)), rate)
     np.testing.assert_allclose(found, [np.sum(part**2) / np.sum(factor**2) for part in parts[:2]], rtol=0.1)
     assert energies(factor, [], rate).shape == (0,)
-
-
-def test_peaks_of_functions_are_the_most_prominent_ones_between_the_lines():
-    """Parabolas of the logarithm have their tops where they were put; a ripple stands out of its valley by less."""
-    lines = np.arange(1, 200) * 0.1
-    tops, shape = np.array([4.03, 8.98, 14.0]), np.array([[0.4, 1.0], [1.0, -0.6], [0.2, 1.0]])
-    hills = 5.0 - 3.0 * (lines[:, None] - tops) ** 2 - np.array([0.0, 1.0, 2.2])
-    height = np.max(np.column_stack([hills, np.zeros(len(lines))]), axis=1) + 1e-6 * np.sin(40 * lines)
-    which = np.argmax(hills, axis=1)
-    values = (np.exp(height)[:, None] * shape[which] / np.linalg.norm(shape[which], axis=1)[:, None])[:, :, None]
-    functions = Functions(lines, values + 0j, np.array([1, 2]), np.array([2]), True, None, "acceleration")
-    for count in (2, 3):
-        found = agreement.frequency_domain_decomposition(functions, count, 3)
-        np.testing.assert_allclose(found.frequencies, tops[:count], atol=1e-5)
-        np.testing.assert_allclose(found.frequency_std, 0.1 / np.sqrt(12) / tops[:count], rtol=1e-5)
-        ratios = found.mode_shapes[:, 0] / found.mode_shapes[:, 1]
-        np.testing.assert_allclose(ratios, (shape[:, 0] / shape[:, 1])[:count])
-    assert agreement._saddle(np.array([0.0, 2.0, 1.0, 5.0, 3.0, 4.0, 0.5, 6.0]), 5) == 3.0
-    assert agreement._saddle(np.array([0.0, 2.0, 1.0, 5.0, 3.0, 4.0, 0.5, 6.0]), 3) == 0.5
 
 
 def test_another_opinion_is_of_the_nearest_mode_of_that_shape():
