@@ -308,6 +308,21 @@ def test_a_peer_that_sees_other_modes_is_said():
         identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0), second="other")
 
 
+def test_a_second_opinion_compares_the_nearest_mode_of_the_same_shape():
+    own = from_arrays([2.0, 5.0, 9.0], [[0.5, 1.0], [1.0, -0.5], [1.0, 0.1]], floors=[1, 2], stories=3, name="own")
+    shapes = [[0.45, 1.0], [0.5, 1.0], [1.0, -0.5], [0.1, -1.0]]
+    other = from_arrays([1.98, 2.05, 5.26, 9.1], shapes, floors=[1, 2], stories=4, name="other")
+    first, second, third, *more = second_opinion(own, other)
+    mac = (0.5 * 0.45 + 1.0) ** 2 / (0.5**2 + 1.0) / (0.45**2 + 1.0)
+    assert first.numbers == {
+        "mode": 1, "method": "other", "agrees": True, "frequency": pytest.approx(1.98), "change": pytest.approx(-0.01),
+        "mac": pytest.approx(mac),
+    }  # fmt: skip
+    # The second differs by 5.2 % in frequency, the third in shape.
+    assert [(each.numbers["mode"], each.numbers["agrees"]) for each in (second, third)] == [(2, False), (3, False)]
+    assert [each.numbers["frequency"] for each in more] == [2.05, 5.26, 9.1]
+
+
 def torsional_record() -> tuple[TimeRecord, float]:
     """A sway record whose roof turns at 1.6 Hz, seen by two sensors at unequal distances from the centre."""
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=300.0)
