@@ -20,7 +20,7 @@ Array = np.ndarray[Any, Any]
 
 RATE_NAMES = re.compile(r"(.*\.)?(fs|f_s|sr|rate|sampl(e|ing)_?(rate|freq(uency)?)|fsample)(_hz)?", re.IGNORECASE)
 STEP_NAMES = re.compile(r"(.*\.)?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval|period))(_s)?", re.IGNORECASE)
-"""What a lone number is called that is a sampling rate, Hz, or the time between two samples, s."""
+"""Names of single numbers: a sampling rate in Hz, and a time between two samples in s."""
 
 
 def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
@@ -28,7 +28,7 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
 
     A vector is a column of its own name; a matrix `acc` of samples by channels is the columns `acc[1]`,
     `acc[2]`, ...; a field `x` of a structure `run` is `run.x`. A complex array gives two columns, its name
-    with `_re` and `_im`. Arrays of another length than the longest are left out.
+    with `_re` and `_im`. Shorter arrays are left out.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
 
 
 def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
-    """List the longest vectors, and matrices of as many rows or columns, of named arrays, as `read_mat` names them."""
+    """Collect the longest vectors, and the matrices of the same length, with the names of `read_mat`."""
     found: dict[str, Array] = {}
     for name, array in _arrays(read):
         parts = {f"{name}_re": array.real, f"{name}_im": array.imag} if array.dtype.kind == "c" else {name: array}
@@ -156,7 +156,7 @@ LONE = "column"
 
 
 def read_npz(path: str | Path, limit: float = LIMIT) -> Columns:
-    """Read the arrays of a .npy or .npz file as columns, named as those of a MAT file.
+    """Read the arrays of a .npy or .npz file as columns, named as in `read_mat`.
 
     Parameters
     ----------

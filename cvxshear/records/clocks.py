@@ -1,6 +1,6 @@
 """Clocks of the channels: late by a constant, or by more and more.
 
-A channel whose clock is late by tau shows every component of angular frequency w turned by -w tau. Between two
+A clock that is late by tau turns each component of angular frequency w by -w tau. Between two
 channels of a lightly damped frame the phase is otherwise nearly nought or half a turn, at the modes and in the band
 between them: over the whole band the delay is the one straight line through the origin that leaves no more than that,
 and the modes' own phases make it finer (`records.clock_offsets`). A damper turns single modes, not the band.
@@ -26,9 +26,9 @@ NO_PHASE = 3.0
 WELL_TURNED = 30.0
 """Degrees; a third of what chance leaves at most in a band that a long delay turns several times."""
 NEARLY_TURNED = 0.75
-"""Of a right angle; the phases of bands that a delay turns by more are not compared with those without it."""
+"""Fraction of a right angle. Bands that a delay turns more are not compared with their phases without the delay."""
 HEARD = 0.25
-"""Of the largest agreement of lines in a band; a band with less has little of what both channels show."""
+"""Fraction of the largest agreement of lines in a band; other bands have little motion in common."""
 MOST_BANDS = 0.75
 """Share of the bands whose phases a delay must make smaller; resonances turn the others."""
 TRUSTED_DRIFT = 4.0
@@ -36,11 +36,11 @@ TRUSTED_DRIFT = 4.0
 FINER = 4
 """Steps of the search in the time that a quarter of a sample makes."""
 NO_DRIFT = 0.97
-"""Of the agreement with a drift: reached without one, there is none."""
+"""A clock has no drift if the agreement without a drift reaches this fraction of the agreement with it."""
 STEADY = 0.01
 """Samples that the delay of a sound clock may seem to change by, as modes ring with other weights."""
 AS_GOOD = 0.97
-"""Of the largest agreement: of delays that reach it the smallest is taken, which a sidelobe of a few modes is not."""
+"""Fraction of the largest agreement: take the smallest delay that reaches it, not a sidelobe of a few modes."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class BandClock:
     Parameters
     ----------
     middle : float
-        The delay at the mean time of what tells it, s.
+        The delay at the mean time of the data, s.
     std : float
         Of that.
     agreement : float
@@ -142,8 +142,8 @@ def straight(
     seconds : float
         How late the first is; at the time `time` where it drifts.
     slope : float, optional
-        Seconds more in each second after. The phases in the parts of the record are then compared with those of the
-        delay alone.
+        Seconds more in each second after. With a slope, the phases in the parts of the record are compared with the
+        phases of the delay alone.
     time : float, optional
         s.
     """
@@ -152,8 +152,7 @@ def straight(
     parts = squares if slope else squares.sum(axis=0)[None]
     before, _ = _phases(parts, np.full(len(times), steady), edges, segments.omega)
     after, agreed = _phases(parts, seconds + slope * (times - time), edges, segments.omega)
-    # Turned by a right angle and more, as some lines of a band are whose middle is near it, what it shows without the
-    # delay is anything.
+    # Without the delay, the phase of a band that is turned by about a right angle is arbitrary.
     middles = segments.omega[(edges + np.append(edges[1:], squares.shape[1])) // 2]
     turned = middles * np.abs(seconds - steady) > NEARLY_TURNED * np.pi / 2
     noise = 2 * NO_PHASE if slope else NO_PHASE

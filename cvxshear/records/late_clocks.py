@@ -25,24 +25,24 @@ few lines leave much to chance."""
 AGREED = 0.25
 """Agreement of phases that tells a channel's clock; half of what is usual in an ambient record where that is less."""
 IN_COMMON = 30.0
-"""Times the agreement that chance makes, from which on drifts are looked for where less than `AGREED` is in common: of
-a long ambient record sampled far beyond its highest mode."""
+"""Ratio of agreement to chance above which drifts are searched for although less than `AGREED` is in common, as in long
+ambient records with a high sampling rate."""
 LATE = 0.5
-"""Samples; a delay of less is left to the phases of the modes, which tell it finer."""
+"""Samples; the phases of the modes determine smaller delays more accurately."""
 IN_STEP = 0.6
-"""Agreement of phases without a delay, over that with it, from which on the delay may be chance: of few modes, which
-nearly agree at many delays. Delays of half a sample and more leave a third at most."""
+"""Largest ratio of the agreement without a delay to the agreement with it; above it, the delay may be chance: a few
+modes nearly agree at many delays. Delays of half a sample and more leave a third at most."""
 CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
 DELAYS_AGREE = 0.05
 """Of a delay: as near half of the other clocks must come to it. Dampers part them by a fraction of a sample."""
 NEARLY_AS_GOOD = 0.8
-"""Of the largest agreement of two clocks: a delay that reaches it is not contradicted by them. Dampers turn the few
-modes of a decay, and a sidelobe of theirs may then be higher than the delay."""
+"""Fraction of the largest agreement of two clocks. A delay that reaches it does not contradict them. Dampers turn the
+few modes of a decay, and a sidelobe of theirs may then be higher than the delay."""
 MICROSECONDS = 6
-"""Digits of sums of delays, s, that are compared: no clock is told finer."""
+"""Digits for the comparison of sums of delays, s; clocks are less accurate."""
 HINT = 2.0
-"""Standard deviations of a drift against one clock from which on the others are asked."""
+"""Drifts against one clock above this number of standard deviations are compared with the other clocks."""
 DRIFT_CHANCE = 1e-6
 """Probability that chance makes a slope so steep of the delays in the parts of a record."""
 DRIFT_SHORTEST = 0.08
@@ -72,7 +72,7 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     agreed = min(AGREED, usual / 2) if record.input == "none" else AGREED
     heard = {i: item for i, item in against.items() if item.agreement > max(agreed, limits[i])}
     if len(heard) < len(against) / 2:
-        # Nothing is sure where most have little in common: a few sine waves, a record of noise.
+        # Most channels have little in common, as in a few sine waves or in noise: nothing can be concluded.
         return record, []
     silent = [i for i, item in against.items() if item.agreement < limits[i] and i < len(names)]
     findings = [_silent(record.channels[i], against[i]) for i in silent]
@@ -83,8 +83,8 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     by_chance = float(np.median([item.chance for item in against.values()]))
     common = comparable and usual > min(AGREED, IN_COMMON * by_chance)
     drifts = {i: _drift(compare, i, heard, segments.rate) if common else (0.0, np.inf) for i in heard}
-    # The clock that is nearest to all others counts as right, of those that do not drift. Of an even number two are, to
-    # the rounding of their sums: then the one that has more in common with the others.
+    # The right clock is the nearest to all others among the clocks without a drift. With an even number of clocks, two
+    # are equally near except for rounding; take the clock with more in common with the others.
     middles = {i: item.middle for i, item in heard.items()}
     apart_by = {i: round(sum(abs(middles[i] - each) for each in middles.values()), MICROSECONDS) for i in heard}
     right = min(heard, key=lambda i: (drifts[i][0] != 0, apart_by[i], -shared[i]))
@@ -120,7 +120,7 @@ def _in_common(segments: Segments, first: int, second: int) -> float:
 
 
 def _std_of_delay(compare: Compare, segments: Segments, late: int, right: int, seconds: float, std: float) -> float:
-    """Find the standard deviation of a delay, what the other clocks say of it included; inf where it is not sure."""
+    """Find the standard deviation of a delay with the scatter of the other clocks; inf for an uncertain delay."""
     limit = LATE / segments.rate
     if abs(seconds) < max(limit, CERTAIN_DELAY * std):
         return np.inf
