@@ -27,7 +27,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 from cvxshear.util.typing import Floats, Ints
 from cvxshear.util.writing import ending_of, write_file
 
-P = ParamSpec("P")
+PlotArguments = ParamSpec("PlotArguments")
 
 MEASURED = "#000000"
 BEFORE = "#D55E00"
@@ -115,11 +115,11 @@ def page_width() -> float:
     return NARROW_WIDTH if narrow_page() else PAGE_WIDTH
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Figure]:
     """Make a figure in the house style, and leave the user's settings as they were."""
 
     @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+    def drawn(*args: PlotArguments.args, **kwargs: PlotArguments.kwargs) -> Figure:
         with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is found once; what is drawn later, under whichever settings, stays where it is.
