@@ -26,34 +26,34 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
 GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": ("floor_mass", "story_stiffness")}
-"""What a plan can be for besides effects, with the quantities that it is to determine."""
+"""Goals of a plan other than effects, each with the quantities to determine."""
 
 DECLARED = "declared"
 """In place of a number of tests: those that the file declares."""
 
 USUAL_MODES = 4
-"""Modes that are planned for where nothing says which: as many as ambient tests of buildings commonly give."""
+"""Default number of modes of a plan: ambient tests of buildings commonly give four."""
 
 MOST_TESTS = 50
-"""Tests at most: nobody makes more, and the program's time grows with them."""
+"""Largest number of tests; the time of the program grows with it."""
 
 TURNS = 3
 """Times that floors and masses are chosen, one given the other; the third turn seldom changes anything."""
 
 PARTS = (0.5, 1.0)
-"""Parts of what a floor can carry that the grid's tests put on it."""
+"""Added masses of the grid, as fractions of the limit of a floor."""
 
 MOST_REFINED = 60
-"""Masses of all tests together up to which they are refined between the points of the grid."""
+"""Largest number of masses, over all tests, that are refined between the points of the grid."""
 
 DESCENT_STEPS = 15
 """Steps of the refinement at most; its gradient takes a test's modes for each mass."""
 
 MASS_STEP = 1e-3
-"""Part of a floor's limit by which the differences of that gradient move a mass."""
+"""Step of a mass in the difference quotients of that gradient, as a fraction of the limit of its floor."""
 
 MASS_DIGITS = 2
-"""Decimals, of the limit in percent, that a refined mass is given with: nobody weighs finer."""
+"""Decimals of a refined mass in percent of its limit; scales are not finer."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -179,7 +179,7 @@ class Plan(Shown):
 
     @property
     def bound(self) -> float:
-        """What no choice of as many floors can beat in these tests."""
+        """Lower bound on the objective of any choice of the same number of floors."""
         return self.chosen.bound
 
     @property
@@ -201,7 +201,7 @@ class Plan(Shown):
 
     @property
     def goal(self) -> str:
-        """What the plan is for, in words."""
+        """Goal of the plan in words."""
         if self.model.targets:
             return f"telling apart {', '.join(each.placed.label for each in self.model.targets)} and none of them"
         words = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
@@ -209,7 +209,7 @@ class Plan(Shown):
 
     @property
     def measure(self) -> str:
-        """What the objective is, in words."""
+        """Objective in words."""
         return CRITERIA[self.criterion].summary
 
     @property
