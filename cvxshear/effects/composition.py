@@ -100,9 +100,10 @@ def _applied(placed: Placed, state: State, theta: Floats, own: slice) -> State:
 
 def _refuse_not_finite(system: System, effects: Sequence[Placed]) -> None:
     """Raise where effects made a matrix, or a derivative, that is not finite."""
-    if not all(np.isfinite(np.sum(matrix)) for matrix in (system.M, system.K, system.dM, system.dK)):
-        names = ", ".join(placed.label for placed in effects)
-        raise FaultyEffectError(f"{names}: the mass or stiffness matrix with this effect is not finite")
+    for name in ("M", "K", "dM", "dK"):
+        if not np.isfinite(np.sum(getattr(system, name))):
+            names = ", ".join(placed.label for placed in effects)
+            raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
 
 def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:
