@@ -14,6 +14,7 @@ import cvxshear
 from cvxshear.effects import Effect, Parameter, Place, Placed
 from cvxshear.effects.composition import compose
 from cvxshear.records import from_arrays
+from cvxshear.records.motion import DrivenRecord, DrivenRun
 from tests.frames import configuration, experiment
 
 MASS, STIFFNESS = [10.0, 7.5, 5.0], [1800.0, 1200.0, 600.0]
@@ -122,3 +123,32 @@ def test_an_effect_that_is_not_finite_where_it_was_not_tried_is_named():
     placed = [Placed(Broken(), Place(floor=2))]
     with pytest.raises(cvxshear.FaultyEffectError, match=r"broken at floor 2: .* is not finite"):
         compose(of, of.tested[0], placed, np.array([*MASS, *STIFFNESS, 1.0]))
+
+
+class WrongShape(Broken):
+    """A spring to the base whose matrix is too small at the second floor."""
+
+    name = "small"
+
+    def apply(self, state, place, values, own):
+        size = 2 if place.floor == 2 else 3
+        return state.plus_stiffness(values, np.eye(size)[None], own)
+
+
+def test_an_effect_of_a_wrong_shape_where_it_was_not_tried_is_named():
+    of = cvxshear.Experiment.from_dict(three_stories())
+    with pytest.raises(cvxshear.FaultyEffectError, match=r"small at floor 2: .*\(1, 2, 2\), not \(1, 3, 3\)"):
+        cvxshear.close_loop(of, effects=[WrongShape()])
+
+
+def test_a_masked_sample_of_a_response_is_missing():
+    responses = np.ma.masked_array([[1.0], [2.0], [3.0]], mask=[[0], [1], [0]])
+    run_ = DrivenRun([1.0, 0.0, 0.0], responses=responses)
+    np.testing.assert_array_equal(run_.responses, [[1.0], [np.nan], [3.0]])
+    assert not copy.deepcopy(run_).responses.flags.writeable
+
+
+def test_a_masked_added_mass_of_a_record_is_refused():
+    masked = np.ma.masked_array([1.0, 2.0], mask=[0, 1])
+    with pytest.raises(cvxshear.InputError, match="added_mass, entry 2 is masked"):
+        DrivenRecord([DrivenRun([1.0, 0.0])], 100.0, added_mass=masked)

@@ -12,7 +12,7 @@ from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.model.observation import FloorObservation
 from cvxshear.model.shear import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
-from cvxshear.util.errors import FaultyEffectError, UnsuitableError
+from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MOST_BYTES = 1e9
@@ -78,21 +78,32 @@ def composed(
     )
     frame = [item for item in acting if item[0].effect.stage in OF_THE_FRAME]
     for placed, own in frame:
-        state = placed.effect.apply(state, placed.place, theta[own], own)
+        state = _applied(placed, state, theta, own)
     if frame:
         state = _assembled(state)
         _refuse_not_finite(state.system, [placed for placed, _ in frame])
     for placed, own in acting[len(frame) :]:
-        state = placed.effect.apply(state, placed.place, theta[own], own)
+        state = _applied(placed, state, theta, own)
         _refuse_not_finite(state.system, [placed])
     return state
 
 
+def _applied(placed: Placed, state: State, theta: Floats, own: slice) -> State:
+    """Apply one effect; an exception of its code names the effect."""
+    try:
+        return placed.effect.apply(state, placed.place, theta[own], own)
+    except (CvxshearError, np.linalg.LinAlgError):
+        raise
+    except Exception as error:
+        raise FaultyEffectError(f"{placed.label}: apply() raised {type(error).__name__}: {error}") from error
+
+
 def _refuse_not_finite(system: System, effects: Sequence[Placed]) -> None:
     """Raise where effects made a matrix, or a derivative, that is not finite."""
-    if not all(np.isfinite(np.sum(matrix)) for matrix in (system.M, system.K, system.dM, system.dK)):
-        names = ", ".join(placed.label for placed in effects)
-        raise FaultyEffectError(f"{names}: the mass or stiffness matrix with this effect is not finite")
+    for name in ("M", "K", "dM", "dK"):
+        if not np.isfinite(np.sum(getattr(system, name))):
+            names = ", ".join(placed.label for placed in effects)
+            raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
 
 def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:

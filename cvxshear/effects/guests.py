@@ -14,7 +14,7 @@ from cvxshear.effects.composition import compose
 from cvxshear.effects.state import STAGES, Scale, State, heights_of
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
-from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.errors import CvxshearError, FaultyEffectError, InputError
 from cvxshear.util.typing import Floats, T
 
 PLACE_PARTS = ("floor", "to", "story", "state", "prior")
@@ -124,6 +124,8 @@ class _Check:
         """Call a member of the effect, whose result must be of a kind."""
         try:
             found = member_call()
+        except FaultyEffectError as error:
+            raise InputError(f"effect {error}") from error
         except CvxshearError:
             raise
         except Exception as error:

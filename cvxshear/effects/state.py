@@ -122,12 +122,26 @@ class State:
             Matrices that depend on no parameter of the fit; motions beyond the floors' N have no part in them.
         own : slice
             Which rows of the derivatives are by these parameters.
+
+        Raises
+        ------
+        ValueError
+            If `units` has another shape.
         """
-        return self.with_stiffness(*_plus(self.system.K, self.system.dK, values, units, own))
+        return self.with_stiffness(*self._plus(self.system.K, self.system.dK, values, units, own))
 
     def plus_mass(self, values: Floats, units: Floats, own: slice) -> State:
         """Return the same state with values_i units_i more mass, as `plus_stiffness` does with stiffness."""
-        return self.with_mass(*_plus(self.system.M, self.system.dM, values, units, own))
+        return self.with_mass(*self._plus(self.system.M, self.system.dM, values, units, own))
+
+    def _plus(self, matrix: Floats, slopes: Floats, values: Floats, units: Floats, own: slice) -> tuple[Floats, Floats]:
+        units, n = np.asarray(units), len(self.floor_mass)
+        if units.shape != (len(values), n, n):
+            raise ValueError(f"units has the shape {units.shape}, not {(len(values), n, n)}")
+        more, d_more = matrix.copy(), slopes.copy()
+        more[:n, :n] += summed(values, units)
+        d_more[own, :n, :n] += units
+        return more, d_more
 
     def with_flexibility(self, p: float, D: Floats, own: slice) -> State:
         """Return the same state with p D added to its flexibility.
@@ -206,12 +220,3 @@ def summed(values: Floats, units: Floats) -> Floats:
     """Add up values_i units_i, over the last axis of the values; `numpy.tensordot` takes several times as long."""
     found: Floats = (values @ units.reshape(len(units), -1)).reshape(values.shape[:-1] + units.shape[1:])
     return found
-
-
-def _plus(matrix: Floats, slopes: Floats, values: Floats, units: Floats, own: slice) -> tuple[Floats, Floats]:
-    units = np.asarray(units)
-    size = units.shape[1]
-    more, d_more = matrix.copy(), slopes.copy()
-    more[:size, :size] += summed(values, units)
-    d_more[own, :size, :size] += units
-    return more, d_more

@@ -21,7 +21,7 @@ DRIVEN = ("base", "force")
 
 
 @dataclass(frozen=True, eq=False)
-class DrivenRun:
+class DrivenRun(checks.ReadOnlyArrays):
     """One uninterrupted stretch of excitation, from rest.
 
     Parameters
@@ -31,7 +31,7 @@ class DrivenRun:
     floor : int, optional
         Where the force acts; 0 for a base acceleration.
     responses : array_like, shape (samples, floors), optional
-        Total accelerations of the floors that `DrivenRecord.floors` names, m/s2; nan where a piece is missing.
+        Total accelerations of the floors that `DrivenRecord.floors` names, m/s2; nan or masked where missing.
     name : str, optional
     between : ndarray, shape (samples,), optional
         Samples whose straight lines act between the samples (`band_limited`); by default the samples of the excitation.
@@ -49,7 +49,7 @@ class DrivenRun:
             raise InputError(f"{self.name}: the excitation has one sample; at least two make a line")
         object.__setattr__(self, "excitation", excitation)
         if self.responses is not None:
-            responses = np.array(self.responses, dtype=np.float64)
+            responses = np.ma.array(self.responses, dtype=np.float64, copy=True).filled(np.nan)
             if responses.ndim != 2 or len(responses) != len(excitation) or np.isinf(responses).any():
                 raise InputError(
                     f"{self.name}: responses must be a table of {len(excitation)} samples by floors, one row a "
@@ -64,7 +64,7 @@ class DrivenRun:
 
 
 @dataclass(frozen=True, eq=False)
-class DrivenRecord:
+class DrivenRecord(checks.ReadOnlyArrays):
     """A recorded base motion or force, in one stretch or several.
 
     Parameters
@@ -102,6 +102,7 @@ class DrivenRecord:
         put(self, "sampling_rate", checks.number(self.sampling_rate, "record: sampling_rate", above=0.0))
         checks.choice(self.input, DRIVEN, "record: input")
         put(self, "floors", np.asarray(self.floors, dtype=np.int64))
+        checks.put(self, "added_mass", checks.vector, "record: added_mass")
         if not self.runs:
             raise InputError("record: at least one run is needed")
         for run in self.runs:
@@ -166,7 +167,7 @@ class DrivenRecord:
             if run.excitation is not None
         )
         floors = single.floors if measured else np.zeros(0, dtype=np.int64)
-        added = None if added_mass is None else np.asarray(added_mass, dtype=np.float64)
+        added = None if added_mass is None else np.asanyarray(added_mass, dtype=np.float64)
         return DrivenRecord(runs, single.sampling_rate, single.input, floors, added, single.name, state)
 
 

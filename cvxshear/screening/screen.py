@@ -100,6 +100,7 @@ class Screening(Shown):
         return bool(self.findings) or any(item.kind in MISDECLARED for item in self.record)
 
 
+@usual_arithmetic
 def screen(experiment: Measurement) -> tuple[FileFinding, ...]:
     """Find what looks wrong in an experiment.
 

@@ -6,11 +6,11 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-P = ParamSpec("P")
-R = TypeVar("R")
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
 
 
-def usual_arithmetic(function: Callable[P, R]) -> Callable[P, R]:
+def usual_arithmetic(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     """Run a function with numpy's default error handling.
 
     Underflow is harmless and frequent, in the tails of probabilities. A caller's `np.seterr(all="raise")` would make
@@ -18,7 +18,7 @@ def usual_arithmetic(function: Callable[P, R]) -> Callable[P, R]:
     """
 
     @wraps(function)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+    def wrapped(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
         with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
             return function(*args, **kwargs)
 

@@ -41,7 +41,7 @@ class NoModesError(CvxshearError, ArithmeticError):
 
 
 class FaultyEffectError(NoModesError):
-    """An effect made a mass or stiffness matrix that is not finite; the message names the effect and its place."""
+    """An effect failed, or made a matrix that is not finite; the message names the effect and its place."""
 
 
 class LostProcessError(CvxshearError, RuntimeError):
