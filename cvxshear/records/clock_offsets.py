@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.records.mode_shapes import folded_phase, rms_phase
+from cvxshear.util import ranking
 from cvxshear.util.typing import Bools, Complexes, Floats
 
 LONGEST = 0.05
@@ -77,14 +78,15 @@ def offsets(
     if participations is not None:
         phasors = shapes * participations[:, None]
     else:
-        floor = int(np.argmax(np.min(np.abs(shapes), axis=0)))
+        floor = ranking.first_largest(np.min(np.abs(shapes), axis=0))
         phasors = shapes * np.conj(shapes[:, [floor]])
     phasors = phasors / np.maximum(np.linalg.norm(phasors, axis=1, keepdims=True), 1e-300)
     seconds = np.array([_slope(omega, column) for column in phasors.T])
     if participations is not None:
         seconds, phasors = np.append(seconds, 0.0), np.column_stack([phasors, np.ones(len(omega))])
     if reference is None:
-        reference = int(np.argmin(np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1)))
+        # Of an even number of clocks the two in the middle are equally near to all the others.
+        reference = ranking.first_largest(-np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1))
     seconds = seconds - seconds[reference]
     between = phasors * np.conj(phasors[:, [reference]])
     before = [rms_phase(column) for column in between.T]

@@ -326,8 +326,11 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
             if abs(rest - zero) > CERTAIN_DELAY * finding.numbers["std"]:
                 # Phases that the bands rule out come from dampers.
                 rest, zero, std, spread = 0.0, 0.0, finding.numbers["std"], 0.0
-            offsets[name] = finding.numbers["seconds"] + rest - zero, float(np.hypot(std, spread))
-            seen.append(clock_offset(name, against, *offsets[name]))
+            apart = finding.numbers["seconds"] + rest - zero
+            seen.append(clock_offset(name, against, apart, float(np.hypot(std, spread))))
+            # The finding counts from the bands' reference, the offsets from that of the modes.
+            from_modes = result.clock_offsets.get(against, (0.0, 0.0))
+            offsets[name] = apart + from_modes[0], float(np.hypot(std, from_modes[1]))
         elif finding.kind == "clock drift" and "reference" in finding.numbers and name in late:
             # A drift is taken out with a start that the modes tell finer.
             numbers, zero = finding.numbers, result.clock_offsets.get(finding.numbers["reference"], (0.0, 0.0))[0]
