@@ -1,6 +1,6 @@
-"""The Los Alamos structure: what was done to it, as published, beside what the loop finds from its frequencies alone.
+"""The Los Alamos structure: published changes, and the changes that the loop finds from frequencies alone.
 
-Prints the table and writes los-alamos.json, everything that the loop says, and los-alamos.svg.
+Prints the table and writes los-alamos.json, the result of the loop, and los-alamos.svg.
 """
 
 import json
@@ -27,7 +27,7 @@ UNITS = {"added_mass": ("floor", "kg", 1), "story_change": ("story", "%", 100)}
 
 
 def answer(closure):
-    """Of each state in which a mass or a story was found that effect, with the probability of the published one."""
+    """Return the mass or story effect found in each state, with the probability of the published one."""
     found = {item.placed.place.state: item for item in closure.effects if item.placed.effect.name in UNITS}
     odds = {item.placed: item.probability for item in closure.candidates}
     for state, (name, level, size) in PUBLISHED.items():

@@ -1,4 +1,4 @@
-"""A backend of one's own: scipy's SLSQP, its solutions certified like every other's."""
+"""A custom backend: scipy's SLSQP, with certified solutions."""
 
 from pathlib import Path
 

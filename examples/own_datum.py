@@ -1,4 +1,4 @@
-"""A kind of datum of one's own: the drift of one story, read off a dial gauge while a rope pulls at the top."""
+"""A custom kind of data: the drift of one story, read off a dial gauge while a rope pulls at the top."""
 
 from dataclasses import dataclass
 from pathlib import Path

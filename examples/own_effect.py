@@ -1,4 +1,4 @@
-"""An effect of one's own: a brace between two floors that nobody declared."""
+"""A custom effect: an undeclared brace between two floors."""
 
 import numpy as np
 

@@ -1,10 +1,10 @@
-"""Writes what the documentation's blocks print now into its pages.
+"""Replace the outputs on pages of the documentation by the current ones.
 
     python -m tests.docs.rewrite PAGE ...
 
-runs each page and replaces every output that no longer agrees: as a whole where the page shows all of it, line by line
-where it shows parts of it ("..." stands for the rest). A line that nothing printed resembles is left, and named on
-standard error. What the sentences around an output say is for a reader to check: `git diff` shows where to look.
+runs each page and replaces every output that no longer agrees: as a whole if the page shows all of it, line by line if
+it shows parts of it ("..." replaces the rest). A line without a similar printed one stays and is named on standard
+error. Read the sentences around a changed output: `git diff` shows the places.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ were renamed is found, a line of another table is not."""
 
 
 def printed_by(page: Path) -> dict[str, str]:
-    """What each block of a page prints, by the keys of `runner.run_page`."""
+    """Return the output of each block of a page, by the keys of `runner.run_page`."""
     found = subprocess.run(
         [sys.executable, "-W", "error", runner.__file__, str(ROOT / "examples"), str(page)],
         capture_output=True,
@@ -70,7 +70,7 @@ def resemblance(line: str, other: str) -> float:
 
 
 def cut_as(line: str, other: str) -> str:
-    """The line `other`, shortened by "..." where `line` is: as many words before and after it."""
+    """Shorten the line `other` by "..." like `line`, with an equal number of words before and after it."""
     if "..." not in line.split():
         return other.rstrip()
     before, _, after = (part.split() for part in line.partition("..."))

@@ -41,8 +41,8 @@ KEPT_IN = "CVXSHEAR_TESTS_KEEP"
 FENCE = "```"
 
 IMPORTS_ALONE = {"noise-study.md": "its block takes minutes"}
-"""Pages whose python blocks stand for more than a test can do: their imports alone are run. A single block is marked
-as such by the word no-run after its fence."""
+"""Pages with python blocks that take too long for a test: only their imports are run. The word no-run after its fence
+marks a single block."""
 
 
 MEASURED = Path(os.environ.get("CVXSHEAR_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
@@ -131,9 +131,9 @@ def run_python(block: Block, namespace: dict[str, object], page: Path) -> None:
 
 
 def run_page(page: Path) -> dict[str, str]:
-    """What each block of a page printed, by "line" or, for the n-th command of a block, "line:n".
+    """Return the output of each block of a page, by "line" or, for the n-th command of a block, "line:n".
 
-    The key "error" holds the first failure; what follows it was not run.
+    The key "error" holds the first failure; later blocks were not run.
     """
     printed: dict[str, str] = {}
     namespace: dict[str, object] = {"__name__": "__main__"}
@@ -143,7 +143,7 @@ def run_page(page: Path) -> dict[str, str]:
         try:
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
                 if block.language == "python":
-                    # What the gallery shows is pasted piece by piece.
+                    # A reader pastes each block of the gallery by itself.
                     fresh = {"__name__": "__main__"} if page.parent.name == "gallery" else namespace
                     run_python(block, fresh, page)
                     printed[str(block.line)] = out.getvalue()
@@ -160,11 +160,11 @@ def run_page(page: Path) -> dict[str, str]:
 
 
 def once(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, which returns what it returned before where all its arguments are the same.
+    """Return the function with a cache of its results by arguments.
 
-    Pages and tests look at the same frames again and again. Where the variable `KEPT_IN` names a folder, what one
-    process computed is there for the others. What cannot be pickled, such as an effect that a page writes itself, is
-    computed every time, and so is everything after a page has registered something.
+    Pages and tests use the same frames many times. If the variable `KEPT_IN` names a folder, processes share the
+    results. Objects that cannot be pickled, such as an effect that a page defines, are computed every time, and so is
+    everything after a page has registered something.
     """
     made: dict[bytes, R] = {}
     signature = inspect.signature(function)
@@ -228,12 +228,12 @@ class Reader(pickle.Unpickler):
 
 
 def kept(name: str, make: Callable[[], R]) -> R:
-    """What a file of this name in the folder `KEPT_IN` holds; it is made, and put there, where there is none."""
+    """Return the content of the file of this name in the folder `KEPT_IN`; make the file if it is missing."""
     folder = os.environ.get(KEPT_IN)
     if folder is None:
         return make()
     path = Path(folder) / name
-    # A process that asks for what another one is just making waits for it.
+    # Processes wait while another one makes the file.
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
@@ -256,7 +256,7 @@ def share() -> None:
 
     cvxshear.close_loop = cvxshear.screening.close_loop = once(cvxshear.close_loop)
     cvxshear.io.modes.identify_modes = cvxshear.records.identify_modes = once(cvxshear.records.identify_modes)
-    # What imports the loop does so after this.
+    # Modules that import the loop are imported after this.
     from cvxshear.report import html  # noqa: PLC0415
 
     html.drawings, html.compare_backends = once(html.drawings), once(html.compare_backends)

@@ -1,4 +1,4 @@
-"""What the documentation shows and the scripts in examples/ run, and print what they should."""
+"""The blocks of the documentation and the scripts in examples/ run and print the expected outputs."""
 
 import ast
 import functools
@@ -24,7 +24,7 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md"))]
 RUN = [page for page in PAGES if any(block.language in ("python", "console") for block in blocks(page.read_text()))]
 TOLERANCE = 0.02
-"""Relative difference of two printed numbers that a page need not be mended for: other machines round otherwise."""
+"""Largest relative difference of two printed numbers that agree: machines round differently."""
 
 SCRIPT = re.compile(r"python examples/(\w+)\.py")
 PLACE = re.compile(r"`([\w/]+\.py):([\w.]+)`")
@@ -46,11 +46,11 @@ SHOWN = {
     "three_shaker_records": r"bare\.toml, bare\.csv: 30720 samples at 256 Hz, stamped 0\.004, .*, 0\.023, \.\.\. s",
     "own_effect": r"brace: b = 39\d ± \d N/m",
 }
-"""What the scripts in examples/ print, as a pattern each."""
+"""One pattern for the output of each script in examples/."""
 
 
 def script_calls(page: Path) -> dict[str, str]:
-    """Of each script in examples/ that the page runs the key of what it prints, see `runner.run_page`."""
+    """Return the key of the output of each script in examples/ that the page runs, see `runner.run_page`."""
     found = {}
     for block in blocks(page.read_text()):
         for place, (command, _) in enumerate(commands(block) if block.language == "console" and block.runs else []):
@@ -60,9 +60,9 @@ def script_calls(page: Path) -> dict[str, str]:
 
 
 def measured(page: Path) -> bool:
-    """Whether a page tells of measured frames: these take as long as all others, and are run by a process of their own.
+    """Whether a page covers measured frames: these take longest and run in a process of their own.
 
-    Which tests are of them shows in their names, see `tests/conftest.py`.
+    The names of their tests show it, see `tests/conftest.py`.
     """
     return page.parent.name == "measured"
 
@@ -99,7 +99,7 @@ def ran(of_measured: bool) -> tuple[subprocess.CompletedProcess[str], dict[Path,
 
 @functools.cache
 def results(of_measured: bool):
-    """What each of these pages printed, and what each script printed, all run by one process."""
+    """Return the outputs of these pages and of each script; one process runs them all."""
     found, scripts_of = ran(of_measured)
     assert found.returncode == 0, found.stderr
     printed = json.loads(found.stdout)
@@ -112,7 +112,7 @@ def results(of_measured: bool):
 
 
 def said_by(name: str) -> str:
-    """What a script printed."""
+    """Return the output of a script."""
     return results("docs/measured/" in place_of(name))[1][name]
 
 
@@ -121,7 +121,7 @@ def name_of(page: Path) -> str:
 
 
 def alike(shown: str, printed: str) -> bool:
-    """Whether two lines agree: word for word, numbers within `TOLERANCE`; "..." stands for any words."""
+    """Whether two lines agree: word for word, numbers within `TOLERANCE`; "..." replaces any words."""
     if "..." in shown.split():
         before, _, after = shown.partition("...")
         return printed.split()[: len(before.split())] == before.split() and printed.rstrip().endswith(after.strip())
