@@ -9,8 +9,8 @@ logarithm of its likelihood, and J its residuals' derivatives, minus twice the l
 
 for one of K frequencies in a share q of all files. A frequency is named only where everything else then fits as its
 deviations say, on more data than the frame takes up, and where no single effect of the catalogue, and no change between
-the tests, accounts for the data nearly as well. A mass on a spring does where its own mode, or the other of the two
-that it makes of one, was taken for the frame's: both are said, a doubt unless the mass is improbable.
+the tests, accounts for the data nearly as well. A mass on a spring accounts for the data if its own mode, or the second
+of its two modes, was taken for the frame's. Both causes are reported, as a doubt unless the mass is improbable.
 """
 
 import dataclasses
@@ -31,8 +31,9 @@ from cvxshear.screening.compared_tests import by_state
 from cvxshear.screening.finding import FileFinding, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
+from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError
-from cvxshear.util.quantities import significant
+from cvxshear.util.quantities import SURE, significant
 from cvxshear.util.typing import Floats
 
 MISTYPED = 0.3
@@ -40,9 +41,6 @@ MISTYPED = 0.3
 
 AS_STATED = 0.01
 """Least probability of the other data's chi-square; below it, their deviations are too small."""
-
-WRONG_FOR_SURE = 0.95
-"""Least probability of a wrong frequency, against a mass on a spring, for a refusal. The finding names both."""
 
 FEWEST_SPARE = 2.0
 """Least number of data, beyond the frame's parameters, for a test of the fit."""
@@ -107,7 +105,7 @@ def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> FileF
     if given.cost < SUSPICIOUS:
         return None
     places = ((test, row) for test, reading in enumerate(readings) for row in range(len(reading.modes)))
-    freed = sorted((_freed(among, readings, about, *place) for place in places), key=lambda item: item.cost)
+    freed = ranking.ranked((_freed(among, readings, about, *place) for place in places), lambda item: -item.cost)
     best = freed[0]
     given = min(given, among(readings).nearest(best.frame.theta), key=lambda item: item.cost)
     if best.cost - given.cost - _log_det(given) > 2 * np.log(LEFT_TO_GIVEN) or not _as_stated(best, spare):
@@ -215,7 +213,7 @@ def _rivals(
 
 def _beside_a_mass(found: FileFinding, test: str, rivals: Sequence[tuple[ModelClass, float]]) -> FileFinding:
     """Say what mass on a spring explains the data as well; unless it is improbable the finding is a doubt."""
-    model, _ = max(rivals, key=lambda item: item[1])
+    model, _ = ranking.ranked(rivals, lambda item: item[1])[0]
     assert model.estimate is not None, "a set that was weighed has a fit"
     (placed,) = model.effects
     mass, frequency = (significant(value, 2) for value in model.estimate.theta[-2:].tolist())
@@ -225,7 +223,7 @@ def _beside_a_mass(found: FileFinding, test: str, rivals: Sequence[tuple[ModelCl
         where="" if placed.place.state is None else f' of "{test}"',
     )[1:]  # fmt: skip
     said, change = f"{found.found}; {said}", f"{found.change}; {change}"
-    return dataclasses.replace(found, found=said, change=change, refuses=share < 1.0 - WRONG_FOR_SURE)
+    return dataclasses.replace(found, found=said, change=change, refuses=share < 1.0 - SURE)
 
 
 def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> FileFinding:

@@ -86,8 +86,7 @@ def test_the_public_face_is_in_the_reference(site):
     documented = set(re.findall(r'id="cvxshear\.(?:\w+\.)*(\w+)"', text))
     modules = {"backends", "effects", "priors", "programs"}
     assert set(cvxshear.__all__) - modules <= documented
-    names = [*cvxshear.effects.__all__, *cvxshear.priors.__all__, *cvxshear.backends.__all__, *cvxshear.programs.__all__]
-    assert set(names) - {
+    assert {*cvxshear.effects.__all__, *cvxshear.priors.__all__, *cvxshear.backends.__all__} - {
         "QUANTITIES",
         "QUANTITY_UNITS",
     } <= documented
