@@ -1,4 +1,4 @@
-"""What every kind of datum is, and the model that it is compared with."""
+"""Base class of all kinds of data, and the model of a tested state."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ class NoiseKind:
     name : str
         Its key in the JSON, in the singular: "mode_shape".
     plural : str
-        What the data are called: "mode shapes".
+        Name of the data: "mode shapes".
     default : float
-        Standard deviation that stands for an undeclared one; the estimated factor multiplies it.
+        Standard deviation if none is declared; the estimated factor multiplies it.
     largest : float
         Largest standard deviation that instruments have.
     reason : str
@@ -115,7 +115,7 @@ class NoiseFactors:
     factors: tuple[tuple[str, float], ...] = ()
 
     def of(self, kind: str) -> float:
-        """Return the factor of a noise; 1 where it is none of these."""
+        """Return the factor of a kind of noise; 1 for other kinds."""
         return dict(self.factors).get(kind, 1.0)
 
 
@@ -128,9 +128,9 @@ class Model:
     state : State
         Matrices with the effects in them, and their derivatives by P parameters.
     by : slice
-        The parameters by which derivatives are wanted.
+        Parameters of the derivatives.
     derivatives : bool
-        Whether they are wanted at all.
+        Whether to compute derivatives.
     """
 
     state: State
@@ -197,7 +197,7 @@ class Datum(ABC):
 
     @property
     def label(self) -> str:
-        """What and where it was measured, for a reader: 'frequencies of "bare"'."""
+        """Quantity and test in words: 'frequencies of "bare"'."""
         return f'{self.noise.plural} of "{self.tested.name}"'
 
     @property

@@ -16,12 +16,13 @@ from cvxshear.util import ranking
 from cvxshear.util.typing import Complexes, Floats, Ints
 
 PAIRED = 0.5
-"""Modal assurance criterion below which a measured mode is looked for among the other modes of the model."""
+"""Minimum modal assurance criterion of a measured mode and its mode in the model; below it, the other modes are
+searched."""
 
 
 SHARED = 0.1
-"""Part of an attached mass's kinetic energy from which on a mode is one that it shares with the frame: a mode with less
-looks like the frame's own, with more than the rest of it like the mass's."""
+"""Minimum share of an attached mass in the kinetic energy of a mode shared with the frame. A mode with less resembles a
+mode of the frame alone, and with more than 1 - SHARED a mode of the mass alone."""
 
 
 def mac(first: Floats | Complexes, second: Floats | Complexes) -> float:
@@ -36,7 +37,7 @@ def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats,
     Parameters
     ----------
     measured, modelled, weights : ndarray, shape (m, n)
-        Weight zero where nothing was measured.
+        Weight zero for missing entries.
 
     Returns
     -------

@@ -85,7 +85,7 @@ class Shapes(Datum):
         return self.tested.measured[self.used].ravel()
 
     def residual(self, model: Model) -> Residual:
-        """Differences of entries over their standard deviations; zero where nothing was measured."""
+        """Differences of entries over their standard deviations; zero for missing entries."""
         return self.widened_residual(model, np.ones(len(self.floors)))
 
     def widened_residual(self, model: Model, factor: Floats) -> Residual:
@@ -112,7 +112,7 @@ class Shapes(Datum):
         return {"mac": criteria, "shape_error": shape_errors(measured, modelled)}
 
     def _known_entries(self, model: Model) -> tuple[Floats, Floats]:
-        """Measured and modelled shapes, zero where nothing was measured."""
+        """Measured and modelled shapes, zero for missing entries."""
         return self.tested.known_shapes[self.used], np.where(self.tested.measured[self.used], self.seen(model), 0.0)
 
     def without(self, left_out: Bools) -> Shapes:

@@ -19,6 +19,7 @@ from cvxshear.io.formats import FORMATS, format_of, naming_keys, refuse_data
 from cvxshear.io.inputs import named_after, read_bytes
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import Inserted, escaped, printable
@@ -45,6 +46,7 @@ _HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
 
 
+@usual_arithmetic
 def load(path: str | Path) -> Experiment:
     """Read a measurement file.
 

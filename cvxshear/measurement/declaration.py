@@ -40,7 +40,7 @@ DAMPING_KINDS = ("modal", "story", "rayleigh")
 """Kinds of damping, see `Damping`."""
 
 
-class InTable:
+class InTable(checks.ReadOnlyArrays):
     """A dataclass that a table of a measurement file declares.
 
     Attributes
@@ -177,7 +177,7 @@ class Frame(InTable):
 
 
 @dataclass(frozen=True, eq=False)
-class Damping:
+class Damping(checks.ReadOnlyArrays):
     """How the damping of the frame is modelled.
 
     Parameters

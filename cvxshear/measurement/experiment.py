@@ -6,7 +6,7 @@ Every object is frozen and its arrays are read-only, so a result can refer to th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -294,8 +294,8 @@ def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
     return result
 
 
-Measurement = str | Path | Experiment
-"""An experiment, the path of a measurement file or a record file, or the name of a built-in example."""
+Measurement = str | Path | Json | Experiment
+"""An experiment, its dict, the path of a measurement file or a record file, or the name of a built-in example."""
 
 
 def opened(source: Measurement) -> Experiment:
@@ -303,7 +303,7 @@ def opened(source: Measurement) -> Experiment:
 
     Parameters
     ----------
-    source : Experiment, str or Path
+    source : Experiment, dict, str or Path
         A built-in's name, or the path of a measurement file or a record file. The modes of a record are identified.
 
     Raises
@@ -315,8 +315,10 @@ def opened(source: Measurement) -> Experiment:
     """
     if isinstance(source, Experiment):
         return source
+    if isinstance(source, Mapping):
+        return Experiment.from_dict(source)
     if not isinstance(source, str | Path):
-        needed = "an Experiment, the path of its file or the name of a built-in example"
+        needed = "an Experiment, its dict, the path of its file or the name of a built-in example"
         raise InputError(f"{needed} is needed, not {checks.shown(source)}")
     found: Experiment = ask("read", "experiment_from_file", source)
     return found

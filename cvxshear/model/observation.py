@@ -1,4 +1,4 @@
-"""The observation matrix: what the sensors show of the motions of a frame."""
+"""The observation matrix: from the motions of a frame to sensor readings."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Observation:
         slopes : ndarray, shape (p, m, n)
             Derivatives of the motion.
         which : slice
-            The p parameters, of all those of the fit.
+            Place of the p parameters among the parameters of the fit.
         floors : index, optional
         """
         found = self.shown(slopes, floors)
@@ -60,7 +60,7 @@ class Observation:
 
     @property
     def gain(self) -> Floats:
-        """What the sensor on each floor shows of that floor's own motion in place of 1, shape (N,)."""
+        """Gain of the sensor on each floor for the motion of this floor, shape (N,)."""
         return np.ones(len(self.matrix)) if self._plain else np.diagonal(self.matrix).copy()
 
     @property

@@ -13,7 +13,7 @@ from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, Ints
 
 TALL = 40
-"""Stories from which on a tridiagonal eigensolver is faster than a general one."""
+"""Minimum number of stories for the tridiagonal eigensolver, which is slower for smaller frames."""
 
 
 @lru_cache(maxsize=8)
@@ -76,18 +76,18 @@ class System:
 
 
 class ShearSystem(System):
-    """The plain shear frame, its derivatives as the rank-one terms that they are.
+    """The plain shear frame with rank-one derivatives.
 
-    dM/dm_i = e_i e_i' and dK/dk_i = t_i t_i', t_i column i of T: products with them need no matrix each, and a frame
-    of 2,000 stories no 128 GB.
+    dM/dm_i = e_i e_i' and dK/dk_i = t_i t_i', t_i column i of T. Products use these vectors instead of
+    matrices, which would need 128 GB for 2,000 stories.
 
     Parameters
     ----------
     M, K : ndarray, shape (N, N)
     size : int
-        Number P of parameters: N floor masses, N story stiffnesses, and others that nothing here depends on.
+        Number P of parameters: N floor masses, N story stiffnesses, and others without influence on M and K.
     which : slice, optional
-        The parameters by which derivatives are wanted.
+        Parameters of the requested derivatives.
     """
 
     def __init__(self, M: Floats, K: Floats, size: int, which: slice = slice(None)) -> None:
@@ -142,7 +142,7 @@ def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
 
 @lru_cache(maxsize=8)
 def _unit_derivatives(n: int) -> tuple[Floats, Floats]:
-    """Assemble dM and dK of a shear frame of n stories, which depend on nothing but n; read-only."""
+    """Assemble dM and dK of a shear frame of n stories (read-only arrays)."""
     T = transformation(n)
     dM, dK = np.zeros((2 * n, n, n)), np.zeros((2 * n, n, n))
     dM[np.arange(n), np.arange(n), np.arange(n)] = 1.0
@@ -221,7 +221,7 @@ def frame_modes(found: Modes, M: Floats, floors: int) -> Ints:
 
 
 def _is_chain(M: Floats, K: Floats) -> bool:
-    """Whether M is diagonal and K tridiagonal, of a size at which that is worth looking at."""
+    """Whether M is diagonal, K is tridiagonal and the frame has at least `TALL` stories."""
     n = len(M)
     if n < TALL:
         return False

@@ -83,7 +83,7 @@ class Constraints:
                 raise InputError(f"{where}: its {field.name} must hold finite numbers, not {array[wrong][0]}")
 
 
-class Prior(ABC):
+class Prior(checks.ReadOnlyArrays, ABC):
     """A statement about the floor masses (without added mass), the story stiffnesses or the story dashpots.
 
     Attributes
@@ -158,7 +158,7 @@ class Prior(ABC):
         """
         return None
 
-    def check(self, stories: int) -> None:  # noqa: B027  (a prior need not override it)
+    def check(self, stories: int) -> None:
         """Raise `InputError` if the prior does not fit the frame's number of stories."""
 
     def constraints(self, stories: int) -> Constraints:

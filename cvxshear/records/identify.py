@@ -27,6 +27,7 @@ from cvxshear.records.result import ModalResult
 from cvxshear.records.signals import in_step, scaled
 from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.quantities import SURE
 
@@ -57,6 +58,7 @@ class Options:
             raise InputError("give either count or pick: the modes picked by hand are as many as they are")
 
 
+@usual_arithmetic
 def identify_modes(
     record: Record,
     *,

@@ -87,7 +87,7 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(checks.ReadOnlyArrays):
     """One uninterrupted stretch of time: a hit, a release, an earthquake, an hour of wind.
 
     Parameters
@@ -132,7 +132,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class FrfRun:
+class FrfRun(checks.ReadOnlyArrays):
     """The responses to a unit force at one floor, by frequency.
 
     Parameters
@@ -160,7 +160,7 @@ FEWEST_LINES = 32
 
 
 @dataclass(frozen=True, eq=False)
-class _Recorded:
+class _Recorded(checks.ReadOnlyArrays):
     """Common part of time histories and frequency response functions."""
 
     channels: tuple[Channel, ...]

@@ -1,7 +1,7 @@
-"""A predicted response beside what was measured: errors in time, and of the transfer functions around each mode.
+"""Comparison of a predicted and a measured response: errors in time, and of the transfer functions around each mode.
 
 H1 = S_yf / S_ff by averaged periodograms. Measured and predicted responses go through the same estimate, so that
-leakage and resolution are the same in both and cancel from what is compared.
+leakage and resolution are the same in both and cancel in the comparison.
 """
 
 from __future__ import annotations
@@ -19,24 +19,23 @@ from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 SEGMENTS = 4
-"""Pieces, half overlapping, that the shortest run is cut into at least: fewer show no coherence."""
+"""Minimum number of pieces of the shortest run, half overlapping; fewer show no coherence."""
 
 BANDWIDTH_LINES = 8
-"""Lines that the half-power bandwidth of a mode is resolved by, where the record is long enough."""
+"""Number of lines in the half-power bandwidth of a mode if the record is long enough."""
 
 AROUND = 0.1
 """Half width of a mode's neighbourhood, relative to its natural frequency, unless the next mode is nearer."""
 
 SHIFTED = 0.25
-"""Half width of the neighbourhood in which a resonance is looked for, unless the next mode is nearer: a frame that has
-lost two fifths of its stiffness resonates that much lower."""
+"""Half width of the search for a resonance, relative to the natural frequency, unless the next mode is nearer. A frame
+without two fifths of its stiffness has this shift."""
 
 AS_MUCH = 0.5
-"""Shift of a mode, relative to the least that is sure, from which on it is told beside it: modes of one frame move by
-amounts of one order."""
+"""Report shifts larger than half the smallest significant one: the modes of one frame have similar shifts."""
 
 COHERENT = 0.6
-"""Mean coherence from which on a floor is taken to answer to the excitation and not to something else."""
+"""Minimum mean coherence of a floor that responds to the excitation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -176,9 +176,6 @@ class DampedModel:
         Whether the masses have a scale, without which forces have none.
     input_gain : float, optional
         What drove the frame over what the sensor of the excitation shows.
-    bracket : ndarray, shape (N,), optional
-        1 / w^2 of a sensor that stands on a bracket of the circular frequency w, far above the frame's: it shows
-        a - a'' / w^2 of the floor's acceleration a, more the higher the frequency.
     """
 
     M: Floats
@@ -188,7 +185,6 @@ class DampedModel:
     heights: Floats | None = None
     mass_known: bool = True
     input_gain: float = 1.0
-    bracket: Floats | None = None
 
     @cached_property
     def modes(self) -> Modes:

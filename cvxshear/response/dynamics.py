@@ -11,7 +11,7 @@ changes as slowly as the frame vibrates: so the process noise acts between floor
 of the first mode. White noise on the floors would be neither. Where nobody measured the ground, its acceleration is one
 more state of this kind.
 
-The known excitation is a straight line between samples (first-order hold) and the noise is integrated over a step
+The known excitation is a straight line between samples (first-order hold) and the noise is integrated
 over a step, so that no step is too long.
 """
 
@@ -31,15 +31,15 @@ from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SETTLED_RICCATI = 1e-13
-"""Relative change of a covariance at which the doubling of the Riccati equation ends: it doubles its digits a round, so
-the next change would be rounding."""
+"""Relative change of a covariance that ends the doubling of the Riccati equation. Each round doubles the number of
+digits, so the next change is rounding."""
 
 SUMMED_SIZE, SUMMED_POWERS = 0.5, 14
-"""Size of the rates times a part of a step, and how many of their powers are summed over it: the first that is left out
-is below rounding, in the noise's covariance too."""
+"""Norm of the rates times a part of a step, and number of terms of the power series. The first omitted term is below
+rounding."""
 
 FORGOTTEN = 1e-10
-"""Largest entry of a power of the transition matrix that counts as none: its square is below rounding."""
+"""Powers of the transition matrix with smaller entries count as zero: their squares are below rounding."""
 
 MOST_DOUBLINGS = 60
 """Doublings of the step: 2^60 samples are more than any record has."""
@@ -276,15 +276,8 @@ class _Rates:
         if estimated:
             density[3 * N] = 2 * setting.ground_corner * noise.ground**2
         at = setting.floors - 1
-        seen, direct = total, through
-        if model.bracket is not None:
-            # a'' of a = total x + through p, x' = rates x + load p; p' and p'' are left out: dampers alone pass them
-            # on.
-            twice = total @ rates
-            seen = total - model.bracket[:, None] * (twice @ rates)
-            direct = through - model.bracket * (twice @ load)
         return _Rates(
-            rates, load, density, total, through, seen[at] * model.gain[at, None], direct[at] * model.gain[at],
+            rates, load, density, total, through, total[at] * model.gain[at, None], through[at] * model.gain[at],
             noise.sensors**2, 0.0 if estimated else noise.ground,
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The frame as it was in a record: fitted to the innovations, single stories freed by the evidence.
+"""Fit the frame to the innovations of a record and select the changed stories by the evidence.
 
 The likelihood of the innovations times a Gaussian prior is maximized by Gauss-Newton, whose steps are programs with
 bounds: first over a short part of the record, then over a long one. Which stories changed by themselves, and how much
@@ -39,38 +39,38 @@ from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
-"""Samples of each run, the strongest stretch of that length, that the frame is fitted to first and at last. More would
-sharpen a linear frame by the root of their number, which model error does not allow, and cost in proportion."""
+"""Samples of the strongest segment of each run in the first and in the last fit. The time of a fit is proportional to
+this number; model errors limit the accuracy with more samples."""
 
 LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
-"""Length of a prior standard deviation in those of the record's from which on a direction is fitted along, at last and
-at first. Along one of less the variance would fall by less than a fifth; it keeps that of the prior."""
+"""Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
+with less information reduces the variance by less than a fifth, and the direction keeps its prior."""
 
 MOST_FIT_STEPS = 12
-"""Gauss-Newton steps at most; a fit that starts near takes four to six."""
+"""Maximum number of Gauss-Newton steps; four to six are usual."""
 
 FITTED, FIRST_FITTED = 0.1, 1.0
-"""Largest change of a combined residual that ends the fit and the first one: that many standard deviations of one
+"""Tolerances of the last and the first fit: largest change of a combined residual, in standard deviations of one
 parameter."""
 
 IDLE = 10.0 * NO_DASHPOT_STD
-"""Largest size of a dashpot that is none, in the units of its prior: ten of its standard deviations."""
+"""Bound on an absent dashpot, in units of its prior: ten standard deviations."""
 
 MOST_DECISIONS = 3
-"""Times that the stories left free are decided anew; the second decision mostly is the first."""
+"""Maximum number of selections of the changed stories; the second usually repeats the first."""
 
 GROWN_INFLATION = 2.0
-"""Growth of the inflation of the scores from which on the frame is fitted again under it: what is known of masses and
-effects must not give way to the innovations of a model that is wrong."""
+"""Refit with the new inflation of the scores if it exceeds the old one by this factor. A wrong model must not override
+the prior of masses and effects."""
 
 NONLINEAR = 4.0
-"""Inflation of the scores from which on a record is said not to be that of a linear frame with sound sensors: those
-have 1 to 2, with bending beams too, a clock 5 ms late makes it 5 and a story that yields 4 to 50."""
+"""Inflation of the scores above which the record does not fit a linear frame with sound sensors. Linear frames have 1
+to 2, a clock 5 ms late gives 5, and a yielding story 4 to 50."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """The frame as it was in the record.
+    """Result of the fit of a frame to a record.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class FittedFrame:
     along : Directions
         Along which it was fitted.
     log_evidence : float
-        Log of the probability of the record, averaged over the answers; that of the fit where the frame stays.
+        Log probability of the record, averaged over the answers. A fixed frame has one answer.
     """
 
     errors: PredictionErrors
@@ -143,16 +143,9 @@ class FittedFrame:
         """Relative error of each sensor, the excitation's last, and its standard deviation, shapes (m,)."""
         at, m = self.errors.varied.sensor_gains, len(self.errors.setting.floors)
         # An excitation that was larger than its sensor shows: that one reads too little.
-        signs = np.where(np.arange(at.stop - at.start - m) < m, 1.0, -1.0)
-        logarithms, std = self._unknown(slice(at.start + m, at.stop), GAIN_UNIT * signs)
+        signs = np.where(np.arange(at.stop - at.start) < m, 1.0, -1.0)
+        logarithms, std = self._unknown(at, GAIN_UNIT * signs)
         return np.expm1(logarithms), np.exp(logarithms) * std
-
-    @property
-    def brackets(self) -> tuple[Floats, Floats]:
-        """What each sensor stands on (`DampedModel.bracket`), and its standard deviation, shapes (m,), s2."""
-        varied, m = self.errors.varied, len(self.errors.setting.floors)
-        first, units = varied.sensor_gains.start, varied.dbracket.sum(axis=1)
-        return self._unknown(slice(first, first + m), units[len(units) - varied.gains :][:m])
 
     @property
     def factors(self) -> Floats:

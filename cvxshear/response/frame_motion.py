@@ -19,7 +19,7 @@ from cvxshear.response.damped import DampedModel, Response, response
 from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics, dynamics_slopes, outputs_of
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior
-from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, SIDE_BY_SIDE, PredictionErrors, Stretch
+from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, SIDE_BY_SIDE, PredictionErrors, Segment
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
 from cvxshear.response.smoother import (
     SWEPT_AT_ONCE,
@@ -207,7 +207,7 @@ class FrameMotion:
             for part, channels in self.pieces(run):
                 start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[part.start]
                 if channels.any():
-                    stretches.append(Stretch(run.drive[part], y[part], channels, start))
+                    stretches.append(Segment(run.drive[part], y[part], channels, start))
                     begins.append(self.moves_at_first or part.start > 0)
         errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
         at = np.zeros(errors.size) if p is None else p

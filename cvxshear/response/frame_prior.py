@@ -1,8 +1,8 @@
-"""What is known beforehand of a frame in a record: what its tests say, and how probable each change since is.
+"""Prior of the frame in a record: its tests, and the probability of each change since.
 
 A Gaussian of the unknowns of a `VariedFrame`, with standard deviations that are compared by their evidence, conditioned
-on the measured modes. The likelihood is linearised once, and an answer to which stories, dashpots and sensors changed
-by themselves is such a prior, so that its evidence is one formula.
+on the measured modes. The likelihood is linearised once. Each set of changed stories, dashpots and sensors has such a
+prior, and one formula gives its evidence.
 """
 
 from __future__ import annotations
@@ -33,35 +33,34 @@ AMPLITUDE_STD = 0.15
 in strong shaking and mostly recover (Clinton, Bradford, Heaton and Favela 2006), bench frames by some percent."""
 
 SCATTER_STDS = (0.0003, 0.001, 0.003, 0.01)
-"""Relative standard deviations by which unchanged stories soften differently, compared by their evidence: from a frame
-whose stories all are what they were, or all softened alike, to a tenth of what the whole frame does."""
+"""Relative standard deviations of the factors of unchanged stories, compared by their evidence: from equal factors to a
+tenth of the softening of the whole frame."""
 
 DAMPING_STD = 0.5
 """Standard deviation of the logarithm of one factor on all damping: ratios double or halve with the amplitude."""
 
 DASHPOT_PROBABILITY = 0.1
-"""Probability that a story has a dashpot of its own: owners mostly know of their dampers, and a story that yields acts
-like one."""
+"""Probability that a story has an undeclared dashpot. Most owners declare their dampers; a yielding story acts like a
+damper."""
 
 DASHPOT_STD, NO_DASHPOT_STD = 1.0, 1e-3
-"""Standard deviation of a dashpot, in units of that which alone would give a mode its measured ratio, where there is
-one and where there is none."""
+"""Standard deviations of a present and of an absent dashpot. The unit is the dashpot that gives a mode its measured
+ratio without other damping."""
 
 NOISE_STD = 1.0
 """Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
 
 MASS_STDS = (0.0, 0.05)
-"""Relative standard deviations by which floor masses changed since the tests, compared by their evidence: not at all,
-or by what is carried into a furnished floor and out of it."""
+"""Relative standard deviations of mass changes since the tests, compared by their evidence: no change, or the usual
+change of furniture."""
 
 GAIN_STDS = (0.001, 0.01)
-"""Relative standard deviations of what all sensors, the excitation's too, read too much, compared by their evidence:
-calibrations as good as laboratories have them, and those of the field. A single one that is off by more changed by
-itself, as `SensorGain` expects."""
+"""Relative standard deviations of the gains of all sensors, with the excitation's, compared by their evidence:
+laboratory and field calibrations. A larger error of one sensor is a change with the prior of `SensorGain`."""
 
 FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
-"""Standard deviations of e_ij that are compared by their evidence: from a shear frame, in which the best data would
-show no error, to one whose modes have little to do with the model's."""
+"""Standard deviations of e_ij, compared by their evidence: from an exact shear frame to a frame with other modes than
+the model's."""
 
 MODAL_STEP = 1e-3
 """Step of the unknowns by which modes are differentiated: their curvature leaves a thousandth of a derivative."""
@@ -72,7 +71,7 @@ ASSUMED_FREQUENCY_STD, ASSUMED_SHAPE_STD = 0.005, 0.02
 
 @dataclass(frozen=True, eq=False)
 class ModalRows:
-    """What the measured modes say of a frame whose model may be wrong in form, linearised at the identified one.
+    """Measured modes as linear data of a frame with errors of form, linearised at the identified frame.
 
     Parameters
     ----------
@@ -188,12 +187,12 @@ class FramePrior:
 
     @property
     def single_std(self) -> Floats:
-        """Standard deviation of each of them where it did, shape (N + S + G,)."""
+        """Standard deviation of each single change, shape (N + S + G,)."""
         return self._of_single(self.change_std, DASHPOT_STD, self.gain_std / GAIN_UNIT)
 
     @property
     def log_odds(self) -> Floats:
-        """Logarithm of the odds that each of them did, shape (N + S + G,)."""
+        """Log odds of each single change, shape (N + S + G,)."""
         p = self._of_single(
             self.probability, _at_each(DASHPOT_PROBABILITY, self.varied.sizes[0]), self.gain_probability
         )
@@ -201,11 +200,11 @@ class FramePrior:
 
     @property
     def one_sided(self) -> Bools:
-        """Which of them are positive: dashpots, shape (N + S + G,)."""
+        """Mask of the positive unknowns (dashpots), shape (N + S + G,)."""
         return self._of_single(0.0, 1.0, 0.0) > 0
 
     def idle_dashpots(self, changed: Sequence[int]) -> Ints:
-        """Which unknowns are dashpots that are not there where these singles, and no others, changed."""
+        """Return the indices of the absent dashpots if only these single unknowns changed."""
         return np.setdiff1d(np.r_[self.varied.dashpots], self.single[list(changed)])
 
     @property
@@ -216,7 +215,7 @@ class FramePrior:
 
     @property
     def linear_alone(self) -> FramePrior:
-        """The same for a record in which neither floor masses nor gains are asked for."""
+        """Copy of the prior without changes of floor masses and gains."""
         return dataclasses.replace(self, mass_stds=MASS_STDS[:1], gain_stds=GAIN_STDS[:1])
 
     def gaussian(
@@ -247,7 +246,7 @@ class FramePrior:
 
     @cached_property
     def _by_modes(self) -> dict[tuple[float, float], Gaussian]:
-        """What `_told_by_modes` returned, by its arguments: dozens of answers share each."""
+        """Results of `_given_modes` by their arguments; many answers share each."""
         return {}
 
     def _given_modes(self, form_std: float, gain_std: float) -> Gaussian:
@@ -299,14 +298,14 @@ def _at_each(probability: float, places: int) -> float:
 
 
 LEAST_WEIGHT = 1e-3
-"""Probability of an answer, relative to the most probable one, below which it is left out of the average."""
+"""Minimum probability of an answer in the average, relative to the most probable answer."""
 
 MOST_CHANGES = 3
 KEPT_SETS = 6
-"""Changed stories in a set at most, and sets of each size that the next size grows from."""
+"""Maximum number of changed stories in a set, and number of sets of each size that are extended."""
 
 Widths = tuple[tuple[int, ...], float, float, float, float]
-"""What changed by itself, and the standard deviations of form, stories, masses and gains."""
+"""Single changes, and the standard deviations of form, stories, masses and gains."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
-"""What a frame did not predict: innovations of its filter, their likelihood and its derivatives.
+"""Innovations of a frame's filter, their likelihood and its derivatives.
 
-The filter of a candidate frame predicts each sample of each sensor from all samples before it. Were the frame and the
-noise right, what is left (the innovations) would be white with the covariance that the filter states (prediction-error
+The filter of a candidate frame predicts each sample of each sensor from all earlier samples. The prediction errors are
+the innovations. With the right frame and noise they are white with the covariance of the filter (prediction-error
 method, Ljung 1999). With F = A - K H the derivatives of
 
     -2 log L = sum over samples of e_t' S^-1 e_t + samples log det S
@@ -34,8 +34,8 @@ FIRST_FORCE = 0.02
 starts and where their priors are centred."""
 
 MOST_INPUT_NOISE = 0.03
-"""Bound on the noise of the excitation's sensor, relative to its rms: with more, what a story that yields does passed
-for it, and the record for that of a linear frame."""
+"""Bound on the noise of the excitation's sensor, relative to its rms. A larger bound lets this noise absorb what a
+story that yields does, and without the bound the motion of a fixed frame is less exact."""
 
 FURTHEST = np.log(10.0)
 """Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
@@ -44,10 +44,10 @@ FURTHEST_DASHPOT = 20.0
 """Bound on a dashpot, in units of that which gives a mode its measured ratio: a story that it nearly locks."""
 
 FURTHEST_STDS = 20.0
-"""Bound on masses and effects, in standard deviations that may be far too small where the model lacks something."""
+"""Bound on masses and effects, in standard deviations. An incomplete model can state too small deviations."""
 
 FURTHEST_GAIN = np.log(2.0)
-"""Bound on the logarithm of a sensor's gain: one that reads half or twice as much has another unit or amplifier."""
+"""Bound on the logarithm of a sensor's gain: a larger error is a wrong unit or amplifier."""
 
 FURTHEST_MASS = 0.25
 """Bound on the change of a floor's mass since the tests, five times its larger standard deviation."""
@@ -59,33 +59,30 @@ FURTHEST_NOISE = np.log(30.0)
 """Bound on the logarithm of a sensor's noise around its start: none is good to 0.1 % of a building's motion."""
 
 LEAST_MISSED, MISSED_BY_FORM, MOST_MISSED = 2e-4, 2e-3, 0.1
-"""Bounds on the missed story forces, relative to the rms story force. A model that misses more than the largest has no
-business in a reconstruction. A model whose form is wrong misses no less than the middle one, though sensors at a third
-of the floors cannot tell that from noise: with a tenth of it the fit of 20-story frames whose beams bend settled there,
-and only 65 to 70 % of the peaks lay within their 95 % bands. Of a frame that is as its model says, the data decide down
-to the least: with the middle one the noise of good sensors passes for missed forces."""
+"""Bounds on the missed story forces, relative to the rms story force. The largest bounds the model errors that a
+reconstruction allows. The middle one is the minimum for a model with a wrong form: sensors at a third of the floors
+cannot separate smaller missed forces from noise, and the bands become too narrow. The least applies to a frame without
+errors of form."""
 
 MISSED_A_FORM = 0.2
-"""Missed force, relative to the rms story force, of a model whose form is off by one (`FORM_STDS`): the middle bound
-is that of 1 %, which the modes of those frames tell."""
+"""Missed force, relative to the rms story force, for an error of form of one (`FORM_STDS`). An error of 1 % gives the
+middle bound."""
 
 DIFFERENCE = 1e-5
-"""Step of the unknowns by which small matrices are differentiated: rounding and curvature both leave 1e-5 of it."""
+"""Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5."""
 
 SIDE_BY_SIDE = 32
-"""Derivatives that are run with the filter at once: of fewer the loop over the samples takes longer than its products,
-of more their memory is large."""
+"""Number of derivatives in one pass of the filter. Fewer take longer; more need more memory."""
 
 LOST_DIGITS = 1e-13
-"""What rounding leaves of a sum of squares, relative to it, of a hundred unknowns."""
+"""Relative rounding error of a sum of squares for a hundred unknowns."""
 
 SCORE_PERIODS = 1.0
-"""Fundamental periods over which scores are summed before their scatter is taken: errors of a wrong model hang together
-for about as long."""
+"""Length of the blocks in which scores are summed, in fundamental periods: the correlation time of model errors."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """A part of a run in which the same sensors recorded.
 
     Parameters
@@ -175,7 +172,7 @@ class PredictionErrors:
         Where the noise levels start.
     """
 
-    def __init__(self, varied: VariedFrame, setting: Setting, stretches: Sequence[Stretch], noise: Noise) -> None:
+    def __init__(self, varied: VariedFrame, setting: Setting, stretches: Sequence[Segment], noise: Noise) -> None:
         self.varied, self.setting, self.stretches, self.noise = varied, setting, stretches, noise
         self.stories = len(varied.story_stiffness)
         self.frame = slice(0, sum(varied.sizes))
@@ -188,8 +185,7 @@ class PredictionErrors:
         N, D, W, _ = varied.sizes
         masses = slice(N + D, N + D + W)
         self.upper[masses] = np.maximum(self.upper[masses], heavier[masses])
-        gains = varied.sensor_gains
-        self.upper[gains.start + len(setting.floors) : gains.stop] = FURTHEST_GAIN / GAIN_UNIT
+        self.upper[varied.sensor_gains] = FURTHEST_GAIN / GAIN_UNIT
         self.upper[force] = np.log(MOST_MISSED / noise.force)
         if setting.base_measured:
             self.upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
@@ -229,7 +225,7 @@ class PredictionErrors:
                     start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
                     spread = self.spread(filtered.model, run.seen[part])
                 spread = spread if free else None
-                parts.append(Stretch(run.excitation[part], run.y[part], run.channels, start, spread))
+                parts.append(Segment(run.excitation[part], run.y[part], run.channels, start, spread))
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
     def spread(self, model: Dynamics, y: Floats) -> Floats:
@@ -241,10 +237,10 @@ class PredictionErrors:
         root: Floats = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         return root * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
 
-    def _filtered(self, p: Floats) -> list[tuple[Steady, list[Stretch]]]:
+    def _filtered(self, p: Floats) -> list[tuple[Steady, list[Segment]]]:
         """Settle the filter of each set of sensors; return it with the stretches in which these recorded."""
         model = self.dynamics(p)
-        sets: dict[bytes, list[Stretch]] = {}
+        sets: dict[bytes, list[Segment]] = {}
         for run in self.stretches:
             sets.setdefault(run.channels.tobytes(), []).append(run)
         return [(Steady.of(model.seen_by(runs[0].channels)), runs) for runs in sets.values()]
@@ -284,8 +280,8 @@ class PredictionErrors:
                 total += len(e) * float(log_det) + float(white @ white)
                 if run.spread is not None:
                     free = _free(filtered, run, whitening)
-                    pulled = free.T @ white
-                    total -= float(pulled @ np.linalg.solve(np.eye(len(pulled)) + free.T @ free, pulled))
+                    slope = free.T @ white
+                    total -= float(slope @ np.linalg.solve(np.eye(len(slope)) + free.T @ free, slope))
         return total
 
     def informed(self, p: Floats, root: Floats, least: float) -> Directions:
@@ -327,7 +323,7 @@ class PredictionErrors:
         rates = dynamics_slopes((self.model(p), self.noise_at(p)), beside, sizes, self.setting)
         return [part for here, runs in self._filtered(p) for part in self._rows_of(here, runs, rates)]
 
-    def _rows_of(self, here: Steady, runs: Sequence[Stretch], rates: Mapping[str, Floats]) -> list[_Rows]:
+    def _rows_of(self, here: Steady, runs: Sequence[Segment], rates: Mapping[str, Floats]) -> list[_Rows]:
         """Return the rows of the stretches in which the same sensors recorded.
 
         One part a stretch, and one of log det S and the states at the beginnings.
@@ -398,7 +394,7 @@ def _crossed(left: Floats | None, J: Floats, r: Floats) -> Floats:
     return total
 
 
-def _free(filtered: Steady, run: Stretch, whitening: Floats) -> Floats:
+def _free(filtered: Steady, run: Segment, whitening: Floats) -> Floats:
     """Return what the whitened innovations lose to a state at the beginning, of unit prior, shape (samples m, n)."""
     rows = [whitening @ filtered.model.H]
     for _ in range(BLOCK - 1):

@@ -1,8 +1,7 @@
-"""Reconstruction: how every floor moved, from the floors that carry sensors, and how far that can be believed.
+"""Reconstruction: the motion of every floor, with standard deviations, from the floors with sensors.
 
-First the frame as it was in this record is found from the innovations of the filter (`frame_fit`), then its motion by
-the smoother (`smoother`), then how far both can be off (`frame_motion`). Each sensor is also predicted from all others,
-which is the one check of the bands that nothing assumes (`sensor_checks`).
+`frame_fit` fits the frame to the innovations of the filter. `smoother` computes the motion, and `frame_motion` the
+standard deviations. `sensor_checks` predicts each sensor from all others, which checks the deviations.
 """
 
 from __future__ import annotations
@@ -30,8 +29,9 @@ from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.cached import cached_property
-from cvxshear.util.quantities import listed, numbered, percent, ranged, significant
+from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
 
@@ -39,42 +39,40 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NAMED_CHANGE = 0.95
-"""Probability from which on a story is named as changed: the loop's own level for what it adds."""
+"""Minimum probability of a reported change; the loop uses the same level for effects."""
 
 SIGN_KNOWN = 1.645
-"""Standard deviations that a changed story's stiffness differs by: that it is softer, or stiffer, is 95 % probable."""
+"""Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
 
 WIDER = 1.3
-"""Ratio of the left-out sensors' errors to their stated deviations, by which all bands are then widened, that is said:
-twenty effective samples scatter by as much."""
+"""Maximum ratio of the left-out sensors' errors to their deviations without a warning: the scatter of twenty
+independent samples."""
 
 GAIN_OFF = 3.0, 0.005
-"""Standard deviations, and relative size, from which on a sensor's gain is named: what a good calibration leaves is
-not."""
+"""Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
 
 MISSED_MOST = 1.5
-"""Missed force of the stories between two sensors, over the largest elsewhere, from which on they are named: where a
-story yielded it was 1.5 to 2.5 in simulated frames."""
+"""Minimum ratio of the missed force between two sensors to the largest elsewhere for these stories to be reported; a
+yielding story gave 1.5 to 2.5 in simulated frames."""
 
 SOUND_SCORES = 2.0
-"""Inflation of the scores up to which changed masses are named: records of sound linear frames have 1 to 2, and dampers
-that the model lacks pass for masses, with 3 and more."""
+"""Maximum inflation of the scores for a reported mass change. Linear frames have 1 to 2; undeclared dampers give 3 and
+more and resemble mass changes."""
 
 LARGEST_ODDS = 1000.0
-"""Odds beyond which no number is given: the model is an approximation, and what it misses counts in them too."""
+"""Largest odds that are printed as a number; model errors make larger odds meaningless."""
 
 UNSETTLED = "the fit of the frame did not settle, so no number is sure, and drifts are rough"
 """Warning that is the first of the findings."""
 
 QUIET_ENOUGH = 0.25
-"""Least strength of a motion, relative to its rms over the record, up to which a line is known from where little moves:
-of simulated records that were cut off at both ends, at 0.3 and more, lines moved peaks by up to four deviations."""
+"""Maximum strength of the quietest part of a record, relative to its rms, for a reliable straight line. In a record
+without a quieter part, the line changes peaks by up to four standard deviations."""
 
 ROUGH_DRIFT = 0.1
-"""Standard deviation of drifts, relative to them, where the record is not that of a linear frame, the fit did not
-settle, or the tests do not determine the frame. A story a third of which yields comes out 3 to 17 % too low and those
-beside it up to 9 % too high (``tests.benchmarks.reconstruction``); of frames that sensors at a third of the floors did
-not determine, and of which a story changed, drifts were off by up to 16 %."""
+"""Relative standard deviation of drifts if the record does not fit a linear frame, the fit does not converge, or the
+tests do not determine the frame. The drift of a yielding story is 3 to 17 % too low, and of its neighbors up to 9 % too
+high (``tests.benchmarks.reconstruction``)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -212,7 +210,7 @@ class Reconstruction(Shown):
 
     @property
     def masses_changed(self) -> bool:
-        """Whether it is named that floors do not weigh what they did in the tests."""
+        """Whether a mass change is reported."""
         return self.sound and self.frame.inflation <= SOUND_SCORES and self.frame.mass_probability >= NAMED_CHANGE
 
     @property
@@ -225,18 +223,6 @@ class Reconstruction(Shown):
             (name, float(value), float(std))
             for name, value, std in zip(names, *self.frame.gains, strict=True)
             if self.frame_fitted and not self.undetermined and abs(value) > max(deviations * std, least)
-        )
-
-    @property
-    def brackets(self) -> tuple[tuple[int, float], ...]:
-        """Floors whose sensor reads more the higher the frequency, and the frequency of what it stands on, Hz."""
-        if not self.names_changes:
-            return ()
-        found = zip(self.recording.floors, *self.frame.brackets, strict=True)
-        return tuple(
-            (int(floor), 1.0 / (2 * np.pi * float(np.sqrt(value))))
-            for floor, value, std in found
-            if value > GAIN_OFF[0] * std
         )
 
     @property
@@ -357,10 +343,6 @@ def _warnings(found: Reconstruction) -> list[str]:
         f"{name} reads {percent(abs(value), 1)} ± {percent(std, 1)} too {'much' if value > 0 else 'little'}: the "
         "record contradicts the frame and its other sensors otherwise; that is taken out of the motion"
         for name, value, std in found.gains_off
-    ] + [
-        f"the sensor of floor {floor} reads more the higher the frequency, as on a bracket that swings at "
-        f"{significant(frequency, 2)} Hz; that is taken out of the motion"
-        for floor, frequency in found.brackets
     ]
     wider = widening(found.checks)
     if wider > WIDER:
@@ -432,6 +414,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
     return said
 
 
+@usual_arithmetic
 def reconstruct(
     source: ModelSource,
     record: RecordingSource,

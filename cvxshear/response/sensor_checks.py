@@ -14,7 +14,7 @@ from cvxshear.response.compare import contradiction, moved_against
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
-from cvxshear.response.innovations import PredictionErrors, Stretch
+from cvxshear.response.innovations import PredictionErrors, Segment
 from cvxshear.response.recording import Recording, rms
 from cvxshear.response.sensor_faults import earlier
 from cvxshear.response.smoother import SPIKE, Smoothed
@@ -168,7 +168,7 @@ def checked(
         Motion without a look at the sensors.
     """
     every = np.ones(len(work.recording.floors), dtype=bool)
-    whole = [Stretch(run.drive, each.completed, every, each.states[0])
+    whole = [Segment(run.drive, each.completed, every, each.states[0])
              for run, each in zip(work.recording.runs, smoothed, strict=True)]  # fmt: skip
     parts = [each.strongest(FITTED_SAMPLES) for each in whole]
     other = work.without(channel, parts)

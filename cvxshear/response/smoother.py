@@ -1,4 +1,4 @@
-"""The motion of a frame from the floors that carry sensors: a least-squares program solved by one sweep each way.
+"""The motion of a frame from the floors with sensors: a least-squares program solved by one sweep each way.
 
 Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
 
@@ -6,8 +6,8 @@ Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
 
 whose normal matrix is block tridiagonal. `smooth` eliminates the blocks forward (the Kalman filter) and back (the
 smoother of Bryson and Frazier 1963, which needs no inverse of a covariance). A missing sample has the weight zero.
-Huber's loss, which grows linearly beyond `SPIKE` standard deviations and so lets no spike pull the motion away, is
-minimized by weights that are found anew from the residuals (iterative reweighting).
+Iterative reweighting minimizes Huber's loss, which grows linearly beyond `SPIKE` standard deviations and limits the
+influence of spikes.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_cov
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SPIKE = 5.0
-"""Standard deviations of a residual beyond which a sample counts as a spike: of Gaussian noise, one in two million."""
+"""Minimum residual of a spike, in standard deviations; Gaussian noise has one in two million samples."""
 
 MOST_REWEIGHTINGS = 12
-"""Most rounds of reweighting; each needs one sweep, and a weight that still moves then is of a sample at the limit."""
+"""Maximum number of rounds of reweighting; each needs one sweep."""
 
 SAME_WEIGHT = 0.02
-"""Change of a weight that moves the motion by less than a fiftieth of that sample's pull."""
+"""Maximum change of a weight at convergence: a fiftieth of the sample's influence."""
 
 SETTLED = 1e-9
-"""Relative change of a covariance over one sample at which it is taken as constant. What is still to come is this over
-the decay a sample, which is at least 1e-3 for a sampled vibration: the motion is then exact to about 1e-6."""
+"""Maximum relative change of a settled covariance over one sample. A sampled vibration decays by at least 1e-3 in one
+sample, so the motion is exact to about 1e-6."""
 
 LEAST_TRANSIENT = 100
 MOST_TRANSIENT = 2_000
-"""Samples after a change of the weights over which covariances are computed one by one at least and at most. In between
-their limit is taken as soon as they are near it, so that long records need neither the time nor the memory."""
+"""Minimum and maximum number of samples with their own covariances after a change of the weights. In between, a
+covariance near its limit is replaced by the limit, which saves time and memory."""
 
 NEAR_LIMIT = 0.05
-"""Relative difference of a variance from its limit at which the limit is taken: 2.5 % of a deviation."""
+"""Relative difference of a variance from its limit for this replacement: 2.5 % of a standard deviation."""
 
 
 SWEPT_AT_ONCE = 8_192
-"""Samples that a sweep goes through at once: what it needs besides the states stays within some ten megabytes."""
+"""Samples of a sweep in one pass, which limits its memory to some ten megabytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Observed:
     Parameters
     ----------
     excitation : ndarray, shape (samples, 2)
-        As in `Dynamics`; zeros where nothing was measured.
+        As in `Dynamics`; zeros if the excitation was not measured.
     measured : ndarray, shape (samples, m)
         m/s2; nan where missing.
     envelope : ndarray, shape (samples,)
@@ -84,14 +84,14 @@ class Smoothed:
     ----------
     states : ndarray, shape (samples, n)
     innovations : ndarray, shape (samples, m)
-        Of the filter, each in its standard deviation; nan where nothing was measured.
+        Of the filter, each in its standard deviation; nan for missing samples.
     weights : ndarray, shape (samples, m)
         Of the measured samples: 1, less for a spike, 0 where missing.
     output_std : ndarray, shape (samples, outputs)
         Of the outputs that were asked for, given the frame.
     completed : ndarray, shape (samples, m)
-        The measured accelerations, spikes cut to Huber's limit and missing samples as they are estimated: what an
-        ordinary smoother would have to see to come to the same motion.
+        The measured accelerations, spikes cut to Huber's limit and missing samples estimated. An ordinary
+        smoother finds the same motion from them.
     """
 
     states: Floats
@@ -234,21 +234,21 @@ def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, wei
     r = np.zeros(len(model.A))
     for first, last, at in reversed(stretches):
         gain = gains[at]
-        pulls = pulled(gain.transition, gain.inverse_S @ gain.H, e[first:last], r)
+        pulls = backward_pass(gain.transition, gain.inverse_S @ gain.H, e[first:last], r)
         states[first:last] += pulls @ gain.P
         r = pulls[0]
     return states, np.where(weights > 0, innovations, np.nan)
 
 
-def pulled(F: Floats, B: Floats, e: Floats, r: Floats) -> Floats:
-    """r_(t-1) = H' S^-1 e_t + F' r_t, what pulls at each state of a stretch, shape (samples, n).
+def backward_pass(F: Floats, B: Floats, e: Floats, r: Floats) -> Floats:
+    """Solve r_(t-1) = H' S^-1 e_t + F' r_t backward over a segment, shape (samples, n).
 
     Parameters
     ----------
     B : ndarray, shape (m, n)
         S^-1 H.
     r : ndarray, shape (n,)
-        What comes after the stretch.
+        Value after the segment.
     """
     return recursion(F.T, B, np.concatenate([e[::-1], np.zeros((1, e.shape[1]))]), r)[:0:-1]
 
@@ -368,7 +368,7 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
     r = np.zeros(len(model.A))
     for (part, channels), e in zip(reversed(pieces), reversed(left), strict=True):
         own = filters[channels.tobytes()]
-        pulls = pulled(own.F, own.pull, e, r)
+        pulls = backward_pass(own.F, own.pull, e, r)
         x[part] += pulls @ own.P
         r = pulls[0]
     return x
@@ -397,7 +397,7 @@ def settled_slopes(
     model, F, steps = own.model, own.F, steps_of(excitation)
     x, e = own.predicted(excitation, y, start)
     B = own.pull
-    multipliers = np.concatenate([pulled(F, B, e, np.zeros(len(F))), np.zeros((1, len(F)))])
+    multipliers = np.concatenate([backward_pass(F, B, e, np.zeros(len(F))), np.zeros((1, len(F)))])
     x += multipliers[:-1] @ own.P
     r = multipliers[1:]
     left = (y - model.shown(excitation) - x @ model.H.T) / model.R

@@ -25,29 +25,24 @@ from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 OTHER_DAMPING_STD = 0.3
-"""Standard deviation of the logarithm of each dashpot, or of Rayleigh's factors, by themselves; of each mode's ratio
-since the tests, too."""
+"""Standard deviation of the logarithm of each dashpot and of each Rayleigh factor, and of the change of each mode's
+ratio since the tests."""
 
 LEFT_BESIDE = 0.1
-"""Part of a mode's measured damping ratio that stays where a dashpot alone would give the whole of it."""
+"""Remaining share of a mode's measured damping ratio beside a dashpot that accounts for the whole ratio."""
 
 GAIN_UNIT = 0.01
-"""Relative gain that an unknown of one stands for; of a bracket, at the frequency of the `BRACKET_MODE`."""
-
-BRACKET_MODE = 3
-"""Mode, or the highest there is, at which a sensor on a bracket of its own reads as much too much as one whose gain is
-off: of less in the modes that have most of a building's motion."""
+"""Relative gain error of a sensor for an unknown of one."""
 
 EXACT_MASS = 1e-6
-"""Relative standard deviation of masses below which they were declared as exact."""
+"""Masses with a smaller relative standard deviation count as exact."""
 
 SAME_MASSES = 1e-3
-"""Smallest standard deviation of a pattern of floor masses, relative to the largest, that is not rounding of one that
-is exact, as the total may be."""
+"""Smallest standard deviation of a pattern of floor masses, relative to the largest; smaller ones are rounding."""
 
 COUPLED_MODES = 6
-"""Lowest modes that an error of the model's form mixes; of higher modes it changes the frequencies alone. Six have most
-of a building's motion, and more would be as many unknowns as all else together."""
+"""Number of lowest modes that an error of form couples. Six modes have most of a building's motion. An error of form
+changes only the frequencies of higher modes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +62,10 @@ class VariedFrame:
     dgain : ndarray, shape (W, N)
     log_gain : ndarray, shape (W, N + 1)
         Change of the logarithms of the gains of the floors' sensors and of the excitation.
-    dbracket : ndarray, shape (W, N)
-        Change of what the floors' sensors stand on, as `DampedModel.bracket`, s2.
     form : ndarray, shape (X, N, N)
         Changes of the stiffness matrix for e_ij = 1.
     gains : int
-        How many of the W directions, the last ones, are brackets and gains of sensors.
+        How many of the W directions, the last ones, are gains of sensors.
     measured : ndarray of bool, shape (N,)
         Which of the ratios were measured.
     dashpot : ndarray, shape (N,) or (0,)
@@ -87,7 +80,6 @@ class VariedFrame:
     dK: Floats
     dgain: Floats
     log_gain: Floats
-    dbracket: Floats
     form: Floats
     gains: int
     measured: Bools
@@ -114,16 +106,13 @@ class VariedFrame:
         # they are along a straight line, gains count by their logarithms.
         at = [int(floor) - 1 for floor in floors]
         sensors = GAIN_UNIT * np.eye(len(base.M) + 1)[[*at, *([-1] if excited else [])]]
-        squares = centre.model.modes.eigenvalues
-        brackets = GAIN_UNIT / squares[min(BRACKET_MODE, len(squares)) - 1] * np.eye(len(base.M))[at]
-        gains = len(brackets) + len(sensors)
+        gains = len(sensors)
         dM, dK, dgain = (np.concatenate([each, np.zeros((gains, *each.shape[1:]))]) for each in (dM, dK, dgain))
-        log_gain, dbracket = np.zeros((len(dM), len(base.M) + 1)), np.zeros_like(dgain)
-        log_gain[len(dM) - len(sensors) :] = sensors
-        dbracket[len(moved) : len(moved) + len(brackets)] = brackets
+        log_gain = np.zeros((len(dM), len(base.M) + 1))
+        log_gain[len(moved) :] = sensors
         dashpot = _dashpots(centre.model, frame.ratios.values, frame.ratios.measured)
         return VariedFrame(
-            centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, log_gain, dbracket, form, gains,
+            centre, frame.story_stiffness, frame.ratios.values, own, dM, dK, dgain, log_gain, form, gains,
             frame.ratios.measured, dashpot,
         )  # fmt: skip
 
@@ -160,7 +149,7 @@ class VariedFrame:
 
     @property
     def sensor_gains(self) -> slice:
-        """Which unknowns are the sensors': what each stands on, the gain of each, then that of the excitation's."""
+        """Slice of the gains: the floors' sensors, then the excitation's sensor."""
         N, D, W, _ = self.sizes
         return slice(N + D + W - self.gains, N + D + W)
 
@@ -253,8 +242,7 @@ class VariedFrame:
         C = C + stiffness_matrix(single)
         *floors, excitation = np.exp(nuisance @ self.log_gain)
         gain = (old.gain + nuisance @ self.dgain) * floors
-        bracket = nuisance @ self.dbracket
-        return DampedModel(M, C, K, gain, old.heights, old.mass_known, float(excitation), bracket)
+        return DampedModel(M, C, K, gain, old.heights, old.mass_known, float(excitation))
 
 
 def _dashpots(model: DampedModel, ratios: Floats, measured: Bools) -> Floats:

@@ -36,6 +36,7 @@ from cvxshear.screening.repairs import Repair
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, NearestFrame
 from cvxshear.screening.wrong_frequency import wrong_frequency
 from cvxshear.util import ranking
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
 
@@ -150,6 +151,7 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     return found
 
 
+@usual_arithmetic
 def close_loop(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,

@@ -108,36 +108,35 @@ def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths
 
 
 def fitted(**more):
-    """A frame of three stories with two ratios, three dashpots, two nuisances, five gains and brackets, an error of
+    """A frame of three stories with two ratios, three dashpots, two nuisances, three gains, an error of
     form, and three noises; two sensors and the ground. Its factors are products of powers of two unknowns each."""
     rng = np.random.default_rng(8)
-    root = 0.1 * rng.standard_normal((19, 19))
-    powers = 0.3 * rng.standard_normal((3, 16))
+    root = 0.1 * rng.standard_normal((17, 17))
+    powers = 0.3 * rng.standard_normal((3, 14))
 
     def story_factors(p):
         factors = np.exp(powers @ p)
         return factors, factors[:, None] * powers
 
     varied = SimpleNamespace(
-        story_factors=story_factors, sizes=(3, 5, 7, 1), dashpots=slice(5, 8), dashpot=np.array([20.0, 30.0, 40.0]),
-        gains=5, sensor_gains=slice(10, 15), heavier_floors=0.3 * rng.standard_normal((16, 3)),
-        dbracket=np.vstack([np.zeros((2, 3)), np.diag([2e-6, 0.0, 3e-6])[[0, 2]], np.zeros((3, 3))]),
+        story_factors=story_factors, sizes=(3, 5, 5, 1), dashpots=slice(5, 8), dashpot=np.array([20.0, 30.0, 40.0]),
+        gains=3, sensor_gains=slice(10, 13), heavier_floors=0.3 * rng.standard_normal((14, 3)),
     )  # fmt: skip
     setting = SimpleNamespace(floors=np.array([1, 3]), base_measured=True, force_floor=0)
-    errors = SimpleNamespace(varied=varied, setting=setting, stories=3, frame=slice(0, 16), size=19)
-    wide = rng.standard_normal((19, 19))
+    errors = SimpleNamespace(varied=varied, setting=setting, stories=3, frame=slice(0, 14), size=17)
+    wide = rng.standard_normal((17, 17))
     base = 0.1 * wide @ wide.T
 
     def prior_of(changed, form_std, scatter_std, mass_std, gain_std):
         heavier = np.vstack([varied.heavier_floors, np.zeros((3, 3))])
-        return Gaussian(np.full(19, 0.01), base + mass_std**2 * heavier @ heavier.T, 0.0)
+        return Gaussian(np.full(17, 0.01), base + mass_std**2 * heavier @ heavier.T, 0.0)
 
     prior = SimpleNamespace(identified=0.002 * np.ones((3, 3)), varied=varied, gaussian=prior_of, others=3)
     answers = (
         FrameChange((1,), 0.03, 0.003, 0.0, 0.001, 0.5), FrameChange((1, 4), 0.03, 0.003, 0.05, 0.001, 0.3),
         FrameChange((0, 7), 0.03, 0.003, 0.1, 0.001, 0.2),
     )  # fmt: skip
-    values = {"answers": answers, "p": 0.2 * rng.standard_normal(19), "covariance": root @ root.T} | more
+    values = {"answers": answers, "p": 0.2 * rng.standard_normal(17), "covariance": root @ root.T} | more
     return FittedFrame(errors, prior, values["p"], values["covariance"], values["answers"], 1.3, True, None, -7.0)
 
 
@@ -152,16 +151,14 @@ def test_a_fitted_frame_says_what_its_unknowns_mean():
     frame = fitted()
     np.testing.assert_allclose(frame.story_probability, [0.2, 0.8, 0.0])
     np.testing.assert_allclose(frame.dashpot_probability, [0.0, 0.3, 0.0])
-    np.testing.assert_allclose(frame.gain_probability, [0.0, 0.2, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(frame.gain_probability, [0.0, 0.2, 0.0])
     assert frame.mass_probability == pytest.approx(0.5)
     p, spread = frame.p, frame.covariance
     unit = np.array([20.0, 30.0, 40.0])
     np.testing.assert_allclose(frame.dashpots, (unit * p[5:8], unit * np.sqrt(np.diag(spread)[5:8])))
-    stiff = np.array([2e-6, 3e-6])
-    np.testing.assert_allclose(frame.brackets, (stiff * p[10:12], stiff * np.sqrt(np.diag(spread)[10:12])))
 
     def gains(z):
-        return np.exp(GAIN_UNIT * z[12:15] * [1, 1, -1]) - 1
+        return np.exp(GAIN_UNIT * z[10:13] * [1, 1, -1]) - 1
 
     value, std = frame.gains
     np.testing.assert_allclose(value, gains(p))
@@ -172,9 +169,9 @@ def test_factors_of_stories_are_as_uncertain_as_all_that_moves_them():
     """The identified stiffnesses, the masses and effects as identified, and the unknowns of the record."""
     frame = fitted()
     factors = frame.errors.varied.story_factors
-    expected, J = factors(frame.p[:16])
+    expected, J = factors(frame.p[:14])
     np.testing.assert_allclose(frame.factors, expected)
-    spread = J @ frame.covariance[:16, :16] @ J.T + 0.002 + J[:, 8:15] @ J[:, 8:15].T
+    spread = J @ frame.covariance[:14, :14] @ J.T + 0.002 + J[:, 8:13] @ J[:, 8:13].T
     # Half of what may be is that floors changed; a total of three floors varies by the root of three less than one.
     scale = 0.05 * np.sqrt(0.5 / 3)
     assert frame.scale_std == pytest.approx(scale)
@@ -198,11 +195,11 @@ def test_factors_of_stories_are_as_uncertain_as_all_that_moves_them():
 def test_a_frame_of_one_story_is_compared_with_itself_as_it_was():
     one = fitted()
     one.errors.stories, one.errors.varied.dashpot = 1, np.zeros(7)
-    one.errors.varied.story_factors = lambda p: (np.array([0.9]), np.ones((1, 16)))
+    one.errors.varied.story_factors = lambda p: (np.array([0.9]), np.ones((1, 14)))
     one.prior.identified = np.zeros((1, 1))
     change, std = one.against_others
     assert change == pytest.approx(-0.1)
-    assert std == pytest.approx(np.sqrt(one.covariance[:16, :16].sum() + 7))
+    assert std == pytest.approx(np.sqrt(one.covariance[:14, :14].sum() + 5))
 
 
 def test_masses_changed_by_what_a_normal_number_is_given_the_unknowns():
@@ -255,8 +252,8 @@ def test_a_frame_that_is_not_fitted_again_without_a_sensor_stays_as_it_was():
     frame = fitted()
     prior = FramePrior(frame.errors.varied, 3, frame.prior.identified, 0.4, 0.05, 0.1, 0.02, None)
     frame = dataclasses.replace(frame, prior=prior, inflation=1.9, converged=False)
-    found = refitted(frame, "errors", 16, None, 0)
-    left = np.delete(np.arange(19), 16)
+    found = refitted(frame, "errors", 14, None, 0)
+    left = np.delete(np.arange(17), 14)
     np.testing.assert_array_equal(found.p, frame.p[left])
     np.testing.assert_array_equal(found.covariance, frame.covariance[np.ix_(left, left)])
     assert (found.errors, found.prior.others, found.inflation, found.converged) == ("errors", 2, 1.0, True)
@@ -286,15 +283,15 @@ def test_gauss_newton_sees_the_posterior_of_tempered_innovations():
 
 
 def test_what_may_have_changed_by_itself_has_the_odds_of_its_kind():
-    """Three stories, three dashpots, five gains; of dashpots the probability of any is shared by the stories."""
+    """Three stories, three dashpots, three gains; of dashpots the probability of any is shared by the stories."""
     frame = fitted()
     prior = FramePrior(frame.errors.varied, 3, frame.prior.identified, 0.4, 0.05, 0.1, 0.02, None)
-    np.testing.assert_array_equal(prior.single, [0, 1, 2, 5, 6, 7, 10, 11, 12, 13, 14])
+    np.testing.assert_array_equal(prior.single, [0, 1, 2, 5, 6, 7, 10, 11, 12])
     chance = 1 / (1 + np.exp(-prior.log_odds))
     np.testing.assert_allclose(chance[:3], 0.1)
     np.testing.assert_allclose((1 - chance[3:6]) ** 3, 0.9)
     np.testing.assert_allclose(chance[6:], 0.02)
-    assert prior.one_sided.tolist() == [False] * 3 + [True] * 3 + [False] * 5
+    assert prior.one_sided.tolist() == [False] * 3 + [True] * 3 + [False] * 3
     np.testing.assert_array_equal(prior.idle_dashpots((1, 4)), [5, 7])
     np.testing.assert_allclose(prior.single_std[:3], 0.4)
     alone = dataclasses.replace(prior, gain_stds=(0.001,))

@@ -19,7 +19,7 @@ from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, dynamics_slopes, recursion, settled_covariance
 from cvxshear.response.frame_motion import MOST_DIRECTIONS, PROBED_SAMPLES, FrameMotion, readings_of
-from cvxshear.response.innovations import Directions, PredictionErrors, Stretch
+from cvxshear.response.innovations import Directions, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
 from cvxshear.response.sensor_checks import as_predicted
 from cvxshear.response.smoother import Observed, Steady, settled_slopes, settled_states, smooth
@@ -250,7 +250,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     sensors, start = np.array([[True, True], [True, False]]), 1e-3 * rng.standard_normal((2, 9))
     y[gap:, 1] = 1e3
     parts = [part for part in (slice(0, gap), slice(gap, 500)) if part.start < 500]
-    stretches = [Stretch(both[part], y[part], *own) for part, *own in zip(parts, sensors, start, strict=False)]
+    stretches = [Segment(both[part], y[part], *own) for part, *own in zip(parts, sensors, start, strict=False)]
     errors = PredictionErrors(VariedFrame.around(frame), setting, stretches, Noise(np.array([0.03, 0.02]), 0.02))
     p = 0.02 * rng.standard_normal(errors.size)
     at = errors.linearised(p, Directions(np.eye(errors.size), np.eye(errors.size)))
@@ -383,25 +383,6 @@ def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
     true = np.abs(drift).max(axis=0)
     assert np.all(np.abs(found.peaks.values["story_drift"] - true) <= 2.5 * found.peaks.std["story_drift"])
     assert any(f"{said} reads" in warning for warning in found.warnings)
-
-
-def test_a_sensor_on_a_bracket_moves_no_drift_and_is_named():
-    """The bracket is an oscillator, of six times the third frequency; a frame of eight stories, sound."""
-    models, motion, drift, _ = study.setting(8, "sound", 0, seconds=20.0)
-    drive, rate = motion.runs[0], 1.0 / motion.step
-    frequency = 6.0 * models.after.experiment.configurations[0].frequencies[2]
-    line = np.fft.rfftfreq(len(drive.responses), 1.0 / rate)
-    shown = 1.0 / (1.0 - (line / frequency) ** 2 + 2j * 0.03 * line / frequency)
-    faulty = drive.responses.copy()
-    faulty[:, 1] = np.fft.irfft(np.fft.rfft(faulty[:, 1]) * shown, len(faulty))
-    runs = (dataclasses.replace(drive, responses=faulty),)
-    found = reconstruct(models, dataclasses.replace(motion, runs=runs), leave_out=False)
-    assert [floor for floor, _ in found.brackets] == [motion.floors[1]]
-    assert found.brackets[0][1] == pytest.approx(frequency, rel=0.2)
-    assert not found.changed
-    assert not found.masses_changed
-    true = np.abs(drift).max(axis=0)
-    assert np.all(np.abs(found.peaks.values["story_drift"] - true) <= 3.0 * found.peaks.std["story_drift"])
 
 
 def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
@@ -767,7 +748,7 @@ def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():
     motion, _, drift = recorded(dataclasses.replace(sound, story_stiffness=softer), 3, (2, 5))
     found = reconstruct(cvxshear.Experiment.from_dict(table), motion, leave_out=False)
     assert found.undetermined
-    assert (found.changed, found.masses_changed, found.gains_off, found.brackets) == ((), False, (), ())
+    assert (found.changed, found.masses_changed, found.gains_off) == ((), False, ())
     assert found.to_dict()["frame"]["change_probability"] == [None] * 5
     assert "the tests do not determine the frame" in found.warnings[0]
     assert "what changed since cannot be told" in describe(found).headline

@@ -96,7 +96,7 @@ def varied(kind, **more):
     none = {name: np.zeros((directions, 3, 3)[: 3 if name != "dgain" else 2]) for name in ("dM", "dK", "dgain")}
     frame = VariedFrame(
         damped, stiffness, ratios, np.ones(2 if kind == "rayleigh" else 3), form=np.zeros((0, 3, 3)),
-        log_gain=np.zeros((directions, 4)), dbracket=np.zeros((directions, 3)), gains=0,
+        log_gain=np.zeros((directions, 4)), gains=0,
         measured=np.array([True, True, False]), dashpot=np.zeros(0), **none,
     )  # fmt: skip
     return replace(frame, **more)

@@ -1,0 +1,345 @@
+"""Comparison of a prediction with its record, limits, lines and delays: plain arrays in, expected values by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cvxshear.effects import StoryChange
+from cvxshear.measurement.declaration import Limits
+from cvxshear.records.motion import DrivenRecord, DrivenRun
+from cvxshear.response import DampedModel, frame_prior, reconstruction, response, sources, uncertain
+from cvxshear.response import compare as comparing
+from cvxshear.response.compare import Transfer, contradiction, moved_against
+from cvxshear.response.peaks import Peaks, floor_spectra, largest_spectra
+from cvxshear.response.recording import RecordedRun, Recording, sensor_line
+from cvxshear.response.sensor_checks import _with_delays
+from tests.response.common import damped_frame, matrices
+
+
+@pytest.mark.parametrize(
+    ("straight", "other", "told", "expected"),
+    [
+        (0.0, np.log(11.0), True, "taken as band-limited: that makes what the floors did more probable than straight "
+         "lines would (odds 11 to 1)"),
+        (np.log(11.0), 0.0, True, "taken as straight lines: that makes what the floors did more probable than "
+         "band-limited would (odds 11 to 1)"),
+        (0.0, np.log(9.0), True, "taken as band-limited: the floors hardly tell that from straight lines"),
+        (0.0, np.log(1001.0), True, "(odds above 1000)"), (0.0, np.log(998.6), True, "(odds 999 to 1)"),
+        (0.0, 9.0, False, "taken as band-limited: so the model fits the floors better, but it fails a check"),
+    ],
+)  # fmt: skip
+def test_what_speaks_for_a_reading_is_said_with_its_odds(straight, other, told, expected):
+    assert expected in reconstruction.reading_remark("base motion", straight, other, sound=told)
+
+
+LINES = np.arange(0.0, 10.0, 0.1)
+
+
+def resonances(natural, height=1.0, width=0.5):
+    """Functions of two floors with a resonance at each frequency, wholly coherent."""
+    size = sum(height / (1 + ((LINES - at) / width) ** 2) for at in natural)
+    return Transfer(LINES, np.column_stack([size, 2.0j * size]), np.ones((len(LINES), 2)))
+
+
+def test_lines_belong_to_the_mode_that_they_are_nearest_to():
+    natural = np.array([2.02, 2.45, 8.02])
+    for mode, (low, high) in enumerate(((1.7, 2.2), (2.3, 2.9), (6.5, 9.6))):
+        near = comparing.around(LINES, natural, mode, 0.2)
+        np.testing.assert_array_equal(LINES[near], LINES[(low - 1e-9 < LINES) & (high + 1e-9 > LINES)])
+
+
+def test_errors_of_functions_are_rms_around_each_mode_where_something_drives_it():
+    measured, natural = resonances([2.0, 7.0]), np.array([2.0, 7.0])
+    predicted = Transfer(LINES, measured.functions * np.array([1.1, 0.8]), measured.coherence)
+    np.testing.assert_allclose(comparing.errors(measured, predicted, natural), [[0.1, 0.1], [0.2, 0.2]])
+    coherence = np.where((LINES > 4.5)[:, None], [0.59, 0.61], 1.0)
+    part = Transfer(LINES, measured.functions, coherence)
+    np.testing.assert_allclose(comparing.errors(part, predicted, natural), [[0.1, np.nan], [0.2, 0.2]])
+
+
+@pytest.mark.parametrize(("moved", "told"), [([0.25, 0.0], [1]), ([0.11, 0.0], []), ([0.15, 0.7], [1, 2]),
+                                             ([0.13, 0.7], [2]), ([0.0, -0.7], [2])])  # fmt: skip
+def test_a_shift_is_told_where_the_peak_has_fallen_and_others_that_moved_as_much(moved, told):
+    """A resonance of half width 0.5 has fallen to 1 / (1 + (d / 0.5)^2)^2 of its power at a distance d."""
+    natural = np.array([2.0, 5.0])
+    made, seen = resonances(natural), resonances(natural + moved)
+    found = comparing._shifts(seen, made, natural, None)
+    assert [each.mode for each in found] == told
+    for each in found:
+        assert each.measured == pytest.approx(natural[each.mode - 1] + moved[each.mode - 1], abs=0.04)
+        assert each.size == pytest.approx(abs(moved[each.mode - 1]) / natural[each.mode - 1], abs=0.02)
+        assert f"({100 * (each.measured / each.modelled - 1):+.1f} %)" in str(each)
+    second = comparing._shifts(seen, made, natural, np.array([2]))
+    assert [each.mode for each in second] == [mode for mode in told if mode == 2]
+    assert comparing.power_at(made, natural, 0, 2.25) == pytest.approx((1 + (0.25 / 0.5) ** 2) ** -2, abs=0.04)
+
+
+def test_one_factor_on_all_floors_is_a_unit_within_a_quarter_of_its_logarithm():
+    p = np.random.default_rng(3).standard_normal((400, 3))
+    p = p @ (np.eye(3) + 0.3)
+
+    def said(factors):
+        return contradiction([p * factors], [p], np.array([1, 2, 3]))
+
+    assert "near 1000: are the floors in mm/s2?" in said(1000 * np.exp([0.24, 0.24, 0.2]))
+    assert said(1000 * np.exp([0.26, 0.26, 0.27])) == said(np.array([1000.0, 1000.0, 1800.0])) == said(np.ones(3)) == ""
+    assert said(-np.ones(3)) == "every floor moved against the prediction: is the excitation's sign reversed?"
+    assert said(np.array([1.0, -1.0, 1.0])).startswith("floor 2 moved against the prediction (correlation -1.00)")
+    assert said(np.array([1.0, 0.0, 1.0])) == ""
+
+
+def test_two_channels_are_exchanged_where_each_is_nearer_to_the_other():
+    rng = np.random.default_rng(4)
+    p = np.cumsum(rng.standard_normal((500, 3)), axis=1) * [1.0, 2.0, 3.0]
+    floors = np.array([1, 2, 5])
+    said = contradiction([p[:, [0, 2, 1]]], [p], floors)
+    assert said == "floors 2 and 5 fit each other's prediction: are they exchanged?"
+    # As large as before their exchange, they are not told by their sizes.
+    sizes = np.sqrt(np.mean(p**2, axis=0))
+    assert contradiction([p[:, [0, 2, 1]] / sizes[[0, 2, 1]] * sizes], [p], floors) == ""
+
+
+def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_prediction():
+    p = np.random.default_rng(5).standard_normal((200, 4))
+    other = np.random.default_rng(6).standard_normal((200, 4))
+    assert moved_against([p * [1, -1, 1, 1]], [p]).tolist() == [False, True, False, False]
+    assert not moved_against([p * [1, -1, -1, 1]], [p]).any()
+    assert not moved_against([np.column_stack([p[:, :2] * [1, -1], other[:, 2:]])], [p]).any()
+
+
+def test_lines_are_taken_off_that_chance_does_not_make():
+    """A motion of periods T over a time L leaves lines by chance; one much larger than that is the sensor's."""
+    time = np.linspace(-1.0, 1.0, 4000)
+    motion = np.sin(200 * time + 0.3)
+    line = 0.3 + 0.2 * time
+    np.testing.assert_allclose(sensor_line(motion + line), line, atol=0.01)
+    run = RecordedRun(np.column_stack([motion + line, motion]), motion, "a")
+    recording = Recording((run,), 100.0, np.array([1, 2]), "base")
+    (found,) = recording.lines([np.column_stack([motion, motion * 0.9])])
+    np.testing.assert_allclose(found[:, 0], line, atol=1e-9)
+    np.testing.assert_array_equal(found[:, 1], 0.0)
+    np.testing.assert_allclose(recording.less([found]).runs[0].measured[:, 0], motion, atol=1e-9)
+
+
+def estimated(p_value, chi2=30.0, dof=10, shape=0.04):
+    quality = SimpleNamespace(max_shape_error=shape)
+    return SimpleNamespace(p_value=p_value, chi2=chi2, dof=dof, quality=quality)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expected"),
+    [
+        (estimated(0.009), (3.0, 0.04)), (estimated(0.011), (1.0, 0.0)), (estimated(None), (1.0, 0.0)),
+        (estimated(0.009, dof=0), (1.0, 0.0)), (estimated(0.009, chi2=7.0), (1.0, 0.04)),
+        (estimated(0.009, shape=None), (3.0, 0.0)),
+    ],
+)  # fmt: skip
+def test_a_model_that_its_tests_speak_against_is_widened_by_what_they_leave(estimate, expected):
+    assert sources._misfit(estimate) == expected
+    plain = sources.Fitted(None, (), None, None)
+    assert (plain.undetermined, plain.misfit, plain.lacking) == ((), 1.0, 0.0)
+
+
+def test_the_state_of_a_record_is_said_where_it_was_taken_for_granted():
+    tests = [SimpleNamespace(state=state) for state in ("a", "b", "b")]
+    two, one = SimpleNamespace(configurations=tests), SimpleNamespace(configurations=tests[1:])
+
+    def said(experiment, state, *, named=False):
+        remarks = sources.state_remarks(experiment, SimpleNamespace(state=state), tests[1], named=named)
+        return [each.split(":")[0] for each in remarks]
+
+    assert said(two, "b") == said(two, None, named=True) == said(one, None) == []
+    assert said(two, "c", named=True) == ['the record is of state "c", the model that of "b", as asked']
+    assert said(two, "c") == ['the record is of state "c", of which nothing was measured']
+    assert said(two, None) == ["the record names no state"]
+    assert sources.line_remarks(0.0099, "x") == []
+    assert sources.line_remarks(0.0101, "x")[0].startswith("a straight line of up to 1.0 % of x was taken")
+
+
+def test_floor_spectra_reach_from_a_fifth_of_the_first_to_three_times_the_last():
+    def lines(step, frequencies):
+        model = SimpleNamespace(modes=SimpleNamespace(frequencies=np.array(frequencies)))
+        return largest_spectra(model, [np.eye(40, 1), 3.0 * np.eye(40, 1)], step)
+
+    for step, ends in ((0.001, (0.4, 24.0)), (0.02, (0.4, 12.5)), (0.2, (0.4, 2.0))):
+        found = lines(step, [2.0, 5.0, 8.0])
+        np.testing.assert_allclose(found.frequencies[[0, -1]], ends)
+        steps = np.diff(np.log(found.frequencies))
+        assert len(found.frequencies) == 60
+        np.testing.assert_allclose(steps, steps[0])
+        alone = floor_spectra(3.0 * np.eye(40, 1), step, found.frequencies)
+        np.testing.assert_allclose(found.acceleration, alone.acceleration)
+        assert found.damping == 0.05
+
+
+def test_directions_are_followed_half_of_a_mass_or_stiffness_at_most():
+    root = np.array([[0.1, 3.0], [0.2, 0.1], [1.0, 5.0], [2.0, 9.0], [99.0, 99.0]])
+    theta, experiment = np.array([1.0, 2.0, 10.0, 10.0, 1.0]), SimpleNamespace(stories=2)
+    fitted = SimpleNamespace(root=root, theta=theta, experiment=experiment)
+    frame = SimpleNamespace(fitted=fitted, size=5)
+    np.testing.assert_allclose(uncertain._lengths(frame), [1.0, 0.5 / 3.0, 1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(("off", "said"), [(1.9, False), (2.1, True), (-2.1, True)])
+def test_a_ratio_is_missed_beyond_two_deviations(off, said):
+    """The third is of a thousandth of critical, below which deviations are as of one."""
+    ratios = SimpleNamespace(values=np.array([0.02, 0.05, 1e-4]), std=np.full(3, 0.1))
+    frame = SimpleNamespace(ratios=ratios, kind="rayleigh")
+    own = np.array([0.02 * (1 + 0.1 * off), 0.09, 1e-4 + off * 1e-4])
+    damped = SimpleNamespace(model=SimpleNamespace(ratios=np.maximum(own, 0.0)))
+    measured = np.array([0.02, np.nan, 1e-4])
+    found = uncertain._missed(frame, damped, measured)
+    assert bool(found) is said
+    if said:
+        assert "of mode 1" in found[0]
+        assert "Rayleigh damping cannot give" in found[0]
+
+
+def test_what_a_file_expects_of_an_effect_is_taken_at_each_of_its_places():
+    usual = StoryChange()
+    item = {"name": "story_change", "story": None, "floor": None, "size": 0.3, "probability": 0.2}
+    for more, size, probability in (({}, 0.3, 0.2), ({"story": 1}, None, None), ({"floor": 2}, None, None),
+                                    ({"name": "sensor_gain"}, None, None)):  # fmt: skip
+        experiment = SimpleNamespace(expected=[SimpleNamespace(**item | more)])
+        found = frame_prior._expected(usual, experiment, 4)
+        assert found[0] == (size or usual.usual)
+        assert (1 - found[1]) ** 4 == pytest.approx(1 - (probability or usual.probability))
+
+
+@pytest.mark.parametrize(
+    ("samples", "ratio", "expected"), [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16)]
+)
+def test_pieces_show_a_bandwidth_by_eight_lines_or_are_a_fifth_of_the_record_twice(samples, ratio, expected):
+    assert comparing.segment(samples, 50.0, 10.0, ratio) == expected
+
+
+def welch(a, b, length):
+    """The mean over pieces, half overlapping, less their means, under a raised cosine, of conj(a) b."""
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    parts = [np.fft.rfft(window * (each[at : at + length] - each[at : at + length].mean())) for each in (a, b)
+             for at in range(0, len(a) - length + 1, length // 2)]  # fmt: skip
+    half = len(parts) // 2
+    return np.mean(np.conj(parts[:half]) * parts[half:], axis=0)
+
+
+def test_functions_are_of_all_runs_by_their_lengths():
+    rng = np.random.default_rng(11)
+    forces = [rng.standard_normal(count) for count in (200, 320)]
+    heard = [np.convolve(f, [1.0, 0.5, 0.2])[: len(f)] for f in forces]
+    answers = [np.column_stack([own, rng.standard_normal(len(own))]) for own in heard]
+    found = comparing.transfer(forces, answers, 40.0, 40)
+    lines = slice(1, 20)
+    np.testing.assert_allclose(found.frequencies, np.arange(21.0))
+    for floor in range(2):
+        cross, force, power = (
+            sum(len(f) * welch(*pair(f, y[:, floor]), 40) for f, y in zip(forces, answers, strict=True))
+            for pair in (lambda f, y: (f, y), lambda f, y: (f, f), lambda f, y: (y, y))
+        )
+        np.testing.assert_allclose(found.functions[lines, floor], (cross / force)[lines])
+        np.testing.assert_allclose(found.coherence[lines, floor], (np.abs(cross) ** 2 / force / power).real[lines])
+
+
+def test_resonances_peak_between_lines_where_the_floors_answer():
+    """The logarithm of a bell is a parabola."""
+    natural = np.array([3.0, 7.0])
+    bell = np.exp(-((LINES - 3.13) ** 2))[:, None] * [1.0, 2.0j]
+
+    def at(frequencies, functions, coherence):
+        return comparing.peak(Transfer(frequencies, functions, np.full(functions.shape, coherence)), natural, 0)
+
+    assert at(LINES, bell, 0.61) == pytest.approx(3.13)
+    assert at(LINES, bell, 0.59) is None
+    assert at(LINES, np.exp(LINES)[:, None] * [1.0, 2.0], 1.0) is None
+    assert at(LINES, np.exp(-LINES)[:, None] * [1.0, 2.0], 1.0) is None
+    few = np.array([2.4, 3.1, 3.7, 4.5])
+    assert at(few[[0, 1, 3]], np.array([[1.0], [2.0], [1.0]]), 1.0) is None
+    assert at(few, np.array([[1.0], [2.0], [1.0], [0.5]]), 1.0) is not None
+
+
+@pytest.mark.parametrize("samples", [400, 4000])
+def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode(samples):
+    """A record that reads a tenth more on one floor, and that has noise of a fifth of it on the other."""
+    model = DampedModel(*matrices(*damped_frame(3)), np.array([1.0, 1.0, 0.9]))
+    excitation = np.random.default_rng(9).standard_normal(samples)
+    plain = response(model, DrivenRun(excitation), 0.01)
+    shown = plain.acceleration[:, [0, 2]] * [1.0, 0.9]
+    record = shown * [1.1, 1.0]
+    run = DrivenRun(excitation, responses=np.column_stack([record, np.full(samples, np.nan)]))
+    motion = DrivenRecord((run,), 100.0, floors=np.array([1, 3, 9]))
+    found = comparing.compared(model, [plain], motion)
+    assert found.floors.tolist() == [1, 3]
+    np.testing.assert_allclose(found.nrmse, [0.1 / 1.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found.rms_ratio, [1 / 1.1, 1.0])
+    np.testing.assert_allclose(found.peak_ratio, [1 / 1.1, 1.0])
+    np.testing.assert_allclose(found.frf_error, [[0.1 / 1.1] * 3, [0.0] * 3], atol=1e-9)
+    assert (found.shifts, found.contradiction) == ((), "")
+    bare = DrivenRecord((DrivenRun(excitation),), 100.0)
+    assert comparing.compared(model, [plain], bare) is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(9.80665, "base motion in g"), (0.10197, "floors in g"), (1000.0, "floors in mm/s2"),
+     (1e-3, "base motion in mm/s2"), (100.0, "floors in cm/s2"), (0.01, "base motion in cm/s2"),
+     (386.1, "floors in in/s2")],
+)  # fmt: skip
+def test_each_unit_is_told_to_a_fifth(factor, said):
+    p = np.random.default_rng(3).standard_normal((100, 2))
+    for times in (0.8, 1.25):
+        assert said in contradiction([p * factor * times], [p], np.array([1, 2]))
+
+
+def drifting(ratios):
+    """A response whose drift ratios peak at these values."""
+    others = "acceleration", "displacement", "drift", "story_shear", "base_shear", "overturning_moment"
+    return SimpleNamespace(**dict.fromkeys(others), drift_ratio=np.array([0.0, 1.0, 0.0])[:, None] * ratios)
+
+
+def test_limits_are_passed_with_the_probability_of_a_normal_peak_and_of_yielding_stories_only_for_sure():
+    limits = Limits([0.01, 0.02], ("a", "b"))
+    peaks = Peaks({"story_drift_ratio": np.array([0.012, 0.009])}, {"story_drift_ratio": np.array([0.001, 0.001])})
+    z = np.array([[2.0, -1.0], [-8.0, -11.0]])
+    np.testing.assert_allclose(reconstruction._passed(limits, peaks, None, nonlinear=False), stats.norm.cdf(z))
+    sure = np.array([[stats.norm.cdf(2.0), np.nan], [np.nan, np.nan]])
+    found = reconstruction._passed(limits, peaks, None, nonlinear=True)
+    np.testing.assert_allclose(found, sure)
+    for alone, told in ((0.0101, sure), (0.0099, np.full((2, 2), np.nan))):
+        predicted = [drifting(np.array([alone, 1.0])), drifting(np.array([0.005, 0.0]))]
+        np.testing.assert_allclose(reconstruction._passed(limits, peaks, predicted, nonlinear=True), told)
+    none = Peaks({}, {})
+    assert reconstruction._passed(limits, none, None, nonlinear=False) is None
+
+
+@pytest.mark.parametrize(("alike", "told"), [(0.92, True), (0.935, False)])
+def test_an_exchange_must_bring_a_tenth_of_squared_correlation(alike, told):
+    """A record's correlation is 0.6 with the other floor's prediction, and 0.6 of that of both with its own."""
+    e = np.linalg.qr(np.random.default_rng(0).standard_normal((60, 4)))[0].T
+    p = np.column_stack([e[0], 2 * (alike * e[0] + np.sqrt(1 - alike**2) * e[1])])
+    y = np.column_stack([0.6 * p[:, 1] + 2 * 0.8 * e[2], 0.6 * p[:, 0] + 0.8 * e[3]])
+    assert bool(contradiction([y], [p], np.array([1, 2]))) is told
+    # Both must be like each other's prediction.
+    y[:, 1] = 0.49 * p[:, 0] + np.sqrt(1 - 0.49**2) * e[3]
+    assert contradiction([y], [p], np.array([1, 2])) == ""
+
+
+@pytest.mark.parametrize(("late", "kept"), [(0.0, False), (0.03, True)])
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_delay_is_put_back_without_which_a_sensor_is_farther_from_its_prediction(late, kept, shared):
+    """The delay of 0.03 s that was taken out of floor 3 is the prediction's own, or it is not."""
+    time = np.arange(500) / 100
+
+    def at(shift):
+        return np.column_stack([np.sin(9 * time), np.sin(9 * (time + shift) + 1.0)])
+
+    said = ("x" if shared else "", "x")
+    runs = tuple(RecordedRun(at(0.03), np.zeros(500), name) for name in "ab")
+    recording = Recording(runs, 100.0, np.array([1, 3]), "base", remarks=("x", "y"),
+                          late=np.array([[0.0, 0.0], [0.03, 0.0]]), late_remarks=said)  # fmt: skip
+    found = _with_delays(recording, [at(late)] * 2)
+    inner = slice(100, 400)
+    for run in found.runs:
+        np.testing.assert_allclose(run.measured[inner], at(0.03 if kept else 0.0)[inner], atol=1e-4)
+    left_in = ["x; left in for floor 3"] if shared else []
+    assert list(found.remarks) == (["x", "y"] if kept else ["y", *left_in])
