@@ -32,7 +32,7 @@ smaller."""
 STRONGER = 1.5
 """Times the motion of the weaker half: below, both halves are alike, and neither has to scatter more."""
 FEWEST_BLOCKS = 8
-"""Blocks of which half, four, still determine the modes and show how they scatter."""
+"""Least number of blocks: half of them, four, still determine the modes and their scatter."""
 
 
 def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:

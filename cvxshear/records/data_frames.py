@@ -180,7 +180,7 @@ def matrix_of(value: Any, where: str, dtype: type) -> Any:
     Raises
     ------
     InputError
-        Where it is none.
+        The object is not a table.
     """
     try:
         given = np.ma.filled(value.astype(dtype), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)

@@ -141,8 +141,8 @@ def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
 
 
 BIAS_LEFT = 1.0 / 3.0
-"""Bias of an observer over what half its lags change, which is three times as much where the bias falls with the square
-of the lags (Richardson's extrapolation); that of the damping ratio of a frame's highest modes does."""
+"""Ratio of an observer's bias to the change with half its lags. The change is three times the bias if the bias falls
+with the square of the lags (Richardson's extrapolation), as for the damping ratios of the highest modes."""
 NO_CHANGE = 1e-9
 """Change of a parameter, relative or of an entry of at most 1, that is rounding."""
 SURROGATES = 20

@@ -123,10 +123,7 @@ def _nearest_unit(size: float) -> str | None:
 
 
 def unit_in_truth(channel: Channel, factor: float) -> str | None:
-    """Name the unit that a channel was recorded in, where its values are to be multiplied by a factor; None if none is.
-
-    What it was declared in, or m/s2, times the factor.
-    """
+    """Name the unit of a channel whose values need a factor: declared unit or m/s2, times factor; None if unknown."""
     return _nearest_unit(IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
 
 

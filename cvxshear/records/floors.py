@@ -1,8 +1,8 @@
-"""Several sensors on one floor: what they have in common is the floor's motion, their difference its rotation.
+"""Several sensors on one floor: their common motion is the floor's sway, their difference its rotation.
 
 A rigid floor that moves by U in the direction of test and turns by t moves by u = U - t y at the distance y across that
-direction from its center. Sensors whose positions are declared give U and t by least squares; where positions are not
-declared, or the center lies far beyond the sensors, their mean stands for U.
+direction from its center. Sensors with declared positions give U and t by least squares. Without positions, or with a
+center far beyond the sensors, U is their mean.
 """
 
 import dataclasses
@@ -20,28 +20,28 @@ from cvxshear.util.quantities import STANDARD_GRAVITY
 from cvxshear.util.typing import Floats, Ints
 
 ACROSS = 30.0
-"""Degrees from the direction of test, or from its opposite, beyond which a sensor says little of it."""
+"""Largest angle, degrees, between a useful sensor and the direction of test or its opposite."""
 ROTATES = 0.05
 """Share of a floor's mean square motion in its rotation that is worth a word."""
 LINES_A_HERTZ, NEARBY = 20.0, 0.01
-"""Lines of the spectra that a mode's rotation is told by, and how far about its frequency, relative."""
+"""Number of spectral lines for a mode's rotation, and their relative distance from its frequency."""
 LARGEST_WEIGHTS = 1.5
-"""Root of the sum of squares of the weights by which sensors make the motion of the center: a center so far beyond
-them that their noise grows by half is not reached, and their mean (0.7 for two) is taken."""
+"""Largest root of the sum of squares of the sensors' weights in the motion of the center. If the center is so far
+beyond the sensors that noise grows by half, their mean (0.7 for two) is taken."""
 CONTRADICTING = 4.0
-"""Mean square of the difference over that of the mean from which on two sensors on one floor contradict each other,
-both counted as far as they move with the other floors, where there are any: a rotation that only they see is none."""
+"""Two sensors on one floor contradict each other above this ratio of the mean squares of their difference and their
+mean. Only motion in common with the other floors counts, if there are any."""
 
 
 SAME_SCALE = 4.0
-"""Ratio of what two sensors on one floor show of the other floors' motion, from which on one is in another unit.
+"""Two sensors on one floor have different units above this ratio of their common motion with the other floors.
 Sensors 5 m from the center of floors that turn reached 1.9 in 56 simulated records; the least ratio of units is 9.8."""
 
 
 def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     """Bring the record to one channel a floor, the motion of the floor's center in the direction of test.
 
-    A sensor at `direction` degrees from that of test shows the floor's motion times the cosine; one more than
+    A sensor at `direction` degrees from the direction of test shows the floor's motion times the cosine; one more than
     30 degrees off is left out. Of several sensors the center's motion follows from their positions across the
     direction of test, or is their mean.
 
@@ -71,7 +71,7 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
 
 
 def _beside_the_center(record: Record, groups: Sequence[Ints]) -> Iterator[Finding]:
-    """Report floors whose one sensor stands beside their center: what they turn by is in its record."""
+    """Report floors with a single sensor beside their center: its record contains the rotation."""
     across = np.array([np.nan if channel.position is None else channel.position[1] for channel in record.channels])
     # Half the distance of sensors whose difference shows the rotation.
     half = [0.5 * float(np.ptp(across[group])) for group in groups if len(group) > 1 and np.ptp(across[group]) > 0]
@@ -81,14 +81,14 @@ def _beside_the_center(record: Record, groups: Sequence[Ints]) -> Iterator[Findi
             seen = (
                 "its entries are as uncertain as the other floors turn" if half else "no floor shows how much it turns"
             )
-            # The sensor's place is known, where that of a center between two is anywhere: see `records.identify`.
+            # The place of the sensor is known; the center between two sensors may be anywhere (see `records.identify`).
             arm = off * np.sqrt(3.0) / np.mean(half) if half else 0.0
             numbers = {"floor": channel.floor, "channels": [channel.name], "placed": False, "arm": float(arm)}
             yield finding("rotation/one sensor", numbers, off=off, seen=seen)
 
 
 def center_weights(channels: Sequence[Channel], group: Ints) -> tuple[Floats, bool]:
-    """Find the weights by which a floor's sensors make its motion, shape (sensors,), and whether by their positions."""
+    """Find the weights of a floor's sensors in its motion, shape (sensors,), and whether positions determine them."""
     places = [channels[int(column)].position for column in group]
     across = np.array([0.0 if place is None else place[1] for place in places])
     if None not in places and np.ptp(across) > 1e-3 * np.abs(across).max():
@@ -196,7 +196,7 @@ def _mean_square(values: Any) -> float:
 
 
 def _moving_with(others: Floats | None, values: Any) -> Any:
-    """Project each column on the other floors' motions; all of it is returned where there are none."""
+    """Project each column on the other floors' motions; without other floors, return it unchanged."""
     if others is None:
         return values
     return others @ np.linalg.lstsq(others, values, rcond=None)[0]

@@ -50,7 +50,7 @@ def modal_products(
     """Turn amplitudes into shape times participation, shape (modes, outputs, inputs); real for real modes.
 
     The receptance residue of a mass-normalized real mode is phi_i phi_d / (2i w_d); a derivative multiplies
-    it by the eigenvalue, a base acceleration's participation stands for -phi_d. The sampled sequence is 1/fs
+    it by the eigenvalue, a base acceleration's participation replaces -phi_d. The sampled sequence is 1/fs
     times the continuous one.
     """
     factor = 2j * np.abs(eigenvalues.imag) / eigenvalues ** DERIVATIVES[quantity]
@@ -59,7 +59,7 @@ def modal_products(
 
 
 def unwrapped(amplitudes: Complexes, eigenvalues: Complexes, length: float) -> Complexes:
-    """Amplitudes of the response itself, from those of one folded back onto itself after `length` seconds."""
+    """Compute the amplitudes of a response from its copy folded onto itself after `length` seconds."""
     return np.asarray(amplitudes * (1 - np.exp(eigenvalues * length))[:, None, None])
 
 
@@ -140,9 +140,9 @@ class FrfSource(Source):
     impulse response that ends where the hammer's spectrum or the record does is no such sum, which bends the highest
     modes. The same division makes a table of functions the responses to a unit pulse.
 
-    Where a floor was hit three times or more, only the products of different hits at it make the matrix whose
-    eigenvectors the poles come from: H_a H_b' of two Hankel matrices, whose noise has nothing in common. The product of
-    a hit with itself has the noise's power in it, which bends weak modes by more than they scatter.
+    With three or more hits at a floor, the poles come from the eigenvectors of the products H_a H_b' of different hits
+    at it. The noise of two such Hankel matrices is independent. The product of a hit with itself has the noise's power
+    in it, which bends weak modes by more than they scatter.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ class ImpulseSource(Source):
     sampling_rate : float
         Hz.
     releases : bool, optional
-        Whether the columns are decays from several releases, of which three can be left out one at a time.
+        Whether the columns are decays from several releases; three or more can be left out one at a time.
     """
 
     def __init__(self, impulse: Impulse, sampling_rate: float, *, releases: bool = False) -> None:
@@ -307,14 +307,14 @@ def markov_hankel(sequence: Floats, start: int) -> Floats:
 
 
 def table_spectra(record: FrfRecord, highest: float = np.inf) -> tuple[list[Spectra], int]:
-    """Read a table of functions, up to so many Hz, as spectra under a unit force from 0 Hz on.
+    """Read a table of functions up to a frequency, Hz, as spectra under a unit force from 0 Hz on.
 
     The number of samples that their inverse transforms have comes second.
     """
     missing = round(float(record.frequencies[0]) / record.step)
     result = []
     for run in record.runs:
-        # What lies below the first line was not measured; rigid-body motion of a fixed frame is nil there.
+        # The table has no data below its first line; rigid-body motion of a fixed frame is zero there.
         padding = np.zeros((missing, run.responses.shape[1]))
         response = np.vstack([padding, run.responses])
         response = response[: int(np.ceil(min(highest / record.step, len(response) - 1))) + 1]
@@ -326,7 +326,7 @@ def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
     """Transform every hit from just before the hammer meets the frame, as many zeros behind it as it has samples.
 
     Products of such spectra are correlations that do not fold their end onto their start. The length of the transforms,
-    twice that of the shortest hit, comes second.
+    twice the shortest hit, comes second.
     """
     starts = [hit_start(run) for run in record.runs]
     samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
@@ -341,7 +341,7 @@ def hit_spectra(record: TimeRecord) -> tuple[list[Spectra], int]:
 
 
 def reach(record: TimeRecord) -> float:
-    """Find the frequency, Hz, at which the blows' spectrum first falls to nothing, or half the sampling rate."""
+    """Find the first frequency, Hz, without energy of the blows, or half the sampling rate."""
     spectra, samples = hit_spectra(record)
     power = np.sum([item.force_force for item in spectra], axis=0)
     weak = np.flatnonzero(power < WEAKEST_FORCE * power.max())
@@ -363,7 +363,7 @@ def hit_start(run: Run) -> int:
 
 
 APART = 0.5
-"""Seconds between blows from which on they are hits of their own: a hammer that bounces comes back sooner."""
+"""Least time, s, between separate hits: a hammer that bounces comes back sooner."""
 
 AHEAD = 0.1
 """Seconds of quiet that a hit parted from others keeps ahead of its blow."""

@@ -1,4 +1,4 @@
-"""What a record shows over frequency: measured functions and their coherence.
+"""Functions of frequency from a record, and their coherence.
 
 Driven records have frequency response functions, H1 with the spectra averaged over hits or over Welch's segments;
 ambient ones have half-spectra, the transforms of the covariances at positive lags, which are sums of the same
@@ -23,7 +23,7 @@ LINES = 512
 FEWEST_SEGMENTS = 8
 """Of a continuous record; with fewer averages its coherence says nothing."""
 LAG_WINDOW = 0.01
-"""What is left of a covariance at the last lag, an exponential window against its noise."""
+"""Value of the exponential window on covariances at the last lag; the window reduces noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +43,8 @@ class Functions:
     driven : bool
         Whether an input was measured.
     coherence : array, shape (lines, outputs, inputs), or None
-        Of each response with the input or, where none was measured, with the reference; None where nothing was
-        averaged.
+        Coherence of each response with the input or, without a measured input, with the reference; None without
+        averages.
     quantity : str
         What the responses are.
     decay : float
@@ -152,7 +152,7 @@ def _lines(samples: int, rate: float) -> Floats:
 
 
 def _segment(record: TimeRecord, highest: float) -> int:
-    """Choose the samples of a segment: an even number, of which the runs hold enough."""
+    """Choose an even number of samples for each segment, small enough for several segments in the runs."""
     samples = min(run.samples for run in record.runs)
     wanted = LINES * record.sampling_rate / min(highest, record.sampling_rate / 2)
     return max(64, int(min(wanted, 2 * samples / FEWEST_SEGMENTS))) // 2 * 2

@@ -18,7 +18,7 @@ from cvxshear.records.functions import measured_functions
 from cvxshear.records.late_clocks import CERTAIN_DELAY, clock_drift, clock_offset
 from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
-from cvxshear.records.placement import SURE, findings_of, weighed
+from cvxshear.records.placement import findings_of, weighed
 from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, Attempt, default_method, settled, source_of
 from cvxshear.records.realization import Source
 from cvxshear.records.record import Finding, FrfRecord, Record
@@ -29,6 +29,7 @@ from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
 from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.quantities import SURE
 
 CLOCKS = ("clock offset", "clock drift")
 """Kinds of findings that the whole band and the modes may both tell of a channel."""

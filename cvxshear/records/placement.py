@@ -18,7 +18,7 @@ from cvxshear.records.examination import in_unit, unit_in_truth
 from cvxshear.records.findings import finding
 from cvxshear.records.record import Channel, Finding
 from cvxshear.util import ranking
-from cvxshear.util.quantities import STANDARD_GRAVITY, chance, listed
+from cvxshear.util.quantities import STANDARD_GRAVITY, SURE, chance, listed
 from cvxshear.util.typing import Floats, Ints
 
 REVERSED = 0.02
@@ -43,8 +43,6 @@ NEAR_TOP = 0.9
 """Of the height: the second mode's node lies below it."""
 UNUSUAL = 3.0
 """Loss of log likelihood for a second mode whose node is beyond the sensors."""
-SURE = 0.95
-"""Least probability of a hypothesis that is accepted."""
 UNNAMED = 0.005
 """Least total probability of the other hypotheses that is reported."""
 DOUBTFUL = 0.3

@@ -60,8 +60,8 @@ LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 """Largest relative standard deviations of measurements; larger ones may be in percent."""
 
 COARSE_STEP, FEWEST_ROUNDED = 2.0, 4
-"""Times the stated standard deviation that rounding alone makes, from which on it is worth a word; and so many numbers
-that end at the same decimal place, which of numbers that were not rounded one set in ten thousand does."""
+"""Least reported ratio of the rounding error to the stated standard deviation, and least count of numbers with the same
+last decimal place; without rounding, one set in ten thousand has this."""
 
 
 def gravity(experiment: Experiment) -> Iterator[FileFinding]:

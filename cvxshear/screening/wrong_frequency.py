@@ -9,8 +9,8 @@ logarithm of its likelihood, and J its residuals' derivatives, minus twice the l
 
 for one of K frequencies in a share q of all files. A frequency is named only where everything else then fits as its
 deviations say, on more data than the frame takes up, and where no single effect of the catalogue, and no change between
-the tests, accounts for the data nearly as well. A mass on a spring does where its own mode, or the other of the two
-that it makes of one, was taken for the frame's: both are said, a doubt unless the mass is improbable.
+the tests, accounts for the data nearly as well. A mass on a spring accounts for the data if its own mode, or the second
+of its two modes, was taken for the frame's. Both causes are reported, as a doubt unless the mass is improbable.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, pr
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError
-from cvxshear.util.quantities import significant
+from cvxshear.util.quantities import SURE, significant
 from cvxshear.util.typing import Floats
 
 MISTYPED = 0.3
@@ -41,9 +41,6 @@ MISTYPED = 0.3
 
 AS_STATED = 0.01
 """Least probability of the other data's chi-square; below it, their deviations are too small."""
-
-WRONG_FOR_SURE = 0.95
-"""Least probability of a wrong frequency, against a mass on a spring, for a refusal. The finding names both."""
 
 FEWEST_SPARE = 2.0
 """Least number of data, beyond the frame's parameters, for a test of the fit."""
@@ -226,7 +223,7 @@ def _beside_a_mass(found: FileFinding, test: str, rivals: Sequence[tuple[ModelCl
         where="" if placed.place.state is None else f' of "{test}"',
     )[1:]  # fmt: skip
     said, change = f"{found.found}; {said}", f"{found.change}; {change}"
-    return dataclasses.replace(found, found=said, change=change, refuses=share < 1.0 - WRONG_FOR_SURE)
+    return dataclasses.replace(found, found=said, change=change, refuses=share < 1.0 - SURE)
 
 
 def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> FileFinding:

@@ -18,6 +18,9 @@ DISPLAY_UNITS = {
 }
 """What a unit is in kg, N or m."""
 
+SURE = 0.95
+"""Probability of a certain conclusion, the usual level of confidence."""
+
 STANDARD_GRAVITY = 9.80665
 """m/s2, by definition (CGPM 1901): what a sensor's "g" is."""
 
