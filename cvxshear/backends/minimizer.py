@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -27,6 +26,7 @@ from scipy.linalg import lapack
 
 from cvxshear.backends.canonical import DEPENDENT, LAPACK_BLOCK, independent_rows
 from cvxshear.programs.certificate import Assembled, Point, length
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 ACTIVE_SETS = 10

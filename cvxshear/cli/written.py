@@ -10,7 +10,7 @@ import typer
 
 from cvxshear.cli.options import FIGURES, claim, writes
 from cvxshear.cli.output import show
-from cvxshear.util.errors import InputError, optional
+from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
     from cvxshear.io.spreadsheets import Sheet
@@ -61,14 +61,16 @@ class Pictures:
     Raises
     ------
     InputError
-        Where a kind is unknown, or matplotlib is missing.
+        If a kind is unknown.
     """
 
     def __init__(self, asked: Sequence[str] | None, result: type) -> None:
         self._wanted: list[tuple[FigureEntry, str]] = []
         if not asked:
             return
-        figures = optional("cvxshear.report.figures", "--figure needs", "matplotlib").figures_of(result)
+        from cvxshear.report.figures import figures_of
+
+        figures = figures_of(result)
         if LIST in asked:
             from cvxshear.report.terminal import plain_table
 

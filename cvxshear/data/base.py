@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,6 +13,8 @@ from cvxshear.data.pairing import paired
 from cvxshear.effects.state import State
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model.shear import Modes, System, mode_derivatives, modes
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
@@ -246,7 +247,7 @@ class Datum(ABC):
         r = self.residual(model).r
         deviation = float(np.sqrt(np.mean(r**2))) if r.size else 0.0
         errors = next(iter(self.errors(model).values()), np.zeros(0))
-        error = float(errors[np.argmax(np.abs(errors))]) if errors.size else None
+        error = float(errors[ranking.first_largest(np.abs(errors))]) if errors.size else None
         return [Deviation(self.noise.name, self.tested.name, self.label, error, deviation, max(len(r), 1))]
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats
 
 

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.observation import Observation
 from cvxshear.model.shear import Modes, attached_share, frame_modes
+from cvxshear.util import ranking
 from cvxshear.util.typing import Complexes, Floats, Ints
 
 PAIRED = 0.5
@@ -68,7 +69,7 @@ def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:
             unseen.add(floors)
         log_found, measured = np.log(found.frequencies), np.log(configuration.frequencies)
         candidates = [np.delete(every, mode)[declared] for mode in sorted(unseen)]
-        return min(candidates, key=lambda each: float(np.sum((log_found[each] - measured) ** 2)))
+        return ranking.ranked(candidates, lambda each: -float(np.sum((log_found[each] - measured) ** 2)))[0]
     return np.asarray(frame_modes(found, M, floors)[declared])
 
 

@@ -11,6 +11,7 @@ from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, 
 from cvxshear.data.pairing import scaled
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.util import ranking
 from cvxshear.util.typing import Bools, Floats, Ints
 
 
@@ -142,6 +143,6 @@ def shape_errors(measured: Floats, modelled: Floats) -> Floats:
     The measured shape is scaled to a largest entry of 1, the model's to it by least squares; entries that were not
     measured are zero in both.
     """
-    unit = measured / measured[np.arange(len(measured)), np.argmax(np.abs(measured), axis=1)][:, None]
+    unit = measured / measured[np.arange(len(measured)), ranking.largest(np.abs(measured))][:, None]
     scale = np.sum(unit * modelled, axis=1) / np.sum(modelled**2, axis=1)
     return np.asarray(np.max(np.abs(scale[:, None] * modelled - unit), axis=1))

@@ -17,6 +17,7 @@ from cvxshear.effects.stories import with_changed_story
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, Configuration
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
+from cvxshear.util import ranking
 from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -89,7 +90,7 @@ class OpenClass(Effect):
         """List the entries that stand out of their deviations, the most significant first."""
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.nan_to_num(np.abs(values) / std)
-        order = [int(i) for i in np.argsort(-z, kind="stable") if z[i] >= STANDS_OUT]
+        order = [i for i in ranking.order(z) if z[i] >= STANDS_OUT]
         return order[:MOST_NAMED]
 
 

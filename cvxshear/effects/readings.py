@@ -14,6 +14,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Constraints, Prior
 from cvxshear.priors.base import QUANTITY_UNITS
+from cvxshear.util import ranking
 from cvxshear.util.quantities import scaled, with_std
 from cvxshear.util.typing import Floats
 
@@ -226,7 +227,7 @@ class WrongExactPrior(Effect):
         return state
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        at = int(np.argmax(np.abs(values)))
+        at = ranking.first_largest(np.abs(values))
         factor, unit = scaled([float(values[at])], units[at])
         size = with_std(abs(float(values[at])), float(std[at]), unit, factor)
         return f'the statement "{place.prior}", declared as exact, is off by {size}'

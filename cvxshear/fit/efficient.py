@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from scipy import special
@@ -28,6 +27,7 @@ from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.programs.constraints import refuse_contradicting
+from cvxshear.util.cached import cached_property
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 

@@ -19,7 +19,7 @@ from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
-from cvxshear.util import checks
+from cvxshear.util import checks, ranking
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -210,6 +210,6 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
     """Bound the program's largest answer below what it would be."""
     answer = origin + backends.get("auto").solve(program).x
     upper = np.full(len(origin), np.inf) if program.upper is None else program.upper.copy()
-    largest = int(np.argmax(answer))
+    largest = ranking.first_largest(answer)
     upper[largest] = min(upper[largest], TIGHTER * answer[largest] - origin[largest])
     return program.replace(upper=upper)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.special import expit
@@ -18,6 +17,7 @@ from cvxshear.effects import Placed
 from cvxshear.effects.composition import acting_on, composed, slices
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.util.cached import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints
 

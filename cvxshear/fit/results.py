@@ -14,6 +14,7 @@ from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.quality import Quality
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs import ActiveConstraint
+from cvxshear.util import ranking
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.quantities import column_name
 from cvxshear.util.results import InJson, Shown, as_json, data_frame
@@ -96,7 +97,7 @@ class Prediction(InJson):
         """Return the prediction of a model of a tested state."""
         # Gains of sensors are not part of the motion; attached masses are not floors.
         shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
-        largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
+        largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
         return Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None])
 
 

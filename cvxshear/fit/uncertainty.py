@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -21,6 +20,8 @@ from scipy import linalg
 from cvxshear.fit.domain import Domain
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats
 
 NULL = 1e-6
@@ -201,5 +202,5 @@ def _split(J: Floats, basis: Floats) -> tuple[tuple[Floats, Floats], Floats]:
 def _words(direction: Floats, names: Sequence[str]) -> tuple[str, ...]:
     """List the parameters in a null direction with more than a tenth of its largest entry, largest first."""
     size = np.abs(direction)
-    order = np.argsort(-size, kind="stable")
+    order = ranking.order(size)
     return tuple(names[i] for i in order if size[i] > 0.1 * size[order[0]])

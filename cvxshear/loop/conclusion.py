@@ -28,6 +28,7 @@ from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, St
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.loop.twins import dual_fits_as_well, dual_set
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.quantities import listed, significant
 
@@ -129,7 +130,7 @@ def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[S
     wanted = posterior.verdict_set()
     for each in own:
         each.fit_of(wanted)
-    best = max(own, key=lambda each: each.visited[wanted].score)
+    best = ranking.ranked(own, lambda each: each.visited[wanted].score, same=ranking.SAME_ODDS)[0]
     return best, best.visited[wanted]
 
 
@@ -286,7 +287,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
         sums[model.effects, model.changes] += float(probability)
     # A set may explain the data with two frames: it is shown once, as its better one.
     best = {(model.effects, model.changes): model for model in reversed(posterior.models)}
-    for key in sorted(best, key=lambda key: -sums[key]):
+    for key in ranking.ranked(best, sums.__getitem__):
         model = best[key]
         if sums[key] >= REPORTED and model.estimate is not None:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from scipy import special
@@ -20,6 +19,8 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_interval
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 12
@@ -158,7 +159,7 @@ class Linearised:
         own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
         for _ in range(min(len(self.lacking), MOST_TAKEN)):
             gains = self._gains(own, left) + open_to
-            at = int(np.argmax(gains))
+            at = ranking.first_largest(gains)
             if not gains[at] > 0.0:
                 break
             best = self.lacking[at]
@@ -241,7 +242,7 @@ class Linearised:
         """List the parameters of the fit whose change does what an effect does; largest part first."""
         g = self._columns[:, self._at[placed]].sum(axis=1)
         part = np.abs(self._free @ (self._reached.T @ g)) * np.linalg.norm(self.base.fit.at.J, axis=0)
-        order = np.argsort(-part, kind="stable")
+        order = ranking.order(part)
         return tuple(names[i] for i in order if part[i] > share * part[order[0]])
 
     def precision_gained(self, placed: Placed) -> float:

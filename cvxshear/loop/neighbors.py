@@ -20,6 +20,7 @@ from cvxshear.fit.gauss_newton import HOPELESS
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
+from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
@@ -60,14 +61,14 @@ def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: flo
     """
     odds = fitter.log_priors(linear.lacking, model.effects)
     gains = linear.gains + odds
-    order = np.argsort(-gains, kind="stable")
+    order = ranking.order(gains)
     floor = max(float(gains[order[0]]), 0.0, behind) - WITHIN
     # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
     least = MOST_FURTHER if _far_off(model) else LEAST_FURTHER
     single = [linear.lacking[i] for at, i in enumerate(order[:MOST_FURTHER]) if at < least or gains[i] > floor]
     if model.improbable:
         # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
-        by_gain = [linear.lacking[i] for i in np.argsort(-linear.gains, kind="stable")]
+        by_gain = [linear.lacking[i] for i in ranking.order(linear.gains)]
         single += [placed for placed in by_gain if placed.effect.rescales][:RESCALING]
     several = model.effects.union(linear.forward(odds))
     return [*(model.effects | {placed} for placed in single), *_pairs(model, linear, odds), several]
@@ -81,7 +82,7 @@ def _pairs(model: ModelClass, linear: Linearised, odds: Floats) -> list[Set]:
     better = together - np.maximum(np.maximum(alone[:, None], alone[None, :]), 0.0)
     above = np.triu(np.ones_like(together), 1) > 0
     candidates = np.argwhere(above & (better > 0) & (together > threshold - WITHIN))
-    ranked = sorted(candidates.tolist(), key=lambda pair: -together[pair[0], pair[1]])
+    ranked = ranking.ranked(candidates.tolist(), lambda pair: float(together[pair[0], pair[1]]))
     return [model.effects | {linear.lacking[i], linear.lacking[j]} for i, j in ranked[:PAIRS]]
 
 
@@ -174,7 +175,7 @@ def _from_starts(proposals: Sequence[tuple[FitProposal, Placed]], base: Estimate
         for start in motion.effect.starts
     ]
     left = np.array([_after_a_step(proposal) for proposal in started])
-    return [started[i] for i in np.argsort(left, kind="stable")[:MOTIONS] if left[i] <= most]
+    return [started[i] for i in ranking.order(-left)[:MOTIONS] if left[i] <= most]
 
 
 def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fitter) -> list[FitProposal]:

@@ -11,6 +11,7 @@ import numpy as np
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.separation import Disagreement, disagreement, imagined
 from cvxshear.measurement.experiment import Configuration
+from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Ints
@@ -106,11 +107,11 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         for (test, first), nearest in zip(possible, distance.min(axis=1), strict=True)
     ]
     # The first of equals: the state, floor and mass that come first.
-    found.sort(key=lambda each: -each[0].standard_deviations)
+    found = ranking.ranked(found, lambda each: each[0].standard_deviations)
     best = found[0][0]
     if best.standard_deviations < CLEAR:
         more = [_with_sensors(accepted, rivals, test, first) for test, first in found[:PROMISING]]
-        best = max([best, *more], key=lambda test: test.standard_deviations)
+        best = ranking.ranked([best, *more], lambda test: test.standard_deviations)[0]
     return best if best.standard_deviations >= WORTHWHILE else None
 
 

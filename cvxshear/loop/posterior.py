@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +14,8 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, log_odds
 from cvxshear.loop.numbering import Changes, NumberingProbability
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -77,7 +78,7 @@ class Posterior:
     ) -> None:
         self._twins = twins or {}
         fitted = [model for model in models if model.estimate is not None and np.isfinite(model.score)]
-        self.models = _distinct(sorted(fitted, key=lambda model: -model.score))
+        self.models = _distinct(ranking.ranked(fitted, lambda model: model.score, same=ranking.SAME_ODDS))
         scores = np.array([model.score for model in self.models])
         weights = np.exp(scores - scores[0])
         self.probabilities: Floats = weights / weights.sum()
@@ -113,7 +114,7 @@ class Posterior:
         sums: dict[Changes, float] = {}
         for model, probability in zip(self.models, self.probabilities, strict=True):
             sums[model.changes] = sums.get(model.changes, 0.0) + float(probability)
-        order = sorted(sums, key=lambda changes: -sums[changes])
+        order = ranking.ranked(sums, sums.__getitem__)
         return tuple(NumberingProbability(changes, min(sums[changes], 1.0)) for changes in order)
 
     def within(self, changes: Changes) -> Posterior:
@@ -152,7 +153,7 @@ class Posterior:
         chance = self._in_sets if probability is None else probability
         position = {placed: at for at, placed in enumerate(self._prior)}
         groups: list[list[Placed]] = []
-        for placed in sorted(effects, key=lambda each: -chance[each]):
+        for placed in ranking.ranked(effects, chance.__getitem__):
             if groups and chance[placed] >= (1.0 - AS_PROBABLE) * chance[groups[-1][0]]:
                 groups[-1].append(placed)
             else:

@@ -9,6 +9,7 @@ from scipy import special
 
 from cvxshear.data import Datum, Deviation, Model
 from cvxshear.fit.efficient import Estimate
+from cvxshear.util import ranking
 
 CONSPICUOUS = 0.01
 """Probability below which a part of the residual is pointed out, the number of parts accounted for."""
@@ -56,7 +57,7 @@ def where_it_sits(estimate: Estimate) -> list[str]:
         for floor, deviation in floors.items()
         if special.chdtrc(rows, deviation**2 * rows) < level
     ]
-    return [text for _, text in sorted(found, key=lambda item: -item[0])]
+    return [text for _, text in ranking.ranked(found, lambda item: item[0])]
 
 
 def _said(part: Deviation) -> str:

@@ -35,6 +35,7 @@ from cvxshear.loop.neighbors import (
     with_motions,
 )
 from cvxshear.loop.twins import Invariances, invariances
+from cvxshear.util import ranking
 from cvxshear.util.typing import Floats
 
 BEAM = 6
@@ -113,7 +114,7 @@ class Search:
     def beam(self) -> list[ModelClass]:
         """The most probable sets so far, those with an open class counted by themselves: they go with every cause."""
         fitted = [model for model in self.visited.values() if model.estimate is not None]
-        fitted.sort(key=lambda model: -model.score)
+        fitted = ranking.ranked(fitted, lambda model: model.score, same=ranking.SAME_ODDS)
         causes = [model for model in fitted if not holds_open(model.effects)][:BEAM]
         others: list[ModelClass] = []
         for model in fitted:
@@ -122,7 +123,7 @@ class Search:
                 others.append(model)
             if len(others) == BEAM // 2:
                 break
-        return sorted((*causes, *others), key=lambda model: -model.score)
+        return ranking.ranked((*causes, *others), lambda model: model.score, same=ranking.SAME_ODDS)
 
     def run(self) -> None:
         """Visit sets until the beam has nothing left to expand, or the budget is spent."""
@@ -423,7 +424,7 @@ class Search:
             firsts = self._with_one_of(self.lacking(self.visited[rest]), self.visited[rest], barred)
             if len(group) > 1:
                 causes = [each for each in firsts if not holds_open(each.effects - rest)]
-                firsts = sorted(causes, key=lambda each: -each.score)[:1]
+                firsts = ranking.ranked(causes, lambda each: each.score, same=ranking.SAME_ODDS)[:1]
             for first in firsts if self._unsatisfied() else ():
                 at, best = None, first
                 while best is not at and len(best.effects - rest) < MOST_CAUSES:
@@ -439,7 +440,7 @@ class Search:
         linear = Linearised(model.estimate, effects, self.fitter.expectation)
         worth = linear.gains + self.fitter.log_priors(effects, model.effects)
         gains = dict(zip(effects, worth.tolist(), strict=True))
-        best = sorted(gains, key=lambda placed: -gains[placed])[:STAND_FOR_A_GROUP]
+        best = ranking.ranked(gains, gains.__getitem__)[:STAND_FOR_A_GROUP]
         sets = [model.effects | {placed} for placed in best]
         self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])
         return [self.visited[each] for each in sets]

@@ -28,6 +28,7 @@ from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_a
 from cvxshear.loop.search import REACH, Search
 from cvxshear.loop.twins import dual_fits_as_well, dual_frame, dual_set, few_floors_seen
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoSolutionError
 from cvxshear.util.typing import Floats
 
@@ -214,7 +215,7 @@ def _leader(given: Search, others: Sequence[Search]) -> Search:
     """Probe the most promising, and return the best of them."""
     if not others:
         return given
-    promising = sorted(others, key=lambda search: -search.base.score)[: PROBED - 1]
+    promising = ranking.ranked(others, lambda search: search.base.score, same=ranking.SAME_ODDS)[: PROBED - 1]
     for search in (given, *promising):
         search.probe()
     return max((given, *promising), key=lambda search: search.best.score)
@@ -222,7 +223,11 @@ def _leader(given: Search, others: Sequence[Search]) -> Search:
 
 def _near(given: Search, others: Sequence[Search], leader: Search) -> list[Search]:
     """Search what is near the best to its end, and the numbers as given where they may still win."""
-    rest = sorted((each for each in (given, *others) if each is not leader), key=lambda search: -search.base.score)
+    rest = ranking.ranked(
+            (each for each in (given, *others) if each is not leader),
+            lambda search: search.base.score,
+            same=ranking.SAME_ODDS,
+        )
     kept = {id(given), id(leader)}
     best = leader.best.score
     for search in rest:

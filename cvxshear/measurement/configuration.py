@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from cvxshear.measurement.declaration import InTable, named_in
 from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_modes, proportional_rows
 from cvxshear.util import checks
+from cvxshear.util.cached import cached_property
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints

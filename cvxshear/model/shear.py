@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
+from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, Ints
 
@@ -197,7 +198,7 @@ def modes(M: Floats, K: Floats) -> Modes:
     if not eigenvalues[0] > 0:
         raise NoModesError(f"the frame is not stable: the lowest eigenvalue is {eigenvalues[0]:g} (rad/s)^2")
     shapes = vectors.T
-    largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
+    largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
     return Modes(eigenvalues, shapes * np.sign(largest)[:, None])
 
 

@@ -8,7 +8,7 @@ from scipy import linalg
 from cvxshear.fit.misfit import Misfit
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
-from cvxshear.util import checks
+from cvxshear.util import checks, ranking
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Ints
 
@@ -98,7 +98,7 @@ class Setup(InJson):
         found = modes(mass_matrix(self.floor_mass), stiffness_matrix(self.story_stiffness))
         which = self.modes - 1
         shapes = found.shapes[np.ix_(which, self.measured_floors - 1)]
-        largest = shapes[np.arange(len(shapes)), np.argmax(np.abs(shapes), axis=1)]
+        largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
         return found.frequencies[which], shapes / largest[:, None]
 
     def draw(self, rng: np.random.Generator, samples: int) -> tuple[Floats, Floats]:

@@ -1,7 +1,6 @@
 """Section 5: the three-story frame, from exact modes by the paper's method and two earlier ones, and from noise."""
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
 from cvxshear.paper.setups import three_story
 from cvxshear.paper.tables import KILO, PaperRow, PaperSection
 from cvxshear.programs.formulations import complete_test
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats
 
 FIGURE_6_SAMPLES = 2000

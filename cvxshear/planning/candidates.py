@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 
+from cvxshear.util.cached import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 

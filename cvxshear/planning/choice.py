@@ -24,7 +24,7 @@ from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.criteria import Criterion, Reduced
-from cvxshear.util import checks
+from cvxshear.util import checks, ranking
 from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 
@@ -150,7 +150,7 @@ def choose(
 def _best_of_all(problem: Candidates, number: int, by: Criterion) -> Choice:
     every = list(combinations(range(problem.count), number))
     values = values_of(problem, every, by)
-    best = int(np.argmin(values))
+    best = ranking.first_largest(-values)
     return Choice(np.array(every[best]), float(values[best]), float(values[best]), float(values.max()))
 
 
@@ -185,7 +185,7 @@ def _roundings(weights: Floats, number: int) -> list[list[int]]:
     # The largest of log(weight) + Gumbel noise are a draw without replacement with the weights as odds.
     odds = np.log(np.maximum(weights, 1e-6))
     drawn = [odds + rng.gumbel(size=count) for _ in range(ROUNDINGS if count <= MANY else FEWER_ROUNDINGS)]
-    largest = [np.argsort(-each, kind="stable")[:number].tolist() for each in (weights, *drawn)]
+    largest = [ranking.order(each)[:number] for each in (weights, *drawn)]
     return [*largest, equally_spaced(count, number)]
 
 
@@ -208,7 +208,7 @@ def exchanged(problem: Candidates, start: Sequence[int], by: Criterion) -> tuple
         for out in chosen:
             rest = [i for i in chosen if i != out]
             values = by.value_at(problem, problem.own_with_each(rest, others))
-            best = int(np.argmin(values))
+            best = ranking.first_largest(-values)
             ends.append((float(values[best]), sorted([*rest, others[best]])))
         least, nearest = min(ends)
         if least >= value * (1 - IMPROVES):
@@ -292,7 +292,7 @@ def _telling(whole: Floats) -> tuple[Floats, bool]:
     """Orthonormal columns, the directions that the candidates tell of, most first; and whether these are all."""
     values, vectors = np.linalg.eigh(whole)
     many = max(1, int(np.sum(values > TELLING)))
-    used = np.argsort(-values)[: min(many, DIRECTIONS_ASKED)]
+    used = ranking.order(values)[: min(many, DIRECTIONS_ASKED)]
     return vectors[:, used], many <= DIRECTIONS_ASKED
 
 

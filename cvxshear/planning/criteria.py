@@ -18,7 +18,7 @@ import numpy as np
 
 from cvxshear.planning.candidates import Candidates
 from cvxshear.planning.windows import least_of_largest, least_of_sum, log_volume, variance
-from cvxshear.util import checks
+from cvxshear.util import checks, ranking
 from cvxshear.util.typing import Floats
 
 POWER = 24
@@ -277,7 +277,7 @@ class Worst(_Largest):
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
         variances = np.diag(reduced.asked @ reduced.asked.T + reduced.left)
-        least_known = np.argsort(-variances)[:MOST_PARAMETERS]
+        least_known = ranking.order(variances)[:MOST_PARAMETERS]
         T, above = _above(cp, reduced.asked[least_known], information)
         t = cp.Variable()
         below = cp.diag(T) + np.diag(reduced.left)[least_known] <= t

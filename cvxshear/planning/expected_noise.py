@@ -24,7 +24,7 @@ import numpy as np
 
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD, Configuration
 from cvxshear.model.shear import Modes
-from cvxshear.util import checks
+from cvxshear.util import checks, ranking
 from cvxshear.util.typing import Floats, Ints
 
 EXCITATIONS = ("ambient", "shaker", "hammer")
@@ -186,7 +186,7 @@ class Recorded(TestNoise):
             spread = spread + (others * (gain * unexplained)) @ others.T
         spread = spread / own[mode] * self.damping / (self.duration * f[mode] * band_factors(BAND_WIDTH)[2])
         shape = phi[:, mode]
-        largest = int(np.argmax(np.abs(shape)))
+        largest = ranking.first_largest(np.abs(shape))
         # Of phi_i / phi_p, by which the entries are scaled.
         turn = np.eye(len(shape))
         turn[:, largest] -= shape / shape[largest]

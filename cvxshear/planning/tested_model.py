@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -17,6 +16,7 @@ from cvxshear.planning.candidates import Candidates, candidates, free_changes
 from cvxshear.planning.chances import Target
 from cvxshear.planning.design import UNKNOWN_STD, Design
 from cvxshear.planning.expected_noise import TestNoise
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRM = 0.1

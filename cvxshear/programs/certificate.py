@@ -7,11 +7,11 @@ difference of terms and is divided by their sizes, which makes it free of units.
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
+from cvxshear.util.cached import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 

@@ -17,6 +17,7 @@ from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
 from cvxshear.records.result import OVERLOOKED_KIND, ModalResult
 from cvxshear.records.segments import Segments
+from cvxshear.util import ranking
 from cvxshear.util.quantities import counted, listed, numbered, significant
 from cvxshear.util.typing import Floats, Ints
 
@@ -199,7 +200,7 @@ def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Findin
         unsure = SENSOR_STD * np.linalg.norm(pair, axis=1)
         beyond_doubt = np.where(each * np.abs(pair.prod(axis=1)) > unsure, each, 0.0)
         if beyond_doubt.max() > UNRECIPROCAL:
-            largest, worst = float(beyond_doubt.max()), int(np.argmax(beyond_doubt)) + 1
+            largest, worst = float(beyond_doubt.max()), ranking.first_largest(beyond_doubt) + 1
             numbers = {"floors": [low, high], "largest": largest, "over_all": ratio, "by_mode": each.tolist()}
             yield finding("reciprocity", numbers, low=low, high=high, worst=worst)
 

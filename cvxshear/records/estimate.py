@@ -14,6 +14,7 @@ from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signe
 from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.records.realization import DampedModes, Impulse, Source
 from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
@@ -243,7 +244,7 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
         real = np.array([real_shape(shape) for shape in straight])
     else:
         real = np.array([signed_projection(*both) for both in zip(values.shapes, straight, strict=True)])
-    places = np.argmax(np.abs(real if reference is None else reference.real), axis=1)
+    places = ranking.largest(np.abs(real if reference is None else reference.real))
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
     if products is not None and not setting.base:
@@ -408,7 +409,7 @@ def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
 
 
 def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
-    mode = int(np.argmax(left)) + 1
+    mode = ranking.first_largest(left) + 1
     kind = "those of responses cut off there" if truncated else "samples of the true functions"
     numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
     return finding("leakage", numbers, kind=kind, why=why)

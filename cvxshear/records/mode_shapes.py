@@ -7,6 +7,7 @@ The stiffness matrix of a shear frame is a Jacobi matrix, so mode r changes sign
 import numpy as np
 
 from cvxshear.measurement.reading import fewest_changes, most_changes
+from cvxshear.util import ranking
 from cvxshear.util.typing import Complexes, Floats
 
 RULES = ("magnitude", "projection")
@@ -27,7 +28,7 @@ def collinearity(shape: Complexes) -> float:
 def main_axis(shape: Complexes) -> Complexes:
     """Turn a shape so that the sum of its squared imaginary parts is least; its largest entry is positive."""
     turned = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
-    largest = turned[np.argmax(np.abs(turned))]
+    largest = turned[ranking.first_largest(np.abs(turned))]
     return np.asarray(turned if largest.real > 0 else -turned)
 
 
@@ -104,4 +105,4 @@ def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
 
 def scaled_to_one(shape: Floats) -> Floats:
     """Scale a shape to a largest entry of 1."""
-    return np.asarray(shape / shape[np.argmax(np.abs(shape))])
+    return np.asarray(shape / shape[ranking.first_largest(np.abs(shape))])

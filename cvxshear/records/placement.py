@@ -17,6 +17,7 @@ import numpy as np
 from cvxshear.records.examination import in_unit, unit_in_truth
 from cvxshear.records.findings import finding
 from cvxshear.records.record import Channel, Finding
+from cvxshear.util import ranking
 from cvxshear.util.quantities import STANDARD_GRAVITY, chance, listed
 from cvxshear.util.typing import Floats, Ints
 
@@ -134,7 +135,7 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
         dataclasses.replace(item, probability=float(p), missed=float(row[1:].sum() / max(p, 1e-300)))
         for (item, _), p, row in zip(prior, each, probabilities, strict=True)
     ]
-    return sorted(found, key=lambda item: -item.probability)
+    return ranking.ranked(found, lambda item: item.probability)
 
 
 def _likelihood(frequencies: Floats, shapes: Floats, floors: Ints, stories: int, numbers: tuple[int, int]) -> float:
@@ -144,7 +145,7 @@ def _likelihood(frequencies: Floats, shapes: Floats, floors: Ints, stories: int,
     result = -min(0.5 * off**2, WORST)
     low, high = (shape / np.abs(shape).max() for shape in shapes[:2])
     if numbers[0] == 1:
-        low = low * np.sign(low[np.argmax(np.abs(low))])
+        low = low * np.sign(low[ranking.first_largest(np.abs(low))])
         result -= _unlike_a_first_mode(low, floors, stories)
     else:
         # Its node lies in the upper half: sensors below and at the top are on both sides of it.
@@ -264,7 +265,7 @@ def _in_words(item: ChannelMistake, channels: Sequence[Channel]) -> str:
 
 
 def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
-    shape = "(" + ", ".join(f"{entry:.3f}" for entry in first / first[np.argmax(np.abs(first))]) + ")"
+    shape = "(" + ", ".join(f"{entry:.3f}" for entry in first / first[ranking.first_largest(np.abs(first))]) + ")"
     odds = f"odds {min(item.probability / max(sound, 1e-9), 1e9):.2g} to 1 against a mode that was missed"
     names = _named(item, channels)
     numbers = {"channels": names, "probability": item.probability, "first_mode": first.tolist()}

@@ -11,11 +11,12 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 
@@ -228,5 +229,5 @@ def normalized(shapes: Complexes) -> Complexes:
     if not len(shapes):
         return shapes
     size = np.linalg.norm(shapes, axis=1, keepdims=True)
-    largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=1)[:, None], axis=1)
+    largest = np.take_along_axis(shapes, ranking.largest(np.abs(shapes))[:, None], axis=1)
     return np.asarray(shapes / size * np.conj(largest) / np.abs(largest))

@@ -16,20 +16,13 @@ from cvxshear.records import ModalResult
 from cvxshear.report.describe import Sentence, Table, describe
 from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
+from cvxshear.report.figures.drawn_frame import elevations
+from cvxshear.report.pages import drawings, environment, readable_json, versions
 from cvxshear.response import Reconstruction, RecordPrediction
-from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
 from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
-
-try:
-    # Raises here, before the loop is closed, where a package is missing.
-    from cvxshear.report.figures.drawn_frame import elevations
-    from cvxshear.report.pages import drawings, environment, readable_json, versions
-except ImportError as error:
-    raise CvxshearError(
-        f"the report needs {error.name}, which is not installed: pip install jinja2 matplotlib"
-    ) from error
 
 PHOTOGRAPHS = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}
 """How the files of pictures begin that a page may hold, and what they are called there."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +26,6 @@ from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import plain_rows
 from cvxshear.response import IdentifiedDamping
 from cvxshear.screening import FileFinding
-from cvxshear.util.errors import optional
 from cvxshear.util.quantities import AUTOMATIC, Units
 from cvxshear.util.text import printable
 
@@ -236,20 +234,16 @@ FIRST_SECTION = "verdict"
 
 def notebook_html(result: object) -> str:
     """Write a result as a piece of HTML: its tables, and above them the picture of its verdict where it has one."""
-    try:
-        from cvxshear.report.pages import environment  # noqa: PLC0415 - jinja2 is optional
-    except ImportError:
-        return f"<pre>{html.escape(text(result))}</pre>"
+    from cvxshear.report.pages import environment  # noqa: PLC0415 - jinja2 is loaded where a page is made
+
     return environment().get_template("notebook.html").render(document=describe(result), pictures=_pictures(result))
 
 
 def _pictures(result: object) -> list[tuple[str, str]]:
     """Draw a result's pictures, each with what it shows, as PNG: ids of several SVGs in a notebook would clash."""
-    try:
-        from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415 - matplotlib is optional
-        from cvxshear.report.figures.style import encoded  # noqa: PLC0415
-    except ImportError:
-        return []
+    from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415 - loads matplotlib
+    from cvxshear.report.figures.style import encoded  # noqa: PLC0415
+
     return [
         (entry.alternative_of(result), base64.b64encode(encoded(entry.draw(result), "png")).decode())
         for entry in applicable(result)
@@ -259,12 +253,14 @@ def _pictures(result: object) -> list[tuple[str, str]]:
 
 def drawn(result: Any, name: str) -> Any:
     """Draw a figure of a result by its name, the first one where it is empty."""
-    figures = optional("cvxshear.report.figures", "figures need", "matplotlib")
+    from cvxshear.report import figures  # noqa: PLC0415 - loads matplotlib
+
     first = next(iter(figures.figures_of(type(result))), "")
     return figures.drawn_figure(name or first, result)
 
 
 def picked(result: Any, record_file: Any) -> Any:
     """Open the diagram of modes in which poles are chosen by clicking."""
-    needs = "choosing poles in a diagram needs"
-    return optional("cvxshear.report.figures.picked_poles", needs, "matplotlib").opened(result, record_file)
+    from cvxshear.report.figures import picked_poles  # noqa: PLC0415 - loads matplotlib
+
+    return picked_poles.opened(result, record_file)

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy
 
 from cvxshear.model.shear import Modes, modes
 from cvxshear.records.motion import DrivenRun
+from cvxshear.util.cached import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Complexes, Floats
 

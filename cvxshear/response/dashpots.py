@@ -21,6 +21,7 @@ from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained, refuse_contradictions, softened, statements
 from cvxshear.programs.pair_rows import pair_products
 from cvxshear.response.damped import coupled, modal_damping
+from cvxshear.util import ranking
 from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints
@@ -308,7 +309,7 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
     part = np.linalg.norm(null, axis=0) if len(null) else np.zeros(data.shape[1])
     words = []
     for direction in np.abs(null):
-        order = np.argsort(-direction, kind="stable")
+        order = ranking.order(direction)
         names = [str(k + 1) for k in order if direction[k] > NAMED_SHARE * direction[order[0]]]
         words.append(f"the dashpots of stories {', '.join(names)}" if len(names) > 1 else f"the dashpot of {names[0]}")
     return tuple(words), part < UNTOUCHED

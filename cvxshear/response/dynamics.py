@@ -20,7 +20,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from scipy import linalg
 
 from cvxshear.model.shear import transformation
 from cvxshear.response.damped import DampedModel
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SETTLED_RICCATI = 1e-13

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from cvxshear.response.frame_prior import (
 )
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
 from cvxshear.response.varied_frame import GAIN_UNIT
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000

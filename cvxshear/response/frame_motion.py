@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from cvxshear.response.smoother import (
 )
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, T
 
@@ -333,7 +335,7 @@ class FrameMotion:
         slopes = np.array(parts)
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
-        order = np.argsort(-strength)
+        order = ranking.order(strength)
         carried = np.cumsum(np.maximum(strength[order], 0.0))
         if carried[-1] <= 0:
             return FrameDirections((), np.ones(len(scale)))

@@ -11,7 +11,6 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -25,6 +24,8 @@ from cvxshear.response.damped import DampedModel
 from cvxshear.response.innovations import Likelihood
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import GAIN_UNIT, OTHER_DAMPING_STD, VariedFrame
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 AMPLITUDE_STD = 0.15
@@ -423,9 +424,9 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Fram
             odds = log_odds[np.array(grown, dtype=np.int64)].sum(axis=1)
             own = dict(zip(grown, (evidence.of(grown, one_sided) + odds).tolist(), strict=True))
             scores |= {(each, *widths): score for each, score in own.items()}
-            level = sorted(own, key=own.__getitem__, reverse=True)[:KEPT_SETS]
+            level = ranking.ranked(own, own.__getitem__)[:KEPT_SETS]
     best = max(scores.values())
     kept = {each: np.exp(score - best) for each, score in scores.items() if score > best + np.log(LEAST_WEIGHT)}
     total = sum(kept.values())
-    order = sorted(kept, key=lambda each: -kept[each])
+    order = ranking.ranked(kept, kept.__getitem__)
     return tuple(FrameChange(*each, float(kept[each] / total)) for each in order)

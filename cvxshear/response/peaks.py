@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cvxshear.response.damped import DampedModel, Response, driven_poles
+from cvxshear.util import ranking
 from cvxshear.util.quantities import column_name
 from cvxshear.util.results import InJson, as_json, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
@@ -118,7 +119,7 @@ def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
             if history is None:
                 continue
             columns = history.reshape(len(history), -1)
-            at = np.argmax(np.abs(columns), axis=0)
+            at = ranking.largest(np.abs(columns), axis=0)
             take = np.arange(columns.shape[1])
             peak = _between_samples(np.abs(columns), at)
             std = np.full(len(peak), np.nan)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +33,7 @@ from cvxshear.response.sources import (
     state_remarks,
 )
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
+from cvxshear.util.cached import cached_property
 from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats

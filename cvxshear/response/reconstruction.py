@@ -10,7 +10,6 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +28,8 @@ from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted
 from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.util import ranking
+from cvxshear.util.cached import cached_property
 from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
@@ -202,7 +203,7 @@ class Reconstruction(Shown):
         missed = np.max([run.missed for run in self.runs], axis=0)
         between = [each for each in stories if each.size]
         sizes = [float(np.max(missed[each - 1])) for each in between]
-        most = int(np.argmax(sizes))
+        most = ranking.first_largest(sizes)
         others = max(np.delete(sizes, most), default=0.0)
         return tuple(between[most].tolist()) if len(sizes) > 1 and sizes[most] > MISSED_MOST * others else ()
 

@@ -9,7 +9,6 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.recording import Recording
 from cvxshear.screening import close_loop
 from cvxshear.util import checks
+from cvxshear.util.cached import cached_property
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.quantities import listed, percent
 from cvxshear.util.results import InJson, as_json

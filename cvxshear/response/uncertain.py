@@ -24,7 +24,7 @@ from cvxshear.model.shear import Modes, modes, stiffness_matrix
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.dashpots import LEAST_RATIO, Dashpots, Ratios, damping_ratios, rayleigh, story_dashpots
 from cvxshear.response.sources import Fitted
-from cvxshear.util import checks
+from cvxshear.util import checks, ranking
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.quantities import percent, ranged
 from cvxshear.util.results import Shown
@@ -292,7 +292,7 @@ def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str
     if not modes:
         return []
     own = np.maximum(damped.model.ratios, 1e-9)
-    worst = max(modes, key=lambda mode: abs(np.log(own[mode - 1] / max(measured[mode - 1], 1e-9))))
+    worst = ranking.ranked(modes, lambda mode: abs(np.log(own[mode - 1] / max(measured[mode - 1], 1e-9))))[0]
     return [
         f"{WORDS[frame.kind]} cannot give the measured damping ratio{'s' if len(modes) > 1 else ''} of mode "
         f"{ranged(modes)} (mode {worst}: {percent(float(damped.model.ratios[worst - 1]), 2)} in place of "

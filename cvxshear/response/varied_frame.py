@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
+from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 OTHER_DAMPING_STD = 0.3

@@ -26,6 +26,7 @@ from cvxshear.screening.doubts import right_in_kg
 from cvxshear.screening.finding import FileFinding, doubt, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, REFITTED, RIVAL_COST, SUSPICIOUS, UNEXPLAINED, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
+from cvxshear.util import ranking
 from cvxshear.util.quantities import quantity
 from cvxshear.util.typing import Floats
 
@@ -95,8 +96,8 @@ def masses_declared(experiment: Experiment) -> Iterator[FileFinding]:
         return
     begin = [given.frame.theta[experiment.stories :]]
     rough = [(_nearest(readings, each, begin, shear_fit.ROUGH_STEPS).cost + each.prior_cost, each) for each in others]
-    rough.sort(key=lambda item: item[0])
-    fitted = sorted((_fitted(readings, each, begin) for _, each in rough[:REFITTED]), key=lambda item: item.cost)
+    rough = ranking.ranked(rough, lambda item: -item[0])
+    fitted = ranking.ranked((_fitted(readings, each, begin) for _, each in rough[:REFITTED]), lambda item: -item.cost)
     best = fitted[0]
     left = best.cost - given.cost + _shared(given, best.declared)
     if best.frame.cost > UNEXPLAINED * given.cost or left > 2 * np.log(LEFT_TO_GIVEN):

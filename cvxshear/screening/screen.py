@@ -35,6 +35,7 @@ from cvxshear.screening.finding import FileFinding
 from cvxshear.screening.repairs import Repair
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, NearestFrame
 from cvxshear.screening.wrong_frequency import wrong_frequency
+from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
 
@@ -244,7 +245,7 @@ def judge(reading: MeasuredModes) -> tuple[NearestFrame, list[WeighedRepair]]:
         place: shear_fit.fit(candidates[place].reading, [references[np.argmin(misfits[place])]], most_steps=ROUGH_STEPS)
         for place in nearest.tolist()
     }
-    order = sorted(first, key=lambda place: first[place].cost)[: repairs.REFITTED]
+    order = ranking.ranked(first, lambda place: -first[place].cost)[: repairs.REFITTED]
     each = ((candidates[place], shear_fit.distance(candidates[place].reading, [first[place].theta])) for place in order)
     judged = sorted(
         (WeighedRepair(repair, frame.cost + repair.prior_cost) for repair, frame in each), key=lambda item: item.cost

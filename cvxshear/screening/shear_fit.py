@@ -34,6 +34,7 @@ from cvxshear.measurement.reading import CLOSER, FARTHER, MeasuredModes
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
+from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoModesError
 from cvxshear.util.typing import Floats
 
@@ -165,7 +166,7 @@ def fit(
     """
     problem = ShearFrames([(reading, np.zeros(reading.stories))], weights=weights)
     found = (problem.nearest(_start(problem, theta), most_steps) for theta in at)
-    return min(found, key=lambda item: item.cost)
+    return ranking.ranked(found, lambda item: -item.cost)[0]
 
 
 def _start(problem: ShearFrames, theta: Floats) -> Floats:
@@ -191,7 +192,7 @@ def distance(reading: MeasuredModes, at: Iterable[Floats]) -> NearestFrame:
         other = dataclasses.replace(reading, part=part)
         again = fit(other, [found.theta])
         each.append(NearestFrame(again.theta, again.cost + other.certainty_lost()))
-    return min(each, key=lambda item: item.cost)
+    return ranking.ranked(each, lambda item: -item.cost)[0]
 
 
 def robust_fit(reading: MeasuredModes, at: Floats) -> NearestFrame:

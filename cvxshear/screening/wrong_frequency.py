@@ -31,6 +31,7 @@ from cvxshear.screening.compared_tests import by_state
 from cvxshear.screening.finding import FileFinding, in_words
 from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, prior_cost
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
+from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.quantities import significant
 from cvxshear.util.typing import Floats
@@ -107,7 +108,7 @@ def _explaining(experiment: Experiment, tests: Sequence[Configuration]) -> FileF
     if given.cost < SUSPICIOUS:
         return None
     places = ((test, row) for test, reading in enumerate(readings) for row in range(len(reading.modes)))
-    freed = sorted((_freed(among, readings, about, *place) for place in places), key=lambda item: item.cost)
+    freed = ranking.ranked((_freed(among, readings, about, *place) for place in places), lambda item: -item.cost)
     best = freed[0]
     given = min(given, among(readings).nearest(best.frame.theta), key=lambda item: item.cost)
     if best.cost - given.cost - _log_det(given) > 2 * np.log(LEFT_TO_GIVEN) or not _as_stated(best, spare):
@@ -215,7 +216,7 @@ def _rivals(
 
 def _beside_a_mass(found: FileFinding, test: str, rivals: Sequence[tuple[ModelClass, float]]) -> FileFinding:
     """Say what mass on a spring explains the data as well; unless it is improbable the finding is a doubt."""
-    model, _ = max(rivals, key=lambda item: item[1])
+    model, _ = ranking.ranked(rivals, lambda item: item[1])[0]
     assert model.estimate is not None, "a set that was weighed has a fit"
     (placed,) = model.effects
     mass, frequency = (significant(value, 2) for value in model.estimate.theta[-2:].tolist())

@@ -65,16 +65,14 @@ class NoSolutionError(CvxshearError, RuntimeError):
         return type(self), (self.backend, self.reason)
 
 
-def optional(module: str, needs: str, package: str = "") -> Any:
-    """Import a module that is there only where an optional package is installed.
+def optional(module: str, needs: str) -> Any:
+    """Import a module of an optional package.
 
     Parameters
     ----------
     module : str
     needs : str
         What needs it, as the message begins: "workbooks need".
-    package : str, optional
-        What pip installs; what was missing where not given.
 
     Raises
     ------
@@ -84,4 +82,4 @@ def optional(module: str, needs: str, package: str = "") -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise InputError(f"{needs} {error.name}: pip install {package or error.name}") from None
+        raise InputError(f"{needs} {error.name}: pip install {error.name}") from None

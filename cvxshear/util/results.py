@@ -199,6 +199,6 @@ class Shown(InJson):
         Raises
         ------
         InputError
-            Where there is no figure of that name, the result does not hold what it shows, or matplotlib is missing.
+            If there is no figure of that name, or the result lacks what the figure shows.
         """
         return ask("show", "drawn", self, name)

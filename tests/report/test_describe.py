@@ -386,14 +386,6 @@ def test_without_pandas_the_extra_is_named(paper, monkeypatch):
         paper.to_dataframe()
 
 
-def test_without_jinja2_a_notebook_shows_the_text(paper, monkeypatch):
-    monkeypatch.setitem(sys.modules, "jinja2", None)
-    monkeypatch.delitem(sys.modules, "cvxshear.report.pages", raising=False)
-    shown = paper._repr_html_()
-    assert shown.startswith("<pre>EXPLAINED: ")
-    assert "Structure 1" in shown
-
-
 def test_masses_in_tonnes_are_told_so(paper):
     unknown = np.full(2, np.nan)
     heavy = IdentifiedFrame(1000 * paper.frame.floor_mass, 1000 * paper.frame.story_stiffness, unknown, unknown)

@@ -15,6 +15,7 @@ from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.shear import frame_modes, modes
 from cvxshear.report.describe.headline import noise_facts
 from cvxshear.report.describe.vocabulary import Block, Exact, Facts, Row, Section, Sentence, Table, table
+from cvxshear.util import ranking
 from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
@@ -230,16 +231,16 @@ def consequences(estimate: Estimate, placed: Placed, units: Units = AUTOMATIC) -
 
 def _largest(found: list[Change], name: str) -> Iterator[tuple[Change, int, float]]:
     """Find the configuration and the place where a relative change is largest, and its size; nothing without one."""
-    item = max(found, key=lambda each: float(np.max(np.abs(getattr(each, name)))))
-    place = int(np.argmax(np.abs(getattr(item, name))))
+    item = ranking.ranked(found, lambda each: float(np.max(np.abs(getattr(each, name)))))[0]
+    place = ranking.first_largest(np.abs(getattr(item, name)))
     if abs(getattr(item, name)[place]) >= NOTHING:
         yield item, place, float(getattr(item, name)[place])
 
 
 def _stiffness(found: list[Change], units: Units) -> Iterator[str]:
     for most, story, share in _largest(found, "stiffness_share"):
-        least = min(found, key=lambda each: float(np.min(np.abs(each.stiffness_share))))
-        other = int(np.argmin(np.abs(least.stiffness_share)))
+        least = ranking.ranked(found, lambda each: -float(np.min(np.abs(each.stiffness_share))))[0]
+        other = ranking.first_largest(-np.abs(least.stiffness_share))
         word, way = ("takes", "from") if share < 0 else ("adds", "to")
         factor, unit = units.of_stiffness([10 * float(most.stiffness[story])])
         whole = "the story stiffness" if most.alone else "what the story resists with the other effects"

@@ -11,6 +11,7 @@ from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect
 from cvxshear.loop.verdicts import VERDICTS, Verdict
 from cvxshear.report.describe.vocabulary import Row, Section, Table
+from cvxshear.util import ranking
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
 DOUBT = 0.05
@@ -237,7 +238,7 @@ def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
     total = sum(falls.values())
     if total <= 0:
         return {}
-    return {kind: falls[kind] / total for kind in sorted(falls, key=falls.__getitem__, reverse=True)}
+    return {kind: falls[kind] / total for kind in ranking.ranked(falls, falls.__getitem__)}
 
 
 def evidence_in_words(result: Closure) -> str:

@@ -11,6 +11,7 @@ from cvxshear.report.describe.vocabulary import Document, Points, Section, Sente
 from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
 from cvxshear.response.peaks import RESPONSES
 from cvxshear.response.reconstruction import SIGN_KNOWN, UNSETTLED
+from cvxshear.util import ranking
 from cvxshear.util.quantities import (
     AUTOMATIC,
     Units,
@@ -64,7 +65,7 @@ def _largest_drift(found: Peaks) -> str:
     """Say which story has the largest peak drift, and how large it is."""
     ratios = "story_drift_ratio" in found.values
     name, factor, unit = ("story_drift_ratio", 0.01, "% of its height") if ratios else ("story_drift", 1e-3, "mm")
-    top = int(np.argmax(found.values[name]))
+    top = ranking.first_largest(found.values[name])
     size = with_std(float(found.values[name][top]), float(found.std[name][top]), unit, factor=factor)
     return f"story {top + 1} drifts most: {size}"
 

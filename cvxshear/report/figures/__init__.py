@@ -1,6 +1,6 @@
 """Figures: each a function that takes a result and returns a matplotlib Figure, which no window or setting depends on.
 
-`figure_table` lists them; needs matplotlib (`pip install matplotlib`).
+`figure_table` lists them. Importing this package loads matplotlib.
 """
 
 from cvxshear.report.figures.drawn_frame import findings, frame

@@ -20,6 +20,7 @@ from cvxshear.report.describe.headline import verdict_of
 from cvxshear.report.describe.identified import in_one_unit
 from cvxshear.report.figures import style
 from cvxshear.report.figures.figure_table import figure
+from cvxshear.util import ranking
 from cvxshear.util.quantities import AUTOMATIC, chance, counted
 from cvxshear.util.typing import Floats
 
@@ -222,7 +223,7 @@ def _standing_out(item: AddedEffect, places: Sequence[tuple[int, int]]) -> tuple
         place: abs(item.parameters[name]) / (item.std[name] or np.inf)
         for place, name in zip(places, item.parameters, strict=True)
     }
-    largest = sorted(sizes, key=sizes.__getitem__, reverse=True)[:MOST_TIES]
+    largest = ranking.ranked(sizes, sizes.__getitem__)[:MOST_TIES]
     return tuple(place for place in largest if sizes[place] > STANDS_OUT)
 
 

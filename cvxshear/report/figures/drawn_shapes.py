@@ -17,6 +17,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.figure_table import figure
+from cvxshear.util import ranking
 from cvxshear.util.typing import Floats, Ints
 
 
@@ -63,7 +64,7 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
         for j, mode in enumerate(configuration.modes.tolist()):
             # The largest measured entry, with its sign; 1 where none was measured.
             entries = configuration.mode_shapes[j, configuration.measured[j]]
-            unit = float(entries[np.argmax(np.abs(entries))]) if entries.size else 1.0
+            unit = float(entries[ranking.first_largest(np.abs(entries))]) if entries.size else 1.0
             # Which entry is largest may change with the configuration; the mode keeps its sign.
             unit = -unit if facing.setdefault(mode, modelled[j] / unit) @ modelled[j] / unit < 0 else unit
             measured = np.where(configuration.measured[j], configuration.mode_shapes[j] / unit, np.nan)
@@ -79,7 +80,7 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
     The factor that lays a shape on the measured entries holds at the floors without a sensor too.
     """
     full = model.state.observation.shown(model.modes.shapes[model.paired])
-    factor = 1.0 / full[np.arange(len(full)), np.argmax(np.abs(full), axis=1)]
+    factor = 1.0 / full[np.arange(len(full)), ranking.largest(np.abs(full))]
     if datum is not None:
         at_sensors = full[datum.used][:, configuration.measured_floors - 1]
         length = np.sum(at_sensors**2, axis=1)

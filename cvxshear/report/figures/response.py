@@ -16,6 +16,7 @@ from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, new_fig
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.peaks import RESPONSES
+from cvxshear.util import ranking
 from cvxshear.util.quantities import listed, scaled, with_std
 from cvxshear.util.typing import Floats, Ints
 
@@ -54,7 +55,7 @@ def _floors(result: RecordPrediction) -> Ints:
     peaks = result.peaks.values["floor_acceleration"]
     measured = result.after.comparison
     places = np.arange(1, len(peaks) + 1) if measured is None else measured.floors
-    return _spread(places, int(np.argmax(peaks)) + 1)
+    return _spread(places, ranking.first_largest(peaks) + 1)
 
 
 def _compared_floors(result: RecordPrediction) -> Ints:
@@ -62,7 +63,7 @@ def _compared_floors(result: RecordPrediction) -> Ints:
     measured = result.after.comparison
     floors: Ints = np.zeros(0, dtype=np.int64) if measured is None else measured.floors
     peaks = result.peaks.values["floor_acceleration"]
-    return _spread(floors, int(floors[np.argmax(peaks[floors - 1])]))
+    return _spread(floors, int(floors[ranking.first_largest(peaks[floors - 1])]))
 
 
 def _floors_left_out(result: RecordPrediction) -> str:
@@ -379,4 +380,4 @@ def _drawn_stories(result: Reconstruction) -> Ints:
     """Choose the stories whose drift is drawn over time, with the one that the headline names."""
     peaks = result.peaks.values
     peak = peaks.get("story_drift_ratio", peaks["story_drift"])
-    return _spread(np.arange(1, len(peak) + 1), int(np.argmax(peak)) + 1)
+    return _spread(np.arange(1, len(peak) + 1), ranking.first_largest(peak) + 1)

@@ -1,0 +1,85 @@
+"""Orders and choices that rounding does not change: numbers that are equal but for rounding go by their position.
+
+Kernels of different processors round differently. Two entries that are equal in exact arithmetic differ by some units
+in the last place, and a plain sort or argmax would follow these units.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cvxshear.util.typing import Ints
+
+Item = TypeVar("Item")
+
+SAME_NUMBER = float(np.sqrt(np.finfo(np.float64).eps))
+"""Difference of two equal numbers, relative to the larger: half of the digits are lost at most."""
+
+SAME_ODDS = 1e-4
+"""Difference of the log evidence of two equal models: fits end within some such distance of their optimum."""
+
+
+def order(values: ArrayLike, *, same: float | None = None) -> list[int]:
+    """Order positions by their values, the largest first, and equal values by position.
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+        Nan comes last.
+    same : float, optional
+        Absolute difference up to which two values are equal. Default: `SAME_NUMBER` of the larger one.
+    """
+    found = np.asarray(values, dtype=np.float64)
+    result: list[int] = []
+    group: list[int] = []
+    for at in np.argsort(-found, kind="stable").tolist():
+        if group and not _equal(float(found[group[0]]), float(found[at]), same):
+            result += sorted(group)
+            group = []
+        group.append(at)
+    return result + sorted(group)
+
+
+def largest(values: ArrayLike, axis: int = -1) -> Ints:
+    """Find the first position of the largest value along an axis; values equal but for rounding count as equal.
+
+    Parameters
+    ----------
+    values : array_like
+    axis : int, optional
+
+    Returns
+    -------
+    ndarray of int
+        Shape of `values` without the axis.
+    """
+    found = np.asarray(values, dtype=np.float64)
+    most = np.max(found, axis=axis, keepdims=True)
+    finite = np.where(np.isfinite(most), np.abs(most), 0.0)
+    return np.asarray(np.argmax(found >= most - SAME_NUMBER * finite, axis=axis))
+
+
+def first_largest(values: ArrayLike) -> int:
+    """Find the first position of the largest of a vector; see `largest`."""
+    return int(largest(values))
+
+
+def ranked(items: Iterable[Item], value: Callable[[Item], float], *, same: float | None = None) -> list[Item]:
+    """Sort items by a value, the largest first, and items of equal value as they came.
+
+    Parameters
+    ----------
+    items : iterable
+    value : callable
+    same : float, optional
+        As for `order`.
+    """
+    known: Sequence[Item] = list(items)
+    return [known[at] for at in order([value(each) for each in known], same=same)]
+
+
+def _equal(larger: float, smaller: float, same: float | None) -> bool:
+    within = SAME_NUMBER * abs(larger) if same is None else same
+    return larger == smaller or bool(np.isfinite(larger) and larger - smaller <= within)
