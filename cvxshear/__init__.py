@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from cvxshear.util.errors import (
     CvxshearError,
+    FaultyEffectError,
     InfeasibleError,
     InputError,
     LostProcessError,
@@ -39,10 +40,10 @@ name_module("read", "cvxshear.io.modes")
 name_module("solve", "cvxshear.backends.installed")
 
 __all__ = [
-    "Closure", "Comparison", "Configuration", "CvxshearError", "Experiment", "Frame", "Identification",
-    "InfeasibleError", "InputError", "LostProcessError", "NoModesError", "NoSolutionError", "Prior", "UnsuitableError",
-    "backends", "close_loop", "compare_backends", "effects", "identify", "load", "plan", "predict", "priors",
-    "programs", "reconstruct",
+    "Closure", "Comparison", "Configuration", "CvxshearError", "Experiment", "FaultyEffectError", "Frame",
+    "Identification", "InfeasibleError", "InputError", "LostProcessError", "NoModesError", "NoSolutionError", "Prior",
+    "UnsuitableError", "backends", "close_loop", "compare_backends", "effects", "identify", "load", "plan", "predict",
+    "priors", "programs", "reconstruct",
 ]  # fmt: skip
 
 _HOMES = {

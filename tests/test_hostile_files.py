@@ -1,14 +1,6 @@
-"""Files made to do harm are refused at once, in little memory, with a message that says what to do.
-
-Each runs in a process of its own whose memory is limited to 500 MB beyond what the library takes to load.
-"""
+"""Harmful files are refused at once, with a message that says what to do."""
 
 from __future__ import annotations
-
-import struct
-import subprocess
-import sys
-import zlib
 
 import numpy as np
 import pytest
@@ -23,181 +15,15 @@ from cvxshear.io.uff import read_uff
 from cvxshear.util.errors import InputError
 from tests.fuzz import files
 
-HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
-DOUBLE, CELL, STRUCTURE = 6, 1, 2
 
-LIMITED = """
-import resource, sys
-from pathlib import Path
-import numpy, scipy.io, h5py
-from cvxshear.io.mat import read_mat
-from cvxshear.util.errors import InputError
-taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (taken + 500_000_000,) * 2)
-resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
-for path in sys.argv[1:]:
-    try:
-        read_mat(path)
-        print("read")
-    except InputError as error:
-        print(error)
-"""
-
-
-def element(kind: int, content: bytes) -> bytes:
-    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
-
-
-def matrix(of_class: int, sizes, *parts: bytes, name: bytes = b"a") -> bytes:
-    head = element(6, struct.pack("<II", of_class, 0)) + element(5, struct.pack(f"<{len(sizes)}i", *sizes))
-    return element(14, head + element(1, name) + b"".join(parts))
-
-
-def compressed(content: bytes, zeros: int = 0) -> bytes:
-    packed = packed_with(content, zeros)
-    return struct.pack("<II", 15, len(packed)) + packed
-
-
-def packed_with(content: bytes, zeros: int) -> bytes:
-    """What zlib makes of some bytes and so many million zeros: a million is packed once and stands there repeatedly."""
-    million, packer = bytes(1_000_000), zlib.compressobj(9)
-    head = packer.compress(content) + packer.flush(zlib.Z_FULL_FLUSH)
-    piece = packer.compress(million) + packer.flush(zlib.Z_FULL_FLUSH)
-    check = zlib.adler32(content)
-    for _ in range(zeros):
-        check = zlib.adler32(million, check)
-    return head + piece * zeros + packer.flush()[:-4] + struct.pack(">I", check)
-
-
-def zeros_in(count: int, millions: int, kind: int = 9) -> bytes:
-    """The head of a matrix of so many numbers that are so many million bytes of zeros, which follow it."""
-    whole = matrix(DOUBLE, (1, count), struct.pack("<II", kind, 1_000_000 * millions))
-    return struct.pack("<II", 14, len(whole) - 8 + 1_000_000 * millions) + whole[8:]
-
-
-def small_that_inflates(path):
-    """Deflate makes a thousandfold at most; five megabytes make five gigabytes."""
-    path.write_bytes(HEADER + compressed(zeros_in(12_000_000, 96), 96) * 50)
-    assert path.stat().st_size < 6_000_000
-
-
-def one_that_inflates(path):
-    path.write_bytes(HEADER + compressed(zeros_in(120_000_000, 960), 960))
-
-
-def small_numbers(path):
-    """Stored in a byte each, they are read as doubles."""
-    path.write_bytes(HEADER + compressed(zeros_in(90_000_000, 90, kind=1), 90))
-
-
-def deep_cells(path):
-    content = matrix(DOUBLE, (1, 100), element(9, bytes(800)))
-    for _ in range(3000):
-        content = matrix(CELL, (1, 1), content)
-    path.write_bytes(HEADER + compressed(content))
-
-
-def complex_of_one_part(path):
-    """scipy's reader ends the process on such files."""
-    content = matrix(DOUBLE | 0x0800, (1, 100), element(9, bytes(800)))
-    path.write_bytes(HEADER + compressed(content))
-
-
-def of_size(of_class, sizes, *parts):
-    return lambda path: path.write_bytes(HEADER + matrix(of_class, sizes, *parts))
-
-
-def hdf5(put):
-    """A sound file, and what is put into it besides."""
-
-    def make(path):
-        h5py = pytest.importorskip("h5py")
-        with h5py.File(path, "w") as file:
-            file["t"] = np.arange(100.0)
-            put(file, h5py)
-
-    return make
-
-
-def linked(link):
-    return hdf5(lambda file, h5py: file.__setitem__("x", link(h5py)))
-
-
-def data_set(*shape, **options):
-    return hdf5(lambda file, _: file.create_dataset("x", shape, "f8", **options))
-
-
-def inside_itself(file, _):
-    group = file.create_group("run")
-    group["again"] = group
-
-
-def deep_groups(file, _):
-    for _ in range(3000):
-        file = file.create_group("g")
-
-
-def virtual(file, h5py):
-    layout = h5py.VirtualLayout((100,), "f8")
-    layout[:] = h5py.VirtualSource("b.mat", "t", (100,))
-    file.create_virtual_dataset("x", layout)
-
-
-def bursting_piece(file, _):
-    item = file.create_dataset("x", (100_000,), "f8", chunks=(100_000,), compression="gzip")
-    item.id.write_direct_chunk((0,), packed_with(b"", 600))
-
-
-ELSEWHERE = ': the numbers of "x" stand in another file; only this one is read'
-LINK = ': "x" is a link; only numbers that stand in the file itself are read'
-NUMBERS = " holds more than 100 MB of numbers; cut it into runs, or raise the limit by size_limit"
-OTHERWISE = ': "x" is compressed in a way that MATLAB does not use'
-NO_MAT = " is not a MAT file that can be read: "
-
-MAT = {
-    "a MB that inflates to a GB": (one_that_inflates, NUMBERS),
-    "5 MB that inflate to 5 GB": (small_that_inflates, f"{NO_MAT}Duplicate variable name"),
-    "90 million numbers of a byte": (small_numbers, NUMBERS),
-    "3,000 cells in each other": (deep_cells, "read"),
-    "more numbers than atoms": (of_size(DOUBLE, (2**31 - 1, 2**31 - 1), element(9, bytes(800))), NO_MAT),
-    "a number too many": (of_size(DOUBLE, (1, 101), element(9, bytes(800))), NO_MAT),
-    "complex, without an imaginary part": (complex_of_one_part, NO_MAT),
-    "a structure of nothing": (of_size(STRUCTURE, (1, 2**31 - 1)), NO_MAT),
-    "a dangling link": (linked(lambda h5py: h5py.SoftLink("/nowhere")), LINK),
-    "a link in a circle": (linked(lambda h5py: h5py.SoftLink("/x")), LINK),
-    "a link to another file": (linked(lambda h5py: h5py.ExternalLink("b.mat", "/t")), LINK),
-    "a structure inside itself": (hdf5(inside_itself), ': "run.again" is a second name of a structure, and leads in a'),
-    "3,000 structures in each other": (hdf5(deep_groups), " has structures more than 32 deep"),
-    "1e13 numbers": (data_set(10**13, chunks=(1000,)), NUMBERS),
-    "a large piece": (data_set(100, maxshape=(None,), chunks=(2 * 10**7,)), " holds pieces of more than 100 MB, in"),
-    "numbers in another file": (data_set(100, external=[("/etc/passwd", 0, 800)]), ELSEWHERE),
-    "virtual numbers": (hdf5(virtual), ELSEWHERE),
-    "another filter": (data_set(100, compression="lzf"), OTHERWISE),
-    "a piece that bursts": (hdf5(bursting_piece), ': a piece of "x" inflates to more than it stands for'),
-}
-
-
-@pytest.fixture(scope="module")
-def said_of(tmp_path_factory):
-    """What is said of each file, all read by one process in little memory."""
-    pytest.importorskip("resource")
-    folder = tmp_path_factory.mktemp("hostile")
-    paths = {kind: folder / f"{place}.mat" for place, kind in enumerate(MAT)}
-    for kind, path in paths.items():
-        MAT[kind][0](path)
-    found = subprocess.run(
-        [sys.executable, "-W", "error", "-c", LIMITED, *map(str, paths.values())],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert found.returncode == 0, found.stderr
-    assert not found.stderr
-    lines = found.stdout.splitlines()
-    return {kind: line.removeprefix(str(path)) for (kind, path), line in zip(paths.items(), lines, strict=True)}
-
-
-@pytest.mark.parametrize("kind", MAT)
-def test_a_mat_file_made_to_do_harm(kind, said_of):
-    assert said_of[kind].startswith(MAT[kind][1])
+def test_links_of_a_mat_file_are_not_followed(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["t"] = np.arange(100.0)
+        file["dangling"], file["outside"] = h5py.SoftLink("/nowhere"), h5py.ExternalLink("b.mat", "/t")
+        group = file.create_group("run")
+        group["again"] = group
+    assert read_mat(tmp_path / "a.mat").names == ("t",)
 
 
 def test_flipped_bits_of_a_compressed_file_are_seen(tmp_path):
@@ -270,8 +96,8 @@ def test_a_pipe_that_never_ends(tmp_path):
         load("/dev/zero")
     with pytest.raises(InputError, match=r"/dev/zero has more than 0.001 MB"):
         read_csv("/dev/zero", 1000)
-    with pytest.raises(InputError, match="/dev/zero is a device or a pipe"):
-        read_mat("/dev/zero")
+    with pytest.raises(InputError, match=r"/dev/zero has more than 0.001 MB"):
+        read_mat("/dev/zero", 1000)
 
 
 HEADS = {

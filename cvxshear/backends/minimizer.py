@@ -320,7 +320,7 @@ class _Basis:
             self._reflectors, self._tau, _, _ = lapack.dgeqrf(B.T, lwork=LAPACK_BLOCK * self._p)
 
     def _applied(self, side: str, trans: str, matrix: Floats) -> Floats:
-        if not self._p:
+        if not self._p or not matrix.size:
             return matrix
         work = max(1, LAPACK_BLOCK * max(matrix.shape))
         result, _, _ = lapack.dormqr(side, trans, self._reflectors, self._tau, matrix, work)

@@ -9,7 +9,7 @@ import typer
 from cvxshear.cli import before, frames, recorded, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.options import documented, used
-from cvxshear.cli.output import OutputError, lost, silence, sound_streams, typed
+from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed
 from cvxshear.io.inputs import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
@@ -82,6 +82,8 @@ def main(arguments: list[str] | None = None) -> None:
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
         with sound_streams(), streams_read_once():
+            # Also numpy and matplotlib read SOURCE_DATE_EPOCH, when they are imported.
+            present()
             try:
                 status = app(args=arguments, standalone_mode=False)
             except OSError as error:

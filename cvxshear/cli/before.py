@@ -142,7 +142,7 @@ def modes(
     method
         era, okid, subspace or ssi; what suits the record where none is named.
     second
-        Second opinion of another method, or fdd: peaks in the frequency domain.
+        Second opinion: the name of another method.
     count
         How many modes; as many as stories where not given.
     pick : 3.68,11.1,...

@@ -112,9 +112,7 @@ def about(files: Sequence[str], title: str | None) -> Json:
     title : str or None
     """
     read = [{"name": file, "sha256": _digest(file)} for file in dict.fromkeys(files)]
-    # Who builds reproducibly says what the time is (reproducible-builds.org).
-    stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
-    now = datetime.fromtimestamp(int(stamp), UTC) if stamp.isdigit() else datetime.now(UTC)
+    now = present()
     return {
         "cvxshear": __version__,
         "date": now.isoformat(timespec="seconds"),
@@ -122,6 +120,19 @@ def about(files: Sequence[str], title: str | None) -> Json:
         "sha256": read[0]["sha256"] if read else None,
         "files": read,
     }
+
+
+def present() -> datetime:
+    """Return the present, or what SOURCE_DATE_EPOCH says it is (reproducible-builds.org)."""
+    stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if not stamp:
+        return datetime.now(UTC)
+    try:
+        return datetime.fromtimestamp(int(stamp), UTC)
+    except (ValueError, OverflowError, OSError):
+        raise InputError(
+            f"SOURCE_DATE_EPOCH = {stamp!r} must be a whole number of seconds since 1970, before the year 10000"
+        ) from None
 
 
 def _digest(file: str) -> str | None:

@@ -12,7 +12,7 @@ from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.model.observation import FloorObservation
 from cvxshear.model.shear import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
-from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.errors import FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MOST_BYTES = 1e9
@@ -81,9 +81,18 @@ def composed(
         state = placed.effect.apply(state, placed.place, theta[own], own)
     if frame:
         state = _assembled(state)
+        _refuse_not_finite(state.system, [placed for placed, _ in frame])
     for placed, own in acting[len(frame) :]:
         state = placed.effect.apply(state, placed.place, theta[own], own)
+        _refuse_not_finite(state.system, [placed])
     return state
+
+
+def _refuse_not_finite(system: System, effects: Sequence[Placed]) -> None:
+    """Raise where effects made a matrix, or a derivative, that is not finite."""
+    if not all(np.isfinite(np.sum(matrix)) for matrix in (system.M, system.K, system.dM, system.dK)):
+        names = ", ".join(placed.label for placed in effects)
+        raise FaultyEffectError(f"{names}: the mass or stiffness matrix with this effect is not finite")
 
 
 def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:

@@ -20,12 +20,14 @@ from cvxshear.programs import LeastSquares
 from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
 from cvxshear.util import checks, ranking
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
 METHODS = ("efficient", "two-stage", "one-shot", "berman", "qi")
 
 
+@usual_arithmetic
 def identify(
     experiment: Measurement,
     method: str = "efficient",
@@ -120,6 +122,7 @@ TIGHTER = 0.95
 """Upper bound of the largest unknown of the bounded programs, relative to its free value, so that a bound is active."""
 
 
+@usual_arithmetic
 def compare_backends(
     experiment: Measurement,
     names: Sequence[str] | None = None,

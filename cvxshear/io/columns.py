@@ -12,7 +12,7 @@ from cvxshear.util.typing import Floats, Ints
 
 FEWEST_ROWS = 32
 LIMIT = 100_000_000
-"""Bytes that a file of a record, and the numbers in it, may have where nothing else is said."""
+"""Default limit on the size of a record's file and of the numbers in it, bytes."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 
 
@@ -29,7 +29,7 @@ class Columns:
     lines : array of int, shape (rows,), optional
         The line of the file that each row stands on; None for a binary file.
     units : tuple of str, optional
-        What a line of units says of each column; empty where there is none.
+        Unit of each column, from a line of units; empty without such a line.
     stated_rate : tuple of (str, float), optional
         A lone number of the file that gives the sampling rate: its name, and the rate in Hz.
     """
@@ -62,7 +62,7 @@ class Columns:
         return replace(self, values=self.values[which], lines=lines)
 
     def check(self, name: str, asked: str) -> None:
-        """Raise `InputError` where there is no such column; `asked` says who asks for it."""
+        """Raise `InputError` if there is no such column; `asked` names the user of the column."""
         if name not in self.names:
             shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
             raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
@@ -74,7 +74,7 @@ class Columns:
         ----------
         name : str
         asked : str
-            Who asks for it, for messages.
+            The user of the column, for messages.
         """
         self.check(name, asked)
         values = self.values[:, self.names.index(name)]

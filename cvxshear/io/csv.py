@@ -1,4 +1,4 @@
-"""Reader of delimited text: what loggers, spreadsheets and other programs write.
+"""Reader of delimited text from loggers, spreadsheets and other programs.
 
 Before the line that names the columns there may be a preamble, after it a line of units; cells are separated by
 semicolons, tabs, commas or blanks; a decimal comma is understood where no comma separates. Stamps of time, with or
@@ -27,7 +27,7 @@ from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 
 SEPARATORS = (";", "\t", ",", None)
-"""What may part cells, in the order in which they are tried; None stands for blanks."""
+"""Separators of cells, in the order of the search; None means blanks."""
 
 MOST_COLUMNS = 10_000
 LONGEST_HEAD = 400
@@ -65,9 +65,9 @@ class Layout:
     line : int
         The line of the names.
     units : tuple of str
-        Of a line of units, one a column; empty where there is none.
+        Unit of each column, from a line of units; empty without such a line.
     first : int
-        The line of the first numbers; 0 where none was found.
+        The line of the first numbers; 0 if there are no numbers.
     """
 
     separator: str | None
@@ -96,7 +96,7 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     ------
     InputError
         Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
-        What stands in the file is quoted only where it is a table of numbers.
+        Messages quote the file only if it is a table of numbers.
     """
     return columns_of(_text(Path(path), limit), str(path), limit)
 
@@ -142,7 +142,7 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
     for place, (number, line) in enumerate(head):
         if _comment(line):
             continue
-        # "1,2" is one number with a decimal comma, or two: what makes more columns is meant, where the header has them.
+        # "1,2" is one number with a decimal comma or two numbers. Take two numbers if the header has enough columns.
         counts = {separator: _numbers_in(line, separator) for separator in SEPARATORS}
         for separator in sorted((each for each in SEPARATORS if counts[each]), key=lambda each: -counts[each]):
             found = _header(head[:place], separator, counts[separator])
@@ -154,7 +154,7 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
 
 
 def _first_line(line: Line, where: str) -> Layout:
-    """Take the first line as the header, where the numbers below it show none; what follows will say what is wrong.
+    """Take the first line as the header if the numbers below do not identify one; later checks report the mistake.
 
     Semicolons, tabs and commas inside quotation marks are part of a name.
     """
@@ -174,7 +174,7 @@ def _header(
     """Names, their line, and units, from the lines right before the first numbers; None where none fits."""
     fitting: list[tuple[int, tuple[str, ...]]] = []
     for number, line in reversed(before[-3:]):
-        # A tab at the start of a line of units stands for the time, which has none.
+        # A tab at the start of a line of units means that the time column has no unit.
         cells = _split(line.lstrip(" ").removeprefix("#").strip("\r\n"), separator)
         # Whoever ends each line with a separator ends all of them so; a quotation mark that is left begins a name.
         if cells is None or len(cells) != count or any('"' in cell for cell in cells):
@@ -225,12 +225,12 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) ->
     table = np.frombuffer(values, dtype=np.float64).reshape(len(numbers), len(names))
     if stamps:
         table = table.copy()
-        # To the microsecond: seconds since 1970 have no more digits.
+        # Round to microseconds: a double has no more digits for seconds since 1970.
         table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
         # A clock without a date begins anew at midnight.
         table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
     units = layout.units or ("",) * len(names)
-    # What stands after the last separator of every line is no column.
+    # The empty cell after the last separator of every line is not a column.
     kept = [p for p, name in enumerate(names) if p not in dates and (name or not np.isnan(table[:, p]).all())]
     if len(kept) < len(names):
         table, names, units = table[:, kept], *(tuple(each[place] for place in kept) for each in (names, units))
@@ -264,7 +264,7 @@ def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
 def _seconds(stamp: re.Match[str], where: str) -> float:
     """Read a stamp in s, since midnight or, where its date is an ISO date, since the start of 1970.
 
-    In other dates the day or the month may come first; none is needed, since the clock shows when midnight comes.
+    In other dates the day or the month may come first. The date is not needed: the clock shows midnight.
     """
     hour, minute, second = int(stamp["hour"]), int(stamp["minute"]), float(re.sub("[,:]", ".", stamp["second"] or "0"))
     half = (stamp["half"] or "").lower()

@@ -1,7 +1,7 @@
-"""The table of formats: which endings a kind of file has, what it is called, and what reads it.
+"""The table of formats: the endings of each kind of file, its name and its reader.
 
-A format of one's own is one more line of it: `register(Format(...))`. It is then taken by record files, by the key of
-its name in a measurement file, and by `cvxshear new`, whose help lists it.
+A format of one's own is one more line of it: `register(Format(...))`. Record files and `cvxshear new` then accept the
+format, and its name is a key of measurement files.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class Format:
     words : str
         What such a file is called: "a workbook".
     columns : callable or str, optional
-        (path, limit in bytes) to `Columns`: what reads time histories and frequency response functions from it. A
+        (path, limit in bytes) to `Columns`: the reader of time histories and frequency response functions. A
         reader that loads slowly is named, "module:function".
     modes : callable or str, optional
-        (path) to the keys of a table [[configuration]]: what reads modes from it.
+        (path) to the keys of a table [[configuration]]: the reader of modes.
     """
 
     name: str
@@ -122,7 +122,7 @@ def endings_of(reader: str) -> str:
 
 
 def read_columns(path: Path, limit: float) -> Columns:
-    """Read the columns of a file of samples; one whose ending is none of the table's is read as delimited text.
+    """Read the columns of a file of samples; a file with an unknown ending is read as delimited text.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def refuse_data(path: Path, *, toml: bool = True) -> None:
     ----------
     path : Path
     toml : bool, optional
-        Whether it may be TOML yet, which stands in any .txt as well.
+        Whether the file may be TOML; a .txt file may be TOML as well.
 
     Raises
     ------

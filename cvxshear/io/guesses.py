@@ -1,4 +1,4 @@
-"""What the columns of a logger's file are, as far as their names, units and numbers tell."""
+"""Guess the columns of a logger's file from their names, units and numbers."""
 
 import dataclasses
 import re
@@ -24,7 +24,7 @@ _WORDS = tomllib.loads(blank_text("words.toml"))
 (
     TIME, GROUND, FORCE, ROOF, NO_MOTION, BASEMENT, NTH_FLOOR, AXIS, BRACKETED, ENDING, RATE, HIT_FLOOR, RELEASE,
 ) = (re.compile(pattern, re.IGNORECASE) for pattern in _WORDS["name"].values())  # fmt: skip
-"""What columns, their units and the sampling rate in a preamble look like; the file explains each, in this order."""
+"""Patterns of columns, units and sampling rates in a preamble; comments in the file explain each, in this order."""
 
 NUMBER = re.compile(r"\d+")
 
@@ -34,7 +34,7 @@ ASCENDING = 0.99
 
 @dataclass(frozen=True)
 class Guess:
-    """What the name and the numbers of a column suggest.
+    """Guess for one column, from its name and its numbers.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Guess:
 
 
 def time_column(columns: Columns) -> str | None:
-    """Find the column that is called so and ascends; where none is called so, the first if it ascends in even steps."""
+    """Find the ascending column with a name of time, or else the first column if it ascends in even steps."""
     called = [name for name in columns.names if TIME.match(name.strip())]
     # Of a date and a time of the day the one that changes from sample to sample.
     steps_of = {name: _steps(columns, name) for name in (*called, *columns.names[:1])}
@@ -101,7 +101,7 @@ def said_unit(columns: Columns, name: str) -> tuple[str, str]:
 
 
 def _known_unit(said: str) -> str:
-    """Name a unit as it is called here; empty where none is known by that name."""
+    """Return the library's name of a unit; empty for an unknown unit."""
     plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
     known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
     lower = plain.lower()
@@ -127,7 +127,7 @@ def guesses_of(columns: Columns, names: Sequence[str]) -> list[Guess]:
                   (axis[1] or axis[2]).lower() if axis else "x", "" if unit in CHANNEL_UNITS else said)
         )  # fmt: skip
     found = _as_in_japan(found)
-    # Columns without a number stand in order on the floors that no number says; a roof above all others.
+    # Columns without a number get the remaining floors, in order; a roof is above all others.
     named = {each.floor for each in found if each.role == "floor"}
     free = iter(sorted(set(range(1, len(found) + max({0, *named}) + 1)) - named))
     result = []
@@ -143,7 +143,7 @@ def guesses_of(columns: Columns, names: Sequence[str]) -> list[Guess]:
 
 
 def _as_in_japan(found: Sequence[Guess]) -> list[Guess]:
-    """Count 2F as the first floor above ground where 1F or a basement stands for the ground, and no other column."""
+    """Count 2F as the first floor above ground if 1F or a basement is the ground, and no other column is."""
     called = [NTH_FLOOR.search(BRACKETED.sub("", each.column)) if each.role == "floor" else None for each in found]
     numbers = [int(each[1] or each[2]) if each else 0 for each in called]
     basement = [bool(each.role == "ground" and BASEMENT.search(each.column)) for each in found]

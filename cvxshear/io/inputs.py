@@ -15,7 +15,7 @@ logger = logging.getLogger(__name__)
 MEGABYTE = 1_000_000
 
 _read_before: ContextVar[dict[str, bytes] | None] = ContextVar("read_before", default=None)
-"""What pipes and devices gave, by their names, while one command runs."""
+"""Content of pipes and devices by name, kept while one command runs."""
 
 
 @contextmanager

@@ -33,7 +33,7 @@ COLUMNS = {
     "f hz": "frequencies", "frequency std": "frequency_std", "frequency std hz": ABSOLUTE, "damping": "damping_ratios",
     "damping ratio": "damping_ratios",
 }  # fmt: skip
-"""What a header may say, in lower case without punctuation, and the key of a configuration that it fills."""
+"""Header texts, in lower case without punctuation, and the keys of a configuration that they fill."""
 
 Cell = str | float | None
 Rows = list[tuple[int, list[Cell]]]
@@ -45,8 +45,8 @@ def read_mode_csv(path: str | Path) -> dict[str, Any]:
     Parameters
     ----------
     path : str or Path
-        Cells separated by semicolons, tabs or commas, whichever the header has first in that order; a decimal comma
-        is understood where the separator is none. Lines that begin with # are comments.
+        Cells are separated by semicolons, tabs or commas: the first of these that the header has. With another
+        separator than a comma, numbers may have a decimal comma. Lines that begin with # are comments.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
         result["mode_shape_std"] = (entry_std / largest).tolist()
     for key, place in keys.items():
         column = table[:, place]
-        # A mode whose damping nobody measured is still a mode.
+        # A mode does not need a damping ratio.
         needed = key != "damping_ratios" or np.all(np.isnan(column))
         if needed and np.any(np.isnan(column)):
             number = rows[1 + int(np.flatnonzero(np.isnan(column))[0])][0]
@@ -152,7 +152,7 @@ def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
 def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[int, int], dict[int, int], bool, bool]:
     """Places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor.
 
-    Last, whether the unit of the entries, and that of their deviations, is 1/sqrt(kg); deviations without a unit are
+    Last, whether the entries and their deviations have the unit 1/sqrt(kg); deviations without a unit are
     relative to the mode's largest entry.
     """
     scaled: set[bool] = set()
@@ -172,7 +172,7 @@ def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[i
             several[int(floor[1])] = place
             (std_scaled if floor[2] else scaled).add(floor[3] is not None)
         else:
-            # Of a file that is no such table nothing is quoted: it may have been named by mistake.
+            # Do not quote a file that is not a table of modes: the user may have named the wrong file.
             shown = f'column "{name[:60]}"' if keys or entries else f"column {place + 1}"
             raise InputError(
                 f"{source}: {shown} is not one of a table of modes: mode, frequency, frequency std, damping, "
@@ -188,7 +188,7 @@ def _columns(header: Sequence[str], source: str) -> tuple[dict[str, int], dict[i
 
 
 def _padded(rows: Rows, width: int, source: str) -> Rows:
-    """Rows of one length; what a row leaves out at its end is empty."""
+    """Rows of one length; missing cells at the end of a row are empty."""
     for number, row in rows:
         if any(cell not in (None, "") for cell in row[width:]):
             raise InputError(f"{source}, line {number} has more cells than the header has columns, {width}")

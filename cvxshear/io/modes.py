@@ -36,7 +36,7 @@ def called(name: str | Path) -> list[Path]:
 
 
 def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
-    """Find the record files that names and patterns stand for.
+    """Find the record files of names and patterns.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
     Returns
     -------
     files : list of Path
-        Each once; those of a pattern in the order of the numbers in their names.
+        Each file once; the files of a pattern in the order of the numbers in their names.
     left_out : list of Path
         Files that a pattern matches and that hold no table [record].
 
@@ -71,15 +71,15 @@ def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
 def identify_modes_many(
     files: Iterable[str | Path], *, jobs: int = 1, progress: Progress | None = None, **options: Any
 ) -> list[IdentifiedRecord | CvxshearError]:
-    """`identify_modes` for each of many record files; where one fails, its error stands in its place.
+    """Run `identify_modes` for many record files; the result of a failed file is its error.
 
     Parameters
     ----------
     files : iterable of str or Path
         Record files (TOML).
     jobs : int, optional
-        Processes; -1 takes every core. Inside `with joblib.parallel_config(backend="dask")` they run on that
-        cluster, whose workers must see the files.
+        Processes; -1 takes every core. Inside `with joblib.parallel_config(backend="dask")` they run on that cluster.
+        Its workers must be able to read the files.
     progress : callable, optional
         Called with the number of records done and to do.
     **options
@@ -119,7 +119,7 @@ def modes_from_file(path: str | Path, *, output: str | Path | None = None, **opt
     Raises
     ------
     InputError
-        Where the record file or a file it names is wrong, or a file to write would replace one of them; nothing is
+        The record file or a file that it names is wrong, or a file to write would replace one of them. No file is
         written then.
     NoSolutionError
         Where no mode was found.
@@ -160,7 +160,7 @@ def experiment_from_file(path: str | Path) -> Experiment:
 
 
 def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
-    """Write the measurement file of several records, what each got wrong as comments at its head.
+    """Write the measurement file of several records, with their findings as comments at its head.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
     Raises
     ------
     InputError
-        Where two records contradict each other, or `cvxshear.load` would refuse the file; nothing is written then.
+        Two records contradict each other, or `cvxshear.load` would refuse the file. No file is written then.
     """
     declared = merged(tests)
     Experiment.from_dict(declared, name=Path(path).stem)

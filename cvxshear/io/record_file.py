@@ -1,4 +1,4 @@
-"""The record file: a small TOML text that says which column of which file is which floor, and what drove it.
+"""The record file: a small TOML text that assigns columns of files to floors and declares the excitation.
 
 Its tables are `[record]` (kind, input, file, sampling rate, ...), one `[[channel]]` for each column used
 (column, floor, axis, sign, calibration) and, where there are several files, one `[[run]]` for each; docs/modal.md
@@ -151,7 +151,7 @@ def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
 
 
 class RecordTables:
-    """What a record file declares, each key checked as it stands.
+    """Declarations of a record file; each key is checked separately.
 
     Parameters
     ----------
@@ -377,7 +377,7 @@ def read_motion(path: str | Path) -> DrivenRecord:
     Raises
     ------
     InputError
-        As `read_record` does, and where nothing says what drove the frame.
+        The same errors as in `read_record`, and a record without an excitation.
     """
     tables = RecordTables(Path(path))
     with placed(tables.path):

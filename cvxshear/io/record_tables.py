@@ -1,4 +1,4 @@
-"""What the tables of a record file say: its channels, its runs, and where the samples of a run stand without gaps."""
+"""The tables of a record file: channels, runs, and the samples of a run between gaps."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -74,7 +74,7 @@ def placed(path: Path) -> Iterator[None]:
         yield
     except InputError as error:
         message = str(error)
-        # What the readers of other files say names those.
+        # Errors of other readers name their own files.
         raise type(error)(message if message.startswith(str(path.parent)) else f"{path}: {message}") from error
 
 
@@ -115,7 +115,7 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
 
 
 def _quantity(given: object, unit: str | None, usual: object, where: str) -> tuple[str, float]:
-    """Find what a channel measures, and its unit in SI units: what the unit says goes before what all channels have."""
+    """Find the quantity of a channel and its unit in SI units. The channel's unit overrides the record's quantity."""
     measured, in_si = ("acceleration", 1.0) if unit is None else CHANNEL_UNITS[unit]
     if given is None:
         given = measured if unit is not None or usual is None else usual
@@ -195,16 +195,16 @@ def pieces_of(
     Returns
     -------
     pieces : list of slice
-        Of the rows, in their order; one where nothing is missing.
+        Rows of each piece, in order; one piece without gaps.
     rate : float
         Hz.
     left_out : str
-        Empty where nothing was.
+        Empty if all samples are used.
 
     Raises
     ------
     InputError
-        Where most of the samples would be left out, or none is between `start` and `end`.
+        Most of the samples would be left out, or there are no samples between `start` and `end`.
     """
     for item in needed:
         columns.check(item.name, item.place or path.name)
@@ -224,7 +224,7 @@ def pieces_of(
     sound_rows = sound_pieces(sound, breaks, slice(first, last))
     whole = sound_rows == [slice(first, last)]
     for item in needed if whole else ():
-        # Whatever is wrong with the whole is said by those who read it.
+        # The reader of the whole record reports other mistakes.
         columns.rows(sound_rows[0]).column(item.name, item.place or path.name)
     if name is not None:
         rate = rate_of(declared, columns.rows(max(sound_rows, key=lambda each: each.stop - each.start)))
@@ -279,7 +279,7 @@ def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
 
 
 def time_column_of(declared: Mapping[str, Any], columns: Columns) -> str | None:
-    """Find the name of the time column: that declared, or one of the usual names; None where there is none."""
+    """Find the name of the time column: the declared or a usual name; None without a time column."""
     name = declared.get("time") or next((item for item in TIME_NAMES if item in columns.names), None)
     if name is not None:
         columns.check(name, "record: time")

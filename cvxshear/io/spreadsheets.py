@@ -44,7 +44,7 @@ class Sheet:
     title : str
     header : tuple of str
     rows : list of tuple
-        None, and nan, stand for what is not known: an empty cell.
+        None and nan give an empty cell.
     """
 
     title: str

@@ -1,6 +1,6 @@
 """Files to fill in: a measurement file with every key explained, and a record file begun from a logger's own file.
 
-Their texts stand in the folder `blank`; a record file marks what follows from the names and numbers of its columns.
+Their texts are in the folder `blank`. A record file marks the values that were guessed from names and numbers.
 """
 
 import dataclasses
@@ -40,7 +40,7 @@ from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
 
 MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
-"""Floor mass (kg) and story stiffness (N/m) of the frame that stands for the user's, and a pull at its top (N)."""
+"""Floor mass (kg) and story stiffness (N/m) of the example frame, and a pull at its top (N)."""
 
 TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
 """The line that a new file has where its modes are made up."""
@@ -55,7 +55,7 @@ CARRIED = "# total_mass is not needed: the shapes carry the scale, 1/sqrt(kg)"
 def template(stories: int = 3) -> str:
     """Write a measurement file of a frame of equal stories, with every key explained.
 
-    What is not needed stands as a comment.
+    Optional keys are comments.
 
     Parameters
     ----------
@@ -104,13 +104,13 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     total = CARRIED if found.get("mass_normalized") else TO_FILL_IN.replace("{file}", printable(Path(modes).name))
     text = _filled(f"{named}  # frequencies and mode shapes", max(found["measured_floors"]), total)
     for given in ("frequency_std", "mode_shape_std"):
-        # What the table says itself need not be said here.
+        # Omit the keys that the table itself has.
         text = text.replace(f"\n{given} =", f"\n# {given} =") if given in found else text
     return text
 
 
 def toml_line(key: str, name: str) -> str:
-    """Write a line of TOML that names a file, from the folder that the line stands in.
+    """Write a line of TOML that names a file, relative to the folder of the TOML file.
 
     Raises
     ------
@@ -243,7 +243,8 @@ def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int, top: i
     for place, each in enumerate(files, 1):
         written += ["", "[[run]]", toml_line("file", os.path.relpath(each, folder))]
         if kind in ("force", "frf"):
-            # Hits are repeated at a floor; functions of as many files as floors are those of a force at each.
+            # A hammer record has several hits at a floor. With one file of functions for each floor, each file has the
+            # force at its floor.
             unsaid = (
                 (place, "from the order of the files")
                 if (kind, len(files)) == ("frf", top)

@@ -19,6 +19,7 @@ from cvxshear.io.formats import FORMATS, format_of, naming_keys, refuse_data
 from cvxshear.io.inputs import named_after, read_bytes
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 from cvxshear.util.text import Inserted, escaped, printable
@@ -34,7 +35,7 @@ MEASURED_FRAMES = (
 """Tables of modes of measured frames that travel with the package, each with its source."""
 
 BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
-"""Examples that travel with the package, and where they stand in it."""
+"""Examples in the package, with their paths."""
 
 LONGEST_KEY = 16
 """Parts, with dots between; the time that reading a key takes grows with their square."""
@@ -45,6 +46,7 @@ _HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
 
 
+@usual_arithmetic
 def load(path: str | Path) -> Experiment:
     """Read a measurement file.
 
@@ -238,7 +240,7 @@ WRITTEN_DIGITS = 8
 """Significant ones: no record tells more."""
 
 LARGE = 2_500
-"""Numbers of a table from which on it is written in one piece: shapes of fifty modes at fifty floors."""
+"""Tables with more numbers are written in one piece; fifty modes at fifty floors."""
 
 _NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
 """A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""

@@ -32,7 +32,7 @@ TIME_RESPONSE, FRF = 1, 4
 """Function types of data set 58."""
 FUNCTION, MODE = 58, 55
 NEEDED = {FUNCTION: ("x", "data", "func_type"), MODE: ("r1", "node_nums")}
-"""What pyuff gives of a sound data set; of a damaged one it may leave out any of it."""
+"""Keys that pyuff returns for a complete data set; for a damaged one it omits some."""
 
 
 def read_uff(path: str | Path, limit: float = LIMIT) -> Columns:
@@ -47,9 +47,9 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> Columns:
     Returns
     -------
     Columns
-        The abscissa as `time` or `frequency`; each function by its response node and direction, `1x`,
-        `2x-`, ... (`1d9` where the direction is none of the format's); a complex function in two
-        columns with `_re` and `_im`. A function whose name is taken already has its place in the file appended, `1x#7`.
+        The abscissa as `time` or `frequency`; each function by its response node and direction, `1x`, `2x-`, ... (`1d9`
+        for a direction outside the format); a complex function in two columns with `_re` and `_im`. A function whose
+        name is taken already has its place in the file appended, `1x#7`.
 
     Raises
     ------

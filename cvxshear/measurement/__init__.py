@@ -1,1 +1,1 @@
-"""What was measured and declared: experiment, configurations, static tests, other modes, and all their validation."""
+"""Measured and declared data: experiment, configurations, static tests, other modes, and their validation."""

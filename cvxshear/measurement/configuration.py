@@ -1,4 +1,4 @@
-"""One tested state of the frame: what was added to it, and what was measured on it with which uncertainty."""
+"""One tested state of the frame: the added masses and the measured modes with their uncertainty."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _no_ints() -> Ints:
 
 
 def _absent(value: object) -> bool:
-    """Whether a value stands for "not given", which the default factories spell as an empty array."""
+    """Return whether a value means "not given"; the default factories write this as an empty array."""
     if isinstance(value, np.ndarray):
         return value.size == 0
     return value is None or (isinstance(value, list | tuple) and not value)
@@ -42,15 +42,15 @@ def _absent(value: object) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Configuration(InTable):
-    """One tested state of the frame: what was added to it and what was measured on it.
+    """One tested state of the frame, with its added masses and its measured modes.
 
     Parameters
     ----------
     frequencies : array_like, shape (m,)
         Natural frequencies, Hz, ascending.
     mode_shapes : array_like, shape (m, n), optional
-        One row a mode, one entry a measured floor, of any scale and sign; nan where not measured. A row of
-        nan alone stands for a mode of which only the frequency is known; without any, no shape is.
+        One row a mode, one entry a measured floor, of any scale and sign; nan where not measured. A row of nan is a
+        mode with a frequency and no shape. Without this array, no mode has a shape.
     name : str, optional
     state : str, optional
         The state of the frame: configurations of one state share what was undeclared about it; the configuration's
@@ -245,7 +245,7 @@ class Configuration(InTable):
         return {"state": self.name}
 
     def in_frame(self, stories: int) -> Configuration:
-        """Fit the configuration to a frame of so many stories: added mass filled in, floors and modes within it.
+        """Fill in the added masses for a frame of the given number of stories; check floors and modes.
 
         Raises
         ------
@@ -287,12 +287,12 @@ class Configuration(InTable):
 
     @cached_property
     def known_shapes(self) -> Floats:
-        """`mode_shapes` with zero where nothing was measured, shape (m, n)."""
+        """`mode_shapes` with zero for entries that were not measured, shape (m, n)."""
         return np.where(self.measured, self.mode_shapes, 0.0)
 
     @cached_property
     def entry_weights(self) -> Floats:
-        """One over the standard deviation of each shape entry, zero where nothing was measured, shape (m, n)."""
+        """Inverse standard deviation of each shape entry, zero for entries that were not measured, shape (m, n)."""
         known = self.measured
         return np.asarray(np.where(known, 1.0 / np.where(known, self.entry_std, 1.0), 0.0))
 
@@ -304,7 +304,7 @@ class Configuration(InTable):
 
     @cached_property
     def log_frequency_std(self) -> Floats:
-        """Standard deviation of the logarithm of each frequency, shape (m,); the default where none is declared."""
+        """Standard deviation of the logarithm of each frequency, declared or default, shape (m,)."""
         if self.frequency_std is None:
             return np.full(len(self.frequencies), DEFAULT_FREQUENCY_STD)
         return self.frequency_std

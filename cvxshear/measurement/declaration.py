@@ -1,4 +1,4 @@
-"""What is declared of the frame itself, of its damping and of effects, and what a report says of the test."""
+"""Declarations about the frame, its damping and its effects, and the texts of a report."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ DAMPING_KINDS = ("modal", "story", "rayleigh")
 """Kinds of damping, see `Damping`."""
 
 
-class InTable:
+class InTable(checks.ReadOnlyArrays):
     """A dataclass that a table of a measurement file declares.
 
     Attributes
     ----------
     unsaid : mapping of str to object
-        Values of single fields that stand for "not given", besides None.
+        Values of single fields that mean "not given", besides None.
     """
 
     unsaid: ClassVar[Mapping[str, object]] = {}
@@ -74,7 +74,7 @@ def named_in(declared: object, kind: str, otherwise: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Frame(InTable):
-    """What is known of the frame itself, the same in every configuration.
+    """Declared properties of the frame, the same in every configuration.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Frame(InTable):
     total_mass_std : float, optional
         Relative standard deviation of `total_mass`; exact without it.
     total_mass_placeholder : bool, optional
-        Whether `total_mass` stands for one that nobody gave: masses and stiffnesses are then relative to it.
+        Whether the total mass is unknown: masses and stiffnesses are then relative to `total_mass`.
     reference : str, optional
         The state that is the frame itself: no change and no undeclared mass sits in it.
     accept : sequence of str, optional
@@ -103,7 +103,7 @@ class Frame(InTable):
         Naming the key, the value found and what would be right.
     """
 
-    unsaid = {"stories": 0, "total_mass_placeholder": False}  # noqa: RUF012 - nobody writes into it
+    unsaid = {"stories": 0, "total_mass_placeholder": False}  # noqa: RUF012 - read only
 
     stories: int = 0
     story_heights: Floats | None = None
@@ -116,7 +116,7 @@ class Frame(InTable):
     accept: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        # 0 is the default and stands for "not given"; a False or an empty array that equals it does not.
+        # The default 0 means "not given"; False or an empty array, which equal 0, are values.
         if type(self.stories) is not int or self.stories != 0:
             checks.put(self, "stories", checks.whole, "frame: stories", least=1, most=MOST_STORIES)
         checks.put(self, "story_heights", self._checked_heights, "frame: story_heights")
@@ -177,7 +177,7 @@ class Frame(InTable):
 
 
 @dataclass(frozen=True, eq=False)
-class Damping:
+class Damping(checks.ReadOnlyArrays):
     """How the damping of the frame is modelled.
 
     Parameters
@@ -198,7 +198,7 @@ class Damping:
 
 @dataclass(frozen=True)
 class Heading(InTable):
-    """What a report says of the test besides its results; each part is None where nobody said it.
+    """Texts of a report about the test; None for a text that was not given.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ class Limits(InTable):
 
 @dataclass(frozen=True)
 class ExpectedEffect(InTable):
-    """What is known of an effect, everywhere or at a place, in place of what the catalogue expects.
+    """Declared prior of an effect, everywhere or at a place; it replaces the prior of the catalogue.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ class ExpectedEffect(InTable):
         Naming the key, the value found and what would be right.
     """
 
-    unsaid = {"exclude": False}  # noqa: RUF012 - nobody writes into it
+    unsaid = {"exclude": False}  # noqa: RUF012 - read only
 
     name: str
     floor: int | None = None

@@ -1,4 +1,4 @@
-"""What was measured and what was declared: the frame, its configurations, the priors; all validation.
+"""The experiment: the frame, its configurations and priors, and their validation.
 
 Every object is frozen and its arrays are read-only, so a result can refer to the experiment it came from.
 """
@@ -6,7 +6,7 @@ Every object is frozen and its arrays are read-only, so a result can refer to th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,7 +28,7 @@ __all__ = [
 ]  # fmt: skip
 
 Tested = Configuration | StaticTest
-"""What was measured on one state of the frame; either has a `name`, a `state` and an `added_mass`."""
+"""Measurement of one state of the frame; both types have a `name`, a `state` and an `added_mass`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +56,7 @@ class Experiment(Shown):
     Raises
     ------
     InputError
-        Where the parts do not fit each other, or nothing tells how heavy the frame is.
+        The parts contradict each other, or the mass scale is unknown.
     """
 
     frame: Frame
@@ -93,7 +93,7 @@ class Experiment(Shown):
         self._check_scale()
 
     def _part_priors(self) -> None:
-        """Keep those about masses and stiffnesses; what is known of the dashpots belongs to the damping."""
+        """Keep the priors of masses and stiffnesses; the priors of dashpots belong to the damping."""
         dashpots = tuple(prior for prior in self.priors if prior.quantity == "story_damping")
         if dashpots:
             others = tuple(prior for prior in self.priors if prior.quantity != "story_damping")
@@ -294,8 +294,8 @@ def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
     return result
 
 
-Measurement = str | Path | Experiment
-"""An experiment, the path of a measurement file or a record file, or the name of a built-in example."""
+Measurement = str | Path | Json | Experiment
+"""An experiment, its dict, the path of a measurement file or a record file, or the name of a built-in example."""
 
 
 def opened(source: Measurement) -> Experiment:
@@ -303,20 +303,22 @@ def opened(source: Measurement) -> Experiment:
 
     Parameters
     ----------
-    source : Experiment, str or Path
-        A path, of a measurement file or of a record file, whose modes are then identified; or a built-in's name.
+    source : Experiment, dict, str or Path
+        A built-in's name, or the path of a measurement file or a record file. The modes of a record are identified.
 
     Raises
     ------
     InputError
-        Where it is none of these, or the file cannot be read.
+        The source has another type, or the file cannot be read.
     NoSolutionError
         Where no mode was found in a record.
     """
     if isinstance(source, Experiment):
         return source
+    if isinstance(source, Mapping):
+        return Experiment.from_dict(source)
     if not isinstance(source, str | Path):
-        needed = "an Experiment, the path of its file or the name of a built-in example"
+        needed = "an Experiment, its dict, the path of its file or the name of a built-in example"
         raise InputError(f"{needed} is needed, not {checks.shown(source)}")
     found: Experiment = ask("read", "experiment_from_file", source)
     return found

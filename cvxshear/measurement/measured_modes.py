@@ -1,4 +1,4 @@
-"""What a configuration's modes may be: other modes of the frame (`other_modes`), or one mode measured twice."""
+"""Alternative mode numbers of a configuration (`other_modes`), and modes that were measured twice."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cvxshear.util.typing import Floats, Ints
 
 @dataclass(frozen=True, eq=False)
 class OtherModes(InTable):
-    """Another reading of which modes of the frame a configuration holds.
+    """Alternative mode numbers of a configuration, with their probability.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class OtherModes(InTable):
 
 
 def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ...]:
-    """Read the entries of `other_modes`, whose probabilities leave room for the configuration's own modes.
+    """Read the entries of `other_modes`; the sum of their probabilities must be less than 1.
 
     Raises
     ------
@@ -79,14 +79,14 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
 
 
 SAME_SHAPE = 1e-12
-"""Squared sine of the angle between two shapes below which they are the same one."""
+"""Two shapes are equal if the squared sine of the angle between them is smaller than this."""
 
 ENTRIES_OF_A_COPY = 3
 """Equal entries that make a row a copy of another: where floors are missing two modes may share one or two."""
 
 
 def copied_rows(shapes: Floats) -> tuple[int, int] | None:
-    """Find the first two rows with the same numbers in the same places, of which there are several.
+    """Find the first two rows that have the same numbers, at least two, in the same places.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a configuration reads, as the screening takes it: rows that can be turned and renumbered, signs, copies.
+"""The data of a configuration for the screening: rows that can be turned and renumbered, signs, copies.
 
 The signs of a mode of a shear frame: mode r changes sign r - 1 times from the ground up. Its stiffness matrix is a
 Jacobi matrix, its mass matrix positive and diagonal (Gantmacher and Krein 1950). At some of the floors mode r changes
@@ -16,10 +16,10 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SHAPE_TOLERANCE = 0.03
-"""Difference, over a mode's largest entry, by which a real frame's shapes stray from a shear frame's besides noise."""
+"""Typical difference between the shapes of a real frame and a shear frame, relative to a mode's largest entry."""
 
 FREQUENCY_TOLERANCE = 0.02
-"""Relative difference by which a real frame's frequencies stray from a shear frame's besides the noise."""
+"""Typical relative difference between the frequencies of a real frame and a shear frame."""
 
 CLOSER = 0.3
 """Factor on both tolerances that suffices for a frame which is nearly a shear frame."""
@@ -28,10 +28,11 @@ FARTHER = 3.0
 """Factor on both tolerances for a frame which is far from a shear frame (walls, coupled floors)."""
 
 CERTAIN = 5.0
-"""Standard deviations from zero, `SHAPE_TOLERANCE` included, from which on an entry's sign is taken as it is."""
+"""The sign of an entry is certain if its distance from zero exceeds this number of standard deviations."""
 
 NUMBERS_OF_A_COPY = 3
-"""Equal numbers from which on two tests are one: they may round to the same frequency or two, not to three."""
+"""Least count of equal numbers that makes two tests copies: rounding explains one or two equal frequencies, not
+three."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class MeasuredModes:
 
     @property
     def largest(self) -> Floats:
-        """The size of each row's largest entry, shape (m, 1); 1 where nothing was measured."""
+        """Size of the largest entry of each row, shape (m, 1); 1 for a row without measured entries."""
         size = np.max(np.abs(np.where(self.known, self.shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
         return np.where(size > 0, size, 1.0)
 
@@ -151,7 +152,7 @@ def violations(reading: MeasuredModes) -> list[str]:
 
 
 def _violation(number: int, signs: Floats, *, whole: bool) -> str:
-    """Say what is wrong with one mode; empty where nothing is. Entries not measured can have had any sign."""
+    """Return the mistake in one mode as a text, or an empty text. Entries that were not measured may have any sign."""
     right = number - 1
     least = fewest_changes(signs)
     if least > right:
@@ -176,8 +177,9 @@ def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ..
     Returns
     -------
     tuple of tuple of str
-        Names of the configurations of each group of two or more, in the order of the file. Those of a group have the
-        same added mass, modes, floors, frequencies and mode shapes, of which `NUMBERS_OF_A_COPY` at least are measured.
+        Names of the configurations of each group of two or more, in the order of the file. The tests of a group have
+        the same added mass, modes, floors, frequencies and mode shapes, with at least `NUMBERS_OF_A_COPY` measured
+        numbers.
     """
     groups: dict[tuple[bytes, ...], list[str]] = {}
     for each in experiment.configurations:
@@ -189,7 +191,7 @@ def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ..
 
 
 def without_repeated(experiment: Experiment) -> tuple[Experiment, tuple[tuple[str, str], ...]]:
-    """Return the experiment with each test once, and the names of the copies with that of the test they repeat.
+    """Return the experiment without copies of tests, and a map from each copy's name to the original's name.
 
     Measured values that agree to the last digit are one measurement: counted twice they would seem twice as sure.
     """

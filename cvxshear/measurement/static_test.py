@@ -14,12 +14,12 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
 
 DEFAULT_DISPLACEMENT_STD = 0.01
-"""Standard deviation relative to the largest displacement, where none is declared; `data.Static.noise` says why."""
+"""Default standard deviation, relative to the largest displacement (see `data.Static.noise`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class StaticTest(InTable):
-    """Forces on a frame that stands still, and where they move its floors.
+    """Static forces on the frame and the measured displacements of its floors.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class StaticTest(InTable):
         return f'static test "{self.name}": {key}'
 
     def in_frame(self, stories: int) -> StaticTest:
-        """Fit the test to a frame of so many stories, added mass filled in."""
+        """Return the test for a frame of the given number of stories, with the added mass filled in."""
         return self if len(self.added_mass) else dataclasses.replace(self, added_mass=np.zeros(stories))
 
     @property
@@ -77,6 +77,6 @@ class StaticTest(InTable):
 
     @property
     def entry_std(self) -> Floats:
-        """Standard deviation of each displacement, shape (N,), m; the default where none is declared."""
+        """Standard deviation of each displacement, declared or default, shape (N,), m."""
         relative = DEFAULT_DISPLACEMENT_STD if self.displacement_std is None else self.displacement_std
         return np.full(len(self.force), relative * float(np.nanmax(np.abs(self.displacement))))

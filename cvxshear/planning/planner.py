@@ -21,6 +21,7 @@ from cvxshear.planning.expected_noise import Declared, TestNoise
 from cvxshear.planning.results import ExpectedAccuracy, Plan
 from cvxshear.planning.tested_model import AveragedModel, Test, TestModel
 from cvxshear.util import checks
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
@@ -107,6 +108,7 @@ class MassLimits:
         return self._within(result)
 
 
+@usual_arithmetic
 def plan(
     source: str | Path | Experiment | Design,
     sensors: int | None = None,

@@ -1,4 +1,4 @@
-"""Priors: what is known of the masses and stiffnesses before anything is measured."""
+"""Priors of floor masses and story stiffnesses."""
 
 from cvxshear.priors.base import QUANTITIES, QUANTITY_UNITS, Constraints, Prior, check_prior, check_quantity
 from cvxshear.priors.stated import Bounds, Monotone, Nominal, Ratio, Value

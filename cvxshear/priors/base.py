@@ -1,4 +1,4 @@
-"""What every prior is: a statement about the floor masses or the story stiffnesses, exact or soft.
+"""Base class of priors: an exact or soft statement about the floor masses or the story stiffnesses.
 
 A prior of one's own is a subclass of `Prior` that overrides `constraints` (an exact statement) or
 `residual` (a soft one). A subclass that sets `kind` and is a dataclass can be named in a measurement file.
@@ -25,8 +25,8 @@ QUANTITIES = tuple(QUANTITY_UNITS)
 """Quantities that priors speak of, with their units."""
 
 SIZES = (1.0, 1e2, 1e4, 1e6, 1e8)
-"""Sizes of masses (kg), stiffnesses (N/m) and dashpots at which a prior from elsewhere is tried: from bench models to
-towers. What it returns is compared at the size where its residual is smallest, the nearest to what it means."""
+"""Sizes of masses (kg), stiffnesses (N/m) and dashpots for the checks of a user's prior, from bench models to towers.
+The checks compare its residual and derivative at the size with the smallest residual."""
 
 RESIDUAL_STEP = 1e-5
 """Relative step of a difference quotient: its rounding and its curvature are both far below a part in a thousand."""
@@ -83,7 +83,7 @@ class Constraints:
                 raise InputError(f"{where}: its {field.name} must hold finite numbers, not {array[wrong][0]}")
 
 
-class Prior(ABC):
+class Prior(checks.ReadOnlyArrays, ABC):
     """A statement about the floor masses (without added mass), the story stiffnesses or the story dashpots.
 
     Attributes
@@ -158,11 +158,11 @@ class Prior(ABC):
         """
         return None
 
-    def check(self, stories: int) -> None:  # noqa: B027  (a prior need not override it)
-        """Raise `InputError` where the prior does not fit a frame of so many stories."""
+    def check(self, stories: int) -> None:
+        """Raise `InputError` if the prior does not fit the frame's number of stories."""
 
     def constraints(self, stories: int) -> Constraints:
-        """Return the exact statements, for a frame of so many stories; none by default."""
+        """Return the exact statements for a frame of the given number of stories; empty by default."""
         return Constraints()
 
     def residual(self, x: Floats) -> tuple[Floats, Floats]:
@@ -193,11 +193,11 @@ def check_quantity(prior: Prior) -> None:
 
 
 def check_prior(prior: Prior, stories: int) -> None:
-    """Raise `InputError` where a prior does not fit a frame of so many stories, or does not do what a prior must.
+    """Raise `InputError` if a prior does not fit the frame's number of stories, or breaks the rules of priors.
 
-    What this library's own priors return is not looked at. That of others is, once an object and number of stories:
-    `constraints` and `residual` must return real, finite numbers of the right shapes, the same twice, and the
-    derivative must agree with central differences in two random directions.
+    A user's prior is checked once for each object and number of stories: `constraints` and `residual` must return
+    real, finite numbers of the right shapes, the same twice, and the derivative must agree with central differences
+    in two random directions. The library's own priors skip this check.
 
     Parameters
     ----------

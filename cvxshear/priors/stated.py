@@ -1,4 +1,4 @@
-"""Priors of floor masses and story stiffnesses: what one, all, or the ratio of two is, bounds, change with height."""
+"""Priors of floor masses and story stiffnesses: values, ratios, bounds, and change with height."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class _Equations(Prior):
             check_place(self, name)
 
     def check(self, stories: int) -> None:
-        """Raise `InputError` where it names a floor or story that a frame of so many stories has not."""
+        """Raise `InputError` if it names a floor or story that the frame does not have."""
         for name in self.places:
             check_place(self, name, stories)
 
@@ -100,9 +100,9 @@ class Value(_Equations):
 class Nominal(_Equations):
     """x = values, or x = c values with any c > 0; exact or soft.
 
-    Soft, r_i = (x_i / v_i - 1) / std. With a free scale r is log(x_i / v_i) / std less its mean over the
-    floors, expressed in an orthonormal basis of the N - 1 directions that change the distribution (the
-    Helmert contrasts), so that it counts as N - 1 statements.
+    Soft, r_i = (x_i / v_i - 1) / std. With a free scale, r is log(x_i / v_i) / std minus its mean over the floors,
+    expressed in an orthonormal basis of the N - 1 directions that change the distribution (the Helmert contrasts), so
+    that it counts as N - 1 statements.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class Nominal(_Equations):
         return self.values
 
     def check(self, stories: int) -> None:
-        """Raise `InputError` where it names floors or stories that a frame of so many stories has not."""
+        """Raise `InputError` if it names floors or stories that the frame does not have."""
         if len(self.values) != stories:
             raise InputError(
                 f"values of the nominal prior has {checks.entries(len(self.values))}, the frame has {stories} stories; "
@@ -237,7 +237,7 @@ class Bounds(Prior):
         put(self, "upper", checks.vector if checks.many(self.upper) else checks.number, above=0.0)
 
     def check(self, stories: int) -> None:
-        """Raise `InputError` where it names floors or stories that a frame of so many stories has not."""
+        """Raise `InputError` if it names floors or stories that the frame does not have."""
         for name in ("lower", "upper"):
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and len(value) != stories:
@@ -259,7 +259,7 @@ class Bounds(Prior):
         return lower.astype(float), upper.astype(float)
 
     def constraints(self, stories: int) -> Constraints:
-        """Return the bounds, infinite where there is none."""
+        """Return the bounds, infinite by default."""
         lower, upper = self._limits(stories)
         return Constraints(lower=lower, upper=upper)
 

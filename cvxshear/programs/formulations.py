@@ -17,6 +17,7 @@ from cvxshear.programs.constraints import NamedConstraints, constrained, refuse_
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.programs.pair_rows import mass_rows, normalized, one_shot_rows, stiffness_rows
 from cvxshear.util import checks
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats
@@ -27,6 +28,7 @@ LEAST_POSITIVE = 1e-3
 Solvers cannot resolve a much smaller bound: HiGHS 1.15 fails at 1e-6."""
 
 
+@usual_arithmetic
 def mass_correction(
     experiment: Measurement,
     masses: Sequence[float] | Floats | None = None,
@@ -67,6 +69,7 @@ def mass_correction(
     return test.mass_correction(test.start_mass(masses))
 
 
+@usual_arithmetic
 def one_shot_masses(
     experiment: Measurement,
     *,
@@ -100,6 +103,7 @@ def one_shot_masses(
     return test.one_shot_masses(at=test.start_mass(at))
 
 
+@usual_arithmetic
 def story_stiffnesses(
     experiment: Measurement,
     masses: Sequence[float] | Floats,

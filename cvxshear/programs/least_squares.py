@@ -11,6 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point, certify
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import ask
 from cvxshear.util.typing import Floats
@@ -206,6 +207,7 @@ class LeastSquares:
                 constraints.append(sign * x[finite] <= sign * bound[finite])
         return cp.Problem(cp.Minimize(cp.sum_squares(R @ x - s)), constraints), x  # type: ignore[attr-defined]  # cvxpy exports it
 
+    @usual_arithmetic
     def kkt(self) -> Solution:
         r"""Solve the program with its equalities alone, in closed form (Eq. 14).
 
@@ -239,6 +241,7 @@ class LeastSquares:
         y = np.linalg.lstsq(A.T, R.T @ (s - R @ z), rcond=RANK_TOLERANCE)[0]
         return without._solved(Point(unit * z, np.asarray(y, dtype=np.float64), np.zeros(0)), "kkt")
 
+    @usual_arithmetic
     def normal_equations(self) -> Solution:
         """Solve the program without any constraint, R'W²R x = R'W²s (Eqs. 10 and 24), by a QR factorization of W R.
 
@@ -254,6 +257,7 @@ class LeastSquares:
         """Wrap the answer of a closed form."""
         return Solution(self, point, certify(Assembled(self), point), requested=method, backend=method)
 
+    @usual_arithmetic
     def solve(self, backend: str | Any = "auto", **options: Any) -> Solution:
         """Solve the program with a backend and certify the solution.
 

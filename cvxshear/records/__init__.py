@@ -1,4 +1,4 @@
-"""Records to modes: what was recorded, how modes are identified from it, and what it got wrong."""
+"""From records to modes: records, modal identification, and mistakes in records."""
 
 from cvxshear.records.adapters import from_arrays, from_pyoma, from_sdypy
 from cvxshear.records.agreement import second_opinion

@@ -176,6 +176,8 @@ def from_sdypy(
 
 
 def _finite(value: ArrayLike, where: str, dimensions: int) -> Complexes:
+    if np.ma.is_masked(value):
+        raise InputError(f"{where} has masked entries: leave out the floor or the mode, or fill the entries in")
     try:
         array = np.asarray(value, dtype=np.complex128)
     except (TypeError, ValueError):
@@ -192,6 +194,8 @@ def _given(value: ArrayLike | None, shape: tuple[int, ...], where: str) -> Float
     """Return one number, or one for each entry, in full shape; nan if not given."""
     if value is None:
         return np.full(shape, np.nan)
+    if np.ma.is_masked(value):
+        raise InputError(f"{where} has masked entries; fill them in")
     given = np.asarray(value, dtype=np.float64)
     try:
         array = np.broadcast_to(given, shape).copy()

@@ -1,71 +1,19 @@
-"""How modes agree with the measured functions, and with a second opinion: another method's, a peer's, or peaks."""
+"""Compare modes with the measured functions, and with the modes of another method or program."""
 
 import numpy as np
 
 from cvxshear.data.pairing import mac
-from cvxshear.records.adapters import from_arrays
 from cvxshear.records.findings import finding
 from cvxshear.records.functions import Functions
 from cvxshear.records.record import Finding
 from cvxshear.records.result import ModalResult
-from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats
 
-FDD = "fdd"
-"""The name of the frequency domain decomposition among methods."""
 SAME_FREQUENCY = 0.05
-"""Relative distance of frequencies within which two methods may have found the same mode."""
+"""Largest relative difference between the frequencies of one mode by two methods."""
 SAME_MODE_MAC = 0.9
-"""MAC from which on two shapes within that distance are taken for those of one mode; usual in correlating tests."""
-
-
-def frequency_domain_decomposition(functions: Functions, count: int, stories: int) -> ModalResult:
-    """Modes at the peaks of the largest singular value of the measured functions, with its singular vectors as shapes.
-
-    The largest peaks, each refined by the parabola through three lines of the logarithm. Of half-spectra this is the
-    frequency domain decomposition (Brincker, Zhang and Andersen 2001), of frequency response functions the complex mode
-    indicator function (Shih, Tsuei, Allemang and Brown 1988); neither uses a model of the poles.
-
-    Parameters
-    ----------
-    functions : Functions
-        Of a record, by `identify_modes` with `functions=True`.
-    count : int
-        Most modes.
-    stories : int
-
-    Returns
-    -------
-    ModalResult
-        Frequencies known to a line's width over the root of twelve; shape entries to an assumed 1 %.
-
-    Raises
-    ------
-    NoSolutionError
-        Where there is no peak.
-    """
-    left, values, _ = np.linalg.svd(functions.values, full_matrices=False)
-    height = np.log(np.maximum(values[:, 0], 1e-300))
-    peaks = np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:])) + 1
-    # A peak of noise stands little above the valleys on both sides of it.
-    prominence = np.array([height[place] - _saddle(height, int(place)) for place in peaks])
-    places = np.sort(peaks[np.argsort(-prominence)[:count]])
-    if not len(places):
-        raise NoSolutionError(FDD, "the measured functions have no peak")
-    before, at, after = (height[places + step] for step in (-1, 0, 1))
-    step = functions.frequencies[1] - functions.frequencies[0]
-    frequencies = functions.frequencies[places] + 0.5 * step * (before - after) / (before - 2 * at + after)
-    std, shapes = step / np.sqrt(12.0) / frequencies, left[places, :, 0]
-    return from_arrays(frequencies, shapes, floors=functions.floors, stories=stories, frequency_std=std, name=FDD)
-
-
-def _saddle(height: Floats, place: int) -> float:
-    """Find the higher of the two lowest points between a peak and what is higher than it on either side."""
-    lowest = []
-    for side in (height[:place][::-1], height[place + 1 :]):
-        higher = np.flatnonzero(side > height[place])
-        lowest.append(side[: higher[0] if higher.size else None].min())
-    return float(max(lowest))
+"""Least MAC between the shapes of one mode by two methods; usual in the correlation of tests and models."""
 
 
 def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:

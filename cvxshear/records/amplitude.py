@@ -17,9 +17,9 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats
 
 SIGNIFICANT = 3.0
-"""Standard deviations of a change of frequency that is said: chance makes one in 370 modes."""
+"""Report changes of frequency above this number of standard deviations; chance exceeds it for one mode in 370."""
 SMALLEST_CHANGE = 1e-3
-"""Relative change of a frequency that is said: four degrees of temperature change a steel frame's by as much."""
+"""Least relative change of frequency in a report; four degrees of temperature have this effect on a steel frame."""
 SCATTERED = 2.5
 """The same of the halves' own scatter, by Student's t, besides: a dozen blocks tell it to a fifth."""
 ALL_TOGETHER = 4.0
@@ -66,7 +66,7 @@ def _strong_against_weak(setting: Replication, result: ModalResult) -> Iterator[
     score = np.divide(changes, std, out=np.zeros(len(std)), where=std > 0)
     together = float(np.sum(score) / np.sqrt(len(score)))
     certain = large & ((np.abs(score) > student) | ((abs(together) > ALL_TOGETHER) & (score * together > 0)))
-    # A sweep may pass a mode in the weaker half; then all blocks together still tell it better than that half.
+    # A sweep may pass a mode in the weaker half; all blocks together then determine its frequency better.
     scatter = np.minimum(first_std, result.frequency_std)
     suspected = scattered & (scatter > np.maximum(SCATTERS * second_std, SMALLEST_CHANGE))
     for place in np.flatnonzero(certain | suspected).tolist():
@@ -122,7 +122,7 @@ def _early_against_late(setting: Replication, result: ModalResult) -> Iterator[F
 
 
 def _grown(setting: Replication, result: ModalResult) -> Floats:
-    """How much less a mode stands out of the same noise once the decay is weak, by what it has lost itself."""
+    """Loss of signal-to-noise ratio of each mode when the decay becomes weak."""
     impulse = setting.source.impulse()
     begun = None if impulse is None else _weak_from(impulse)
     if impulse is None or begun is None:

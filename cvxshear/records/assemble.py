@@ -43,7 +43,8 @@ def assembled(
     relative = np.sqrt(np.array([np.maximum(np.diag(block), 0.0) for block in blocks]))
     independent = np.array([independent_std(block, shape) for block, shape in zip(blocks, full.real, strict=True)])
     scale = np.ones(modes) if full.scales is None else full.scales
-    # The phases that a straight line over frequency leaves are no scatter of the data, and as much in doubt of it.
+    # The remaining phases about the straight line are not scatter of the data. They add to the uncertainty of the
+    # offset.
     left = np.radians(full.clocks.unexplained) / (2 * np.pi * np.sqrt(np.mean(full.frequencies**2)))
     offset_std = np.hypot(std[len(std) - len(left) :], left)
     names = [*(channel.name for channel in record.channels), "input"]
@@ -91,7 +92,7 @@ def _scale_std(full: Details, covariance: Floats) -> Floats:
 
     A mode's scale errs for all its n entries at once, and an error of the force for all m modes; a fit that
     takes entries for independent would average it away. Errors of n k var(q) psi_i^2 average to k var(q),
-    with k = 1' cov(q) 1 / sum var(q) the share by which the modes err together. Shape (m, n), over each
+    with k = 1' cov(q) 1 / sum var(q), the common share of the errors of the modes. Shape (m, n), over each
     mode's largest entry.
     """
     modes, floors = full.real.shape

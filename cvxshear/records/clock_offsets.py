@@ -12,7 +12,7 @@ LONGEST = 0.05
 STEPS = 4001
 """Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree."""
 FOLDED = 0.85
-"""Of half the sampling rate, above which what folds back from beyond it turns the phases of a resonance."""
+"""Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Clocks of the channels: late by a constant, or by more and more.
 
-A channel whose clock is late by tau shows every component of angular frequency w turned by -w tau. Between two
+A clock that is late by tau turns each component of angular frequency w by -w tau. Between two
 channels of a lightly damped frame the phase is otherwise nearly nought or half a turn, at the modes and in the band
 between them: over the whole band the delay is the one straight line through the origin that leaves no more than that,
 and the modes' own phases make it finer (`records.clock_offsets`). A damper turns single modes, not the band.
@@ -26,9 +26,9 @@ NO_PHASE = 3.0
 WELL_TURNED = 30.0
 """Degrees; a third of what chance leaves at most in a band that a long delay turns several times."""
 NEARLY_TURNED = 0.75
-"""Of a right angle; the phases of bands that a delay turns by more are not compared with those without it."""
+"""Fraction of a right angle. Bands that a delay turns more are not compared with their phases without the delay."""
 HEARD = 0.25
-"""Of the largest agreement of lines in a band; a band with less has little of what both channels show."""
+"""Fraction of the largest agreement of lines in a band; other bands have little motion in common."""
 MOST_BANDS = 0.75
 """Share of the bands whose phases a delay must make smaller; resonances turn the others."""
 TRUSTED_DRIFT = 4.0
@@ -36,11 +36,11 @@ TRUSTED_DRIFT = 4.0
 FINER = 4
 """Steps of the search in the time that a quarter of a sample makes."""
 NO_DRIFT = 0.97
-"""Of the agreement with a drift: reached without one, there is none."""
+"""A clock has no drift if the agreement without a drift reaches this fraction of the agreement with it."""
 STEADY = 0.01
 """Samples that the delay of a sound clock may seem to change by, as modes ring with other weights."""
 AS_GOOD = 0.97
-"""Of the largest agreement: of delays that reach it the smallest is taken, which a sidelobe of a few modes is not."""
+"""Fraction of the largest agreement: take the smallest delay that reaches it, not a sidelobe of a few modes."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class BandClock:
     Parameters
     ----------
     middle : float
-        The delay at the mean time of what tells it, s.
+        The delay at the mean time of the data, s.
     std : float
         Of that.
     agreement : float
@@ -64,8 +64,6 @@ class BandClock:
     time : float, optional
         The mean time, s, and the longest time from it to either end.
     reach : float, optional
-    steepest : float, optional
-        Drift, s a second, at which all lines agree best if only clocks turn them.
     """
 
     middle: float
@@ -77,7 +75,6 @@ class BandClock:
     freedom: int = 0
     time: float = 0.0
     reach: float = 0.0
-    steepest: float = 0.0
 
 
 def band_clock(segments: Segments, first: int, second: int) -> BandClock:
@@ -97,13 +94,12 @@ def band_clock(segments: Segments, first: int, second: int) -> BandClock:
     grid, step = grid[near], float(grid[1] - grid[0])
     time = float(np.average(times, weights=weights))
     around = times - time
-    drifting, steady, steepest = _best_lines(table, around, step, grid)
+    drifting, steady = _best_lines(table, around, step, grid)
     found = _fitted(squares, weights, around, grid[drifting[0]], drifting[1], step, segments)
     if drifting[1] and abs(found.slope) < TRUSTED_DRIFT * found.slope_std:
         # A sweep that passes a damper's phases one after the other looks like a drift as well.
         found = _fitted(squares, weights, around, grid[steady], 0, step, segments)
-    drift = steepest * step / max(float(np.abs(around).max()), 1e-9)
-    return replace(found, chance=chance, time=time, steepest=drift)
+    return replace(found, chance=chance, time=time)
 
 
 def _fitted(
@@ -146,8 +142,8 @@ def straight(
     seconds : float
         How late the first is; at the time `time` where it drifts.
     slope : float, optional
-        Seconds more in each second after. The phases in the parts of the record are then compared with those of the
-        delay alone.
+        Seconds more in each second after. With a slope, the phases in the parts of the record are compared with the
+        phases of the delay alone.
     time : float, optional
         s.
     """
@@ -156,8 +152,7 @@ def straight(
     parts = squares if slope else squares.sum(axis=0)[None]
     before, _ = _phases(parts, np.full(len(times), steady), edges, segments.omega)
     after, agreed = _phases(parts, seconds + slope * (times - time), edges, segments.omega)
-    # Turned by a right angle and more, as some lines of a band are whose middle is near it, what it shows without the
-    # delay is anything.
+    # Without the delay, the phase of a band that is turned by about a right angle is arbitrary.
     middles = segments.omega[(edges + np.append(edges[1:], squares.shape[1])) // 2]
     turned = middles * np.abs(seconds - steady) > NEARLY_TURNED * np.pi / 2
     noise = 2 * NO_PHASE if slope else NO_PHASE
@@ -223,10 +218,11 @@ def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segme
     return BandClock(middle, std, 1.0, 0.0, slope, float(np.sqrt(scatter / max(information, 1e-300))), freedom)
 
 
-def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int, int]:
-    """Place on the grid, and steps of drift from the middle to the end, of the largest agreement.
+def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int]:
+    """Return the line of the largest agreement, and the place of the largest agreement without a drift.
 
-    A drift that makes it little larger is none. Then the place without any drift, and the steps of the largest.
+    A line is a place on the grid and the steps of drift from the middle to the end. The line has a drift only if the
+    drift increases the agreement by more than `NO_DRIFT` allows.
     """
     half = max(float(np.abs(around).max()), 1e-9)
     most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
@@ -248,7 +244,7 @@ def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tup
         if total[place] > best[0]:
             best = (float(total[place]), place, turns)
     line = (without[1], 0) if without[0] >= NO_DRIFT * best[0] else best[1:]
-    return line, without[1], best[2]
+    return line, without[1]
 
 
 def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""From records in blocks to a matrix whose columns span those of the extended observability matrix, by three methods.
+"""Three methods that compute the column space of the extended observability matrix from blocks of a record.
 
 Observer/Kalman filter identification: the responses are regressed on past inputs and past responses, an observer whose
 Markov parameters are finite in number although the structure's are not (Juang, Phan, Horta, Longman 1993,
@@ -43,7 +43,7 @@ from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Bools, Complexes, Floats
 
 LAGS, LAGS_A_STATE = 20, 7.0
-"""Lags of the observer: so many at least, and as many as give seven past responses for each state of the frame. Under
+"""Lags of the observer: a minimum, and past responses for each state of the frame. Under
 noise an observer of few outputs forgets slowly; cut short, it bends the high modes by ten of their deviations."""
 
 MOST_UNKNOWNS = 0.1
@@ -62,7 +62,7 @@ def lags_for(stories: int, outputs: int, samples: int) -> int:
     Parameters
     ----------
     stories : int
-        The frame has twice as many states.
+        The frame has two states for each story.
     outputs : int
     samples : int
         In the whole record.
@@ -72,7 +72,7 @@ def lags_for(stories: int, outputs: int, samples: int) -> int:
 
 
 def rows_for(stories: int, outputs: int) -> int:
-    """Choose as many block rows of past and future as hold three samples a state of a frame of so many stories."""
+    """Choose the block rows of past and future: three samples for each state of the frame."""
     return max(SUBSPACE_ROWS, int(np.ceil(SAMPLES_A_STATE * 2 * stories / outputs)))
 
 
@@ -165,7 +165,7 @@ class OkidSource(Source):
         return self._latest[1]
 
     def rougher(self) -> OkidSource:
-        """Use half the lags on the same data: what changes is of the size of what noise bends, or larger."""
+        """Use half the lags on the same data. The change is at least the bias that noise causes."""
         other = copy.copy(self)
         other.lags, other._latest = self.lags // 2, None
         width = self.inputs + other.lags * (self.inputs + self.outputs)
@@ -206,9 +206,9 @@ def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:
 def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) -> Floats:
     """Markov parameters 0 to `count` of the system behind the observer, without what in it explodes.
 
-    With x the observer's state in its canonical form, x' = F x + G u, y = x_1 + D u, the parameters are
-    Y_k = C F^{k-1} G, summed over the eigenvalues of F. One well outside the unit circle is no structure: it
-    stands for what comes before its cause at the edge of the band, and would swamp the others.
+    With x the observer's state in its canonical form, x' = F x + G u, y = x_1 + D u, the parameters are Y_k = C F^{k-1}
+    G, summed over the eigenvalues of F. An eigenvalue well outside the unit circle is not a mode. It comes from the
+    edge of the band and would exceed all others.
     """
     lags, rows, columns = inputs.shape
     transition = np.eye(lags * rows, k=rows)
@@ -236,18 +236,18 @@ def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
 
 
 SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
-"""Block rows of past and of future: so many at least, and as many as give three samples for each state of the frame."""
+"""Block rows of past and future: a minimum, and samples for each state of the frame."""
 
 SILENCE = 1e-4
-"""Of the largest variance, added to every channel's before the future is weighted: 40 dB below the motion a record
-holds resolution and hum, which make poles where they are weighted up to the motion's size."""
+"""Fraction of the largest variance, added to every channel's variance before the future is weighted. Resolution and
+hum, 40 dB below the motion, otherwise give poles."""
 
 
 class SubspaceSource(Source):
     """A record with measured input, in blocks, for PO-MOESP.
 
-    The poles and shapes are those of the projection, whose instruments no noise is correlated with. What is asked of
-    impulse responses, residues for these poles, is had from an observer's Markov parameters of the same blocks.
+    The projection gives the poles and shapes; noise is not correlated with its instruments. Residues of these poles
+    come from the Markov parameters of an observer on the same blocks.
 
     Parameters
     ----------

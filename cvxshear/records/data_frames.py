@@ -43,7 +43,7 @@ def sound_pieces(sound: Bools, breaks: Iterable[int] = (), asked: slice = slice(
     Returns
     -------
     list of slice
-        One with all rows that count where none is missing, or too many are.
+        One slice of all valid rows if no row or too many rows are missing.
     """
     first, last, _ = asked.indices(len(sound))
     pieces: list[tuple[int, int]] = []
@@ -83,7 +83,7 @@ class TableColumns:
 
     @property
     def source(self) -> str:
-        """What messages call it."""
+        """Name of the table in messages."""
         return "the table"
 
     def at(self, row: int) -> str:
@@ -96,7 +96,7 @@ class TableColumns:
         Raises
         ------
         InputError
-            Where nothing tells it, the times are not evenly spaced, or both tell different rates.
+            The rate is unknown, the times are not evenly spaced, or times and rate contradict each other.
         """
         if self.times is None or len(self.times) < 2:
             if given is None:
@@ -106,20 +106,21 @@ class TableColumns:
 
 
 def label(name: Hashable) -> str:
-    """Write the name of a column; that of several levels with blanks between them."""
+    """Write the name of a column, with blanks between several levels."""
     return " ".join(map(str, name)) if isinstance(name, tuple) else str(name)
 
 
 def table_columns(table: Any) -> TableColumns:
     """Read the columns of a table; their names, times and unit as a data frame or a data array has them.
 
-    Of a data array the first dimension is time, the second one named coordinate a channel. Times of any numeric or
-    date type but whole numbers count, which are taken for a count of rows. A unit stands in `attrs["units"]`.
+    The first dimension of a data array is time; the second has one named coordinate for each channel. Times of any
+    numeric or date type but whole numbers count, which are taken for a count of rows. The unit is `attrs["units"]`.
 
     Raises
     ------
     InputError
-        Where the table is none, a name stands twice, or a unit is none of acceleration, velocity or displacement.
+        The object is not a table, a name occurs twice, or a unit is not a unit of acceleration, velocity or
+        displacement.
     """
     names: Any = None
     times: Any = None
@@ -149,7 +150,7 @@ def table_columns(table: Any) -> TableColumns:
 
 
 def _seconds(times: Any) -> Floats | None:
-    """Return times in seconds; None where there are none, or what there is counts rows."""
+    """Return times in seconds; None without times, or if the index counts rows."""
     values = np.asarray(getattr(times, "values", times))
     if times is None or values.ndim != 1 or values.dtype.kind not in "fmM":
         return None

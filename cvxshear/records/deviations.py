@@ -9,8 +9,8 @@ from cvxshear.records.record import Finding
 from cvxshear.util.typing import Floats, Ints
 
 SENSOR_STD = 0.005
-"""Standard deviation of a shape entry, over the mode's largest, that no scatter shows: a sensor 5 degrees askew loses
-0.4 %, one with a transverse sensitivity of 3 % picks up as much of a floor's other motions."""
+"""Systematic standard deviation of a shape entry, relative to the mode's largest: a sensor that is 5 degrees askew
+loses 0.4 %, and a transverse sensitivity of 3 % adds 3 % of the floor's other motions."""
 
 
 def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> Floats:
@@ -18,8 +18,8 @@ def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> 
 
     The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
     frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
-    for which no change could be told is taken to change by as much as the one that changes least. One that is only
-    suspected to change, by its scatter, has that scatter in its deviation already.
+    without a known change is given the smallest known change. One that is only suspected to change, by its scatter, has
+    that scatter in its deviation already.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[
     """Add what sensors get wrong unseen to the standard deviations of the entries, over each mode's largest.
 
     Where the response at floor i to a force at j differs from that at j to a force at i by the share d, one of four
-    calibrations is off, those of two sensors and of the force at two driving points. With s the standard deviation of
-    each, d has that of 2 s; an entry takes half of its sensor's error and half of its driving point's, which is
-    s / sqrt(2) = d / (2 sqrt(2)).
+    calibrations is off: two sensors, and the force at two driving points. If each has the standard deviation s, d has 2
+    s. An entry takes half of its sensor's error and half of its driving point's, which is s / sqrt(2) = d / (2
+    sqrt(2)).
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def entry_std(scatter: Floats, shapes: Floats, floors: Ints, findings: Sequence[
 
 
 DRAWN = 0.3
-"""Weight of equal variances against those that the covariance asks for."""
+"""Weight of equal variances, relative to the weight of the covariance."""
 REPRODUCED_TO = 2e-4
 """Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
 100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).

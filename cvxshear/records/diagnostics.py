@@ -1,4 +1,4 @@
-"""What the identified modes say about the record: clocks, signs, swaps, resolution, reciprocity, amplitude."""
+"""Findings about a record from its modes: clocks, signs, swaps, resolution, reciprocity, amplitude."""
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
@@ -38,7 +38,7 @@ def overlooked_modes(
     modes : ndarray of int, shape (m,)
         Their numbers.
     left_out : sequence of PoleCandidate
-        Stable poles that are none of them.
+        Stable poles that were not chosen.
     floors : int
         Measured.
     stories : int
@@ -78,9 +78,10 @@ STRAIGHT = 0.5
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
-"""Degrees of phase lost in a real normal mode that are said: the real mode then lacks 0.4 % of the complex one."""
+"""Least reported phase, degrees, that a real normal mode loses: its shape is 0.4 % smaller than the complex shape."""
 UNRECIPROCAL = 0.02
-"""Relative difference of a transfer with its direction that is said: of two sensors and a hammer good to 1 %."""
+"""Least reported relative difference between the two directions of a transfer, for sensors and a hammer accurate to 1
+%."""
 OTHER = (
     "{}: torsion, another axis, a local mode, a load that moves on its mounting, a split mode, a multiple of a louder "
     "frequency, or {}"
@@ -91,13 +92,14 @@ its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in
 GAIN_CHANGED = 0.04
 """Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
 REPEATED = 0.003
-"""Of a mode's largest entry: as much a shape changes from one test of a frame to the next by itself."""
+"""Typical change of a shape between two tests of one frame, relative to the mode's largest entry."""
 LARGEST_GAIN = 12.0
 """Largest change of a gain that is looked for: g for m/s2, and room beyond."""
 IMPROBABLE_GAIN = 1e-3
-"""Probability of what one gain leaves, and of what the frame without it leaves more, below which it is no chance."""
+"""Significance level of the misfit with one gain, and of the larger misfit without it."""
 FEWEST_PERIODS = 500
-"""Of the lowest mode in an ambient record: the usual advice is 1000 to 2000 (Brincker and Ventura 2015)."""
+"""Least number of periods of the lowest mode in an ambient record; 1000 to 2000 are usual (Brincker and Ventura
+2015)."""
 
 
 def modal_findings(
@@ -156,7 +158,7 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
             if not straight(segments, place, beside, float(late_by[place] - late_by[beside])):
                 continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
-        # Beside a damper the clock that all are compared with may be the one that is off.
+        # Beside a damper, the reference clock itself may be off.
         third = np.delete(full.clocks.before, [names.index(name), full.clocks.reference])
         beyond_doubt = bool(np.any(third <= STRAIGHT * before))
         yield finding(
@@ -223,11 +225,11 @@ def hit_findings(record: Record, setting: Replication) -> Iterator[Finding]:
 
 
 def driving_point_findings(full: Details, setting: Replication) -> Iterator[Finding]:
-    """Name declared driving points at which a mode's residue is negative: the force acted elsewhere.
+    """Report declared driving points with negative residues of a mode: the force acted elsewhere.
 
     The residue of mode r with response and force at one floor is phi^2 / (2 i omega), phi real: its sign is the same in
     every mode. So where the residues of the modes, divided by the declared floor's entries, change sign, another floor
-    was hit; candidates are the floors at which none does.
+    was hit; candidates are the floors without a change of sign.
     """
     if full.products is None or setting.base or full.scales is not None:
         return

@@ -1,4 +1,4 @@
-"""From the chosen poles to everything that is reported of a mode, on all the data or on a part of it."""
+"""Compute frequencies, shapes, scales and deviations from the chosen poles, on all or part of the data."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -45,7 +45,7 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
         Degrees of freedom of each variance, its strata's together (Satterthwaite 1946), a stratum's from its weights
         (Bell and McCaffrey 2002).
     lost : int
-        Pieces without which the parameters were not found; the others stand in for them.
+        Pieces without which the parameters were not found; the other pieces replace them.
 
     Raises
     ------
@@ -82,9 +82,9 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
 
 
 LARGEST_SHAPE_STD = 0.3
-"""Standard deviation of a shape entry, over the mode's largest, above which the shape is none."""
+"""Largest standard deviation of a shape entry, relative to the mode's largest entry."""
 LARGEST_FREQUENCY_STD = 0.02
-"""Relative standard deviation of a frequency above which there is no resonance: a mode's is a part of its half-power
+"""Largest relative standard deviation of a frequency. A mode's deviation is a part of its half-power
 bandwidth, twice its damping ratio, and smaller by the root of the number of decays in the record."""
 
 
@@ -92,7 +92,7 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
     """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
 
     Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
-    Each mode is judged by itself and by its complex shape: what the others and the clocks make of it comes after.
+    Each mode is judged separately, with its complex shape; other modes and clocks do not matter here.
     """
     doubts: Doubts = {}
     for item in chosen:
@@ -120,7 +120,7 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
 
 
 def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts:
-    """Doubt a mode whose standard deviations, over its largest entry and relative, say that it is none."""
+    """Doubt a mode if the standard deviation of its shape or its frequency is too large."""
     if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
         return {}
     scatter = f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} %"
@@ -148,14 +148,14 @@ NO_CHANGE = 1e-9
 SURROGATES = 20
 """Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
 FEW_PIECES = 6
-"""Pieces of a record: the scatter of fewer is too small too often (that of three by half in one case of five)."""
+"""Pieces of a record: fewer pieces often underestimate the scatter (three pieces by half in one case of five)."""
 LAST_SAMPLE = 4000
-"""Of an impulse response, for its residues; a longer one has decayed."""
+"""Last sample of an impulse response for the residues; later samples have decayed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replication:
-    """What stays the same over the replicates of one identification.
+    """Common data of the replicates of one identification.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class Replication:
 
     @property
     def loud(self) -> Bools:
-        """The modes whose phases tell clocks, shape (m,): those of some energy."""
+        """Modes with enough energy to determine clocks by their phases, shape (m,)."""
         energy = np.array([item.energy for item in self.sweep.chosen])
         return np.asarray(energy > FAINT * energy.max())
 
@@ -239,7 +239,7 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     clocks = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
-    # A projection is taken of what was recorded, offsets and all; its signs still are those of true clocks.
+    # The projection uses the record with its offsets; the signs are those without offsets.
     if setting.rule == "magnitude":
         real = np.array([real_shape(shape) for shape in straight])
     else:
@@ -295,13 +295,13 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
         if len(groups) < FEW_PIECES and setting.source.impulse() is not None:
             result, how = _widened(result, disturbed(setting, full, seed)), f"{how}, at least {SURROGATES} surrogates'"
         else:
-            # 95 % of the errors are to lie within 1.96 of deviations that are themselves estimates from so many pieces.
+            # The deviations are estimates from a few pieces; still, 95 % of the errors must lie within 1.96 deviations.
             factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
             result = result * np.outer(factor, factor)
         bias = _bias(setting, full)
         if bias is not None:
             result = result + np.outer(bias, bias)
-            # Under base motion the observer tells the clock of the input and nothing else.
+            # Under base motion the observer affects the clock of the input alone.
             if np.max(np.abs(bias[: -len(full.clocks.seconds)])) > NO_CHANGE:
                 how += ", and a third of what half the observer's lags change"
         return result, how, lost
@@ -324,7 +324,7 @@ def _bias(setting: Replication, full: Details) -> Floats | None:
 def _widened(spread: Floats, other: Floats) -> Floats:
     """Raise every standard deviation to the other covariance's where that is larger.
 
-    The scatter of three pieces is small by chance often enough that it must not stand alone.
+    The scatter of three pieces alone is unreliable: chance often makes it small.
     """
     std, least = np.sqrt(np.diag(spread)), np.sqrt(np.diag(other))
     factor = np.where(std > 0, np.maximum(1.0, least / np.where(std > 0, std, 1.0)), 1.0)
@@ -335,8 +335,8 @@ def _widened(spread: Floats, other: Floats) -> Floats:
 def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     """Covariance where nothing can be left out: the fit is disturbed by noise like its residual, and refitted.
 
-    What the fit leaves of the impulse responses is taken for noise; its spectra are kept and its phases drawn
-    anew, `SURROGATES` times (parametric bootstrap).
+    The residual of the impulse responses is taken for noise. Its spectra are kept and its phases are drawn at random,
+    `SURROGATES` times (parametric bootstrap).
     """
     impulse = setting.source.impulse()
     if impulse is None:
@@ -373,8 +373,8 @@ NOTICEABLE = 0.01
 def settle_truncation(record: Record, setting: Replication, values: Values) -> list[Finding]:
     """Decide, where the record does not say, which of the two a table of functions is; sets the source's flag.
 
-    The products of a real mode's shape entries are real. Of the two readings the one is taken whose products
-    are nearer to it, the modes weighted by how much their residues depend on the question.
+    The products of a real mode's shape entries are real. The hypothesis with more nearly real products is chosen; each
+    mode has the weight of its residues' dependence on the hypothesis.
     """
     source = setting.source
     if not isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):

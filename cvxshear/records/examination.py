@@ -1,6 +1,6 @@
-"""What is done to a record before anything is identified: sick channels out, clocks set right, signs and units judged.
+"""Examine a record before the identification: remove faulty channels, correct clocks, judge signs and units.
 
-Every step that changes the record is said in a finding; a record with nothing wrong comes back as it went in.
+A finding reports each change of the record. A sound record is not changed.
 """
 
 import dataclasses
@@ -19,15 +19,16 @@ from cvxshear.util.quantities import IN_SI
 from cvxshear.util.typing import Floats
 
 QUIET = 0.5
-"""Of the frequency at which the motion of some floor is twice the base's: below it the floors move with the base."""
+"""Fraction of the lowest frequency where a floor moves twice as far as the base. At lower frequencies the floors move
+with the base."""
 FEWEST_LINES_BELOW = 3
-"""Lines below the first resonance that the signs of a record with base motion are told by."""
+"""Lines below the first resonance for the signs of a record with base motion."""
 COHERENT_LINE = 0.8
 """Coherence with the base of lines that count."""
 FALLING = 0.9
-"""Of the motion over the base's in the lower half of such lines, below which that in the upper half falls."""
+"""A channel's ratio to the base falls if the upper half of such lines has less than this fraction of the lower half."""
 SAME_RATIO = 0.2
-"""Relative; how near a ratio of levels must come to that of two units."""
+"""Largest relative difference between a ratio of levels and a ratio of two units."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,12 +111,12 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
 
 
 def unit_of(gain: float) -> str | None:
-    """Name the unit of a channel that shows so many times what one in m/s2 would; None where it is m/s2 or no unit."""
+    """Name the unit of a channel from its ratio to a channel in m/s2; None for m/s2 and for an unknown ratio."""
     return None if abs(np.log(gain)) <= 3 * SAME_RATIO else _nearest_unit(1.0 / gain)
 
 
 def _nearest_unit(size: float) -> str | None:
-    """Name the unit of acceleration that is nearest to so many m/s2; None where none is near."""
+    """Name the unit of acceleration of this size in m/s2; None without a near unit."""
     off = {name: abs(np.log(size / each)) for name, each in IN_SI["acceleration"].items()}
     nearest = min(off, key=lambda name: off[name])
     return nearest if off[nearest] < SAME_RATIO else None
@@ -130,7 +131,7 @@ def unit_in_truth(channel: Channel, factor: float) -> str | None:
 
 
 def in_unit(channel: Channel, factor: float, why: str) -> Finding:
-    """Report a channel recorded in another unit than was declared or, where nothing was, than the others."""
+    """Report a channel with another unit than the declared unit or, without a declaration, than the other channels."""
     unit = unit_in_truth(channel, factor)
     if channel.unit is not None:
         looks = f"is declared in {channel.unit} and looks like " + (unit or f"{factor:.3g} times that")
@@ -147,7 +148,7 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     """Find each floor's motion over the base's towards 0 Hz, and its standard deviation; None if not recorded.
 
     Below the first resonance the transmissibility is T(f) = T(0) (1 + c f^2 + ...), with T(0) = 1 for a sensor that is
-    right; T(0) is fitted to the real parts of H1 below half the frequency at which some |T| reaches 2.
+    right; T(0) is fitted to the real parts of H1 below half the lowest frequency with |T| = 2.
     """
     rate = record.sampling_rate
     if record.quantity != "acceleration" or any(run.excitation is None or impulsive(run) for run in record.runs):
@@ -167,7 +168,7 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
         _, own = scipy.signal.welch(both, rate, nperseg=length, axis=0)
         cross, power, base = cross + weight * each[:, 1:], power + weight * own[:, 1:], base + weight * own[:, [0]]
     transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
-    # A table hardly moves below some frequency: what is not coherent there shows no transmissibility.
+    # A table hardly moves at the lowest frequencies; incoherent lines give no transmissibility.
     heard = np.flatnonzero((coherence > COHERENT_LINE).mean(axis=1) > 0.5)
     heard = heard[heard > 1]
     size = np.abs(transfer)

@@ -1,4 +1,4 @@
-"""What a record gets wrong, in words: the sentences stand in `findings.toml`."""
+"""Findings about a record; their sentences are in `findings.toml`."""
 
 import tomllib
 from importlib import resources
@@ -10,14 +10,14 @@ from cvxshear.util.typing import Json
 SENTENCES: dict[str, str] = tomllib.loads(
     resources.files("cvxshear.records").joinpath("findings.toml").read_text(encoding="utf-8")
 )
-"""What is said of each kind of finding; behind a slash, of one case of that kind."""
+"""Sentence of each kind of finding; a key with a slash is one case of a kind."""
 
 SCALES = {"%": 1e2, "ms": 1e3, "ppm": 1e6}
-"""Units that a gap may ask for, with the factor on a ratio or on seconds."""
+"""Units of gaps, with the factor for a ratio or for seconds."""
 
 
 class _Gaps(Formatter):
-    """Fills gaps; one such as `{share:.0f %}` asks for a number in a unit."""
+    """Fills gaps; for example `{share:.0f %}` is a number with a unit."""
 
     def format_field(self, value: object, format_spec: str) -> str:
         form, _, unit = format_spec.partition(" ")
@@ -30,7 +30,7 @@ def finding(key: str, numbers: Json, /, **words: object) -> Finding:
     Parameters
     ----------
     key : str
-        Of `SENTENCES`; what stands before a slash is the kind of finding.
+        Key of `SENTENCES`; the part before a slash is the kind of finding.
     numbers : dict
         For programs, and for the gaps of the sentence.
     **words

@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cvxshear.records import diagnostics
-from cvxshear.records.agreement import FDD, frequency_domain_decomposition, second_opinion
+from cvxshear.records.agreement import second_opinion
 from cvxshear.records.assemble import assembled
 from cvxshear.records.diagnostics import left_out, overlooked_modes
 from cvxshear.records.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
@@ -27,6 +27,7 @@ from cvxshear.records.result import ModalResult
 from cvxshear.records.signals import in_step, scaled
 from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 
 CLOCKS = ("clock offset", "clock drift")
@@ -56,6 +57,7 @@ class Options:
             raise InputError("give either count or pick: the modes picked by hand are as many as they are")
 
 
+@usual_arithmetic
 def identify_modes(
     record: Record,
     *,
@@ -77,10 +79,10 @@ def identify_modes(
     ----------
     record : TimeRecord or FrfRecord
     method : str, optional
-        "era": eigensystem realization on impulse responses, from hits, frequency response functions or free
-        decays. "okid": the same on the Markov parameters of an observer, for measured continuous input.
-        "subspace": instruments of the past, for the same. "ssi": covariance-driven, for ambient records. What suits the
-        input where None.
+        "era": eigensystem realization on impulse responses, from hits, frequency response functions or free decays.
+        "okid": the same on the Markov parameters of an observer, for measured continuous input. "subspace": instruments
+        of the past, for the same. "ssi": covariance-driven, for ambient records. By default, the method that suits the
+        input.
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
@@ -100,7 +102,7 @@ def identify_modes(
     functions : bool, optional
         Whether the result keeps what the record shows over frequency, for figures.
     second : str, optional
-        Another method, or "fdd" for the peaks in the frequency domain, whose opinion of each mode is a finding.
+        Another method; a finding for each mode says whether this method has the mode as well.
 
     Returns
     -------
@@ -116,7 +118,7 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     if second is not None:
-        checks.choice(second, (*MODAL_METHODS, FDD), "second")
+        checks.choice(second, MODAL_METHODS, "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
     options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
@@ -130,27 +132,19 @@ def identify_modes(
             except InputError as error:
                 raise type(error)(str(error) + _besides(looked)) from None
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
-            if functions or second == FDD:
+            if functions:
                 result = dataclasses.replace(
                     result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
                 )
             if second is not None:
-                other = _second(record, result, dataclasses.replace(options, pick=()), second)
-                opinion = (*result.findings, *second_opinion(result, other))
-                result = dataclasses.replace(result, findings=opinion)
-            return result if functions else dataclasses.replace(result, functions=None)
+                other = _identified(record, dataclasses.replace(options, pick=(), method=second))
+                opinion = second_opinion(result, dataclasses.replace(other, name=second))
+                result = dataclasses.replace(result, findings=(*result.findings, *opinion))
+            return result
     except np.linalg.LinAlgError as error:
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
         raise NoSolutionError(options.method or default_method(record), reason) from error
-
-
-def _second(record: Record, result: ModalResult, options: Options, method: str) -> ModalResult:
-    """Identify the modes by another method."""
-    if method == FDD and result.functions is not None:
-        return frequency_domain_decomposition(result.functions, len(result.frequencies), record.stories)
-    other = _identified(record, dataclasses.replace(options, method=method))
-    return dataclasses.replace(other, name=method)
 
 
 def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
@@ -184,7 +178,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     parts = Parts(source, sweep.poles)
-    # What was picked by hand stays; its standard deviations say how sure it is.
+    # Modes that were picked by hand stay; their standard deviations show their uncertainty.
     while len(source.groups) and not options.pick and (doubts := scattering(parts, sweep.chosen)):
         sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
@@ -204,7 +198,8 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         raise NoSolutionError(method, _nothing(sweep))
     twice = []
     if len(source.groups):
-        # What else is stable is said only where it comes back in every piece: models of noise have such poles as well.
+        # Report other stable poles only if every piece of the record has them: models of noise have stable poles as
+        # well.
         modes = {item.members for item in sweep.chosen}
         others = [item for item in sweep.candidates if item.members not in modes]
         twice = [item for item in others if item.twin in modes and not scattering(parts, [item])]
@@ -293,7 +288,7 @@ def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
 
 
 def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
-    """Widen the entries of floors whose motion was not recorded at their center, or nobody knows where that is."""
+    """Widen the entries of floors without a sensor at their center, or with an unknown center."""
     unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
     if looked.turning is None or not unknown:
         return result
@@ -329,7 +324,7 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
             against = finding.numbers["reference"]
             (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
             if abs(rest - zero) > CERTAIN_DELAY * finding.numbers["std"]:
-                # What the bands rule out is a damper's phase.
+                # Phases that the bands rule out come from dampers.
                 rest, zero, std, spread = 0.0, 0.0, finding.numbers["std"], 0.0
             offsets[name] = finding.numbers["seconds"] + rest - zero, float(np.hypot(std, spread))
             seen.append(clock_offset(name, against, *offsets[name]))
@@ -342,7 +337,7 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
             counted.add(("clock offset", name))
         else:
             seen.append(finding)
-    # What the modes leave of a clock that was set right by the whole band is counted above, or a part of its drift.
+    # The remaining offset of a clock that the whole band corrected is counted above, or belongs to its drift.
     twice = counted | {(finding.kind, finding.numbers["channel"]) for finding in seen if finding.kind in CLOCKS}
     left = [item for item in result.findings if (item.kind, item.numbers.get("channel")) not in twice]
     return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)

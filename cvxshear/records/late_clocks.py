@@ -4,7 +4,7 @@ Two channels are compared by the phases of the whole band (`records.clocks`); wh
 channels tell.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 
 import numpy as np
@@ -25,36 +25,28 @@ few lines leave much to chance."""
 AGREED = 0.25
 """Agreement of phases that tells a channel's clock; half of what is usual in an ambient record where that is less."""
 IN_COMMON = 30.0
-"""Times the agreement that chance makes, from which on drifts are looked for where less than `AGREED` is in common: of
-a long ambient record sampled far beyond its highest mode."""
+"""Ratio of agreement to chance above which drifts are searched for although less than `AGREED` is in common, as in long
+ambient records with a high sampling rate."""
 LATE = 0.5
-"""Samples; a delay of less is left to the phases of the modes, which tell it finer."""
+"""Samples; the phases of the modes determine smaller delays more accurately."""
 IN_STEP = 0.6
-"""Agreement of phases without a delay, over that with it, from which on the delay may be chance: of few modes, which
-nearly agree at many delays. Delays of half a sample and more leave a third at most."""
+"""Largest ratio of the agreement without a delay to the agreement with it; above it, the delay may be chance: a few
+modes nearly agree at many delays. Delays of half a sample and more leave a third at most."""
 CERTAIN_DELAY = 4.0
 """Standard deviations of a delay that is taken out."""
 DELAYS_AGREE = 0.05
 """Of a delay: as near half of the other clocks must come to it. Dampers part them by a fraction of a sample."""
 NEARLY_AS_GOOD = 0.8
-"""Of the largest agreement of two clocks: a delay that reaches it is not contradicted by them. Dampers turn the few
-modes of a decay, and a sidelobe of theirs may then be higher than the delay."""
-SLOPES_AGREE = 0.6
-"""Of a drift: as near the drifts against every other clock must come to it. Those that dampers feign differ by more."""
-BEYOND_OTHERS = 4.0
-"""Times the median of what the other clocks seem to drift by among themselves: as much a drift under a sweep must be.
-Modes that a sweep passes one after the other feign as much in one sound sweep of a hundred."""
+"""Fraction of the largest agreement of two clocks. A delay that reaches it does not contradict them. Dampers turn the
+few modes of a decay, and a sidelobe of theirs may then be higher than the delay."""
 MICROSECONDS = 6
-"""Digits of sums of delays, s, that are compared: no clock is told finer."""
+"""Digits for the comparison of sums of delays, s; clocks are less accurate."""
 HINT = 2.0
-"""Standard deviations of a drift against one clock from which on the others are asked."""
+"""Drifts against one clock above this number of standard deviations are compared with the other clocks."""
 DRIFT_CHANCE = 1e-6
 """Probability that chance makes a slope so steep of the delays in the parts of a record."""
 DRIFT_SHORTEST = 0.08
 """Samples from the middle of the record to its end that a drift must make."""
-LIKELY_DRIFT = 5e-4
-"""s a second; a steeper one under a sweep is a damper's: crystals are 100 ppm off, and a poor one 200."""
-
 
 Compare = Callable[[int, int], BandClock]
 """How late the first of two clocks is against the second."""
@@ -80,7 +72,7 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     agreed = min(AGREED, usual / 2) if record.input == "none" else AGREED
     heard = {i: item for i, item in against.items() if item.agreement > max(agreed, limits[i])}
     if len(heard) < len(against) / 2:
-        # Nothing is sure where most have little in common: a few sine waves, a record of noise.
+        # Most channels have little in common, as in a few sine waves or in noise: nothing can be concluded.
         return record, []
     silent = [i for i, item in against.items() if item.agreement < limits[i] and i < len(names)]
     findings = [_silent(record.channels[i], against[i]) for i in silent]
@@ -91,11 +83,8 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     by_chance = float(np.median([item.chance for item in against.values()]))
     common = comparable and usual > min(AGREED, IN_COMMON * by_chance)
     drifts = {i: _drift(compare, i, heard, segments.rate) if common else (0.0, np.inf) for i in heard}
-    if driven and not struck(record):
-        steady = {i: clocks[i] for i, (slope, _) in drifts.items() if not slope and i < len(names)}
-        findings += _perhaps_drifting(compare, list(heard), steady, segments.rate)
-    # The clock that is nearest to all others counts as right, of those that do not drift. Of an even number two are, to
-    # the rounding of their sums: then the one that has more in common with the others.
+    # The right clock is the nearest to all others among the clocks without a drift. With an even number of clocks, two
+    # are equally near except for rounding; take the clock with more in common with the others.
     middles = {i: item.middle for i, item in heard.items()}
     apart_by = {i: round(sum(abs(middles[i] - each) for each in middles.values()), MICROSECONDS) for i in heard}
     right = min(heard, key=lambda i: (drifts[i][0] != 0, apart_by[i], -shared[i]))
@@ -131,7 +120,7 @@ def _in_common(segments: Segments, first: int, second: int) -> float:
 
 
 def _std_of_delay(compare: Compare, segments: Segments, late: int, right: int, seconds: float, std: float) -> float:
-    """Find the standard deviation of a delay, what the other clocks say of it included; inf where it is not sure."""
+    """Find the standard deviation of a delay with the scatter of the other clocks; inf for an uncertain delay."""
     limit = LATE / segments.rate
     if abs(seconds) < max(limit, CERTAIN_DELAY * std):
         return np.inf
@@ -176,29 +165,6 @@ def _drift_of(clocks: list[BandClock], rate: float) -> tuple[float, float]:
     if abs(slope) < certain * std or abs(slope) * reach < DRIFT_SHORTEST / rate or alone:
         return 0.0, std
     return slope, std
-
-
-def _perhaps_drifting(compare: Compare, heard: list[int], names: Mapping[int, str], rate: float) -> Iterator[Finding]:
-    """Report channels that seem to drift where one mode after the other is driven.
-
-    There all clocks seem to drift against each other. Of one that drifts all comparisons say the same, and those of the
-    other clocks among themselves much less.
-    """
-    if len(heard) < 4:
-        return
-    # Of two clocks the second drifts against the first by as much the other way.
-    upper = np.array([[compare(i, k).steepest if i < k else 0.0 for k in heard] for i in heard])
-    seen = upper - upper.T
-    for row, place in enumerate(heard):
-        slopes = np.delete(seen[row], row)
-        slope = float(np.median(slopes))
-        reach = float(np.median([compare(min(place, k), max(place, k)).reach for k in heard if k != place]))
-        among = np.delete(np.delete(seen, row, axis=0), row, axis=1)[np.triu_indices(len(slopes), 1)]
-        least = max(BEYOND_OTHERS * float(np.median(np.abs(among))), LATE / 2 / rate / max(reach, 1e-9))
-        alike = np.abs(slopes - slope).max() < SLOPES_AGREE * abs(slope)
-        if place in names and alike and least < abs(slope) < LIKELY_DRIFT:
-            numbers = {"channel": names[place], "drift": slope, "corrected": False}
-            yield finding("clock drift/doubtful", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope))
 
 
 def _silent(channel: Channel, clock: BandClock) -> Finding:

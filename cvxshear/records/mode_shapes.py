@@ -1,4 +1,4 @@
-"""Mode shapes: how real, how often they change sign, and what those of a shear frame look like.
+"""Mode shapes: phases, changes of sign, and the shapes of a shear frame.
 
 The stiffness matrix of a shear frame is a Jacobi matrix, so mode r changes sign r - 1 times from the ground up
 (Gantmacher and Krein 1950), and the first mode grows with height.
@@ -77,7 +77,7 @@ def folded_phase(values: Complexes) -> Floats:
 
 
 def rms_phase(values: Complexes, weight: Floats | None = None) -> float:
-    """Root mean square angle off the real axis, degrees, weighted by the moduli squared where nothing else is given."""
+    """Root mean square angle off the real axis, degrees, weighted by default by the squared moduli."""
     weight = np.abs(values) ** 2 if weight is None else weight
     return float(np.degrees(np.sqrt(np.sum(weight * folded_phase(values) ** 2) / np.sum(weight))))
 

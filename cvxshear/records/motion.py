@@ -1,4 +1,4 @@
-"""What drove a frame, base motion or a force, and what its floors did where that was recorded."""
+"""The excitation of a frame, base motion or a force, and the recorded motion of its floors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DrivenRun:
         Total accelerations of the floors that `DrivenRecord.floors` names, m/s2; nan where a piece is missing.
     name : str, optional
     between : ndarray, shape (samples,), optional
-        Samples whose straight lines act between the samples (`band_limited`); those of the excitation where not given.
+        Samples whose straight lines act between the samples (`band_limited`); by default the samples of the excitation.
     """
 
     excitation: Floats
@@ -77,10 +77,10 @@ class DrivenRecord:
     floors : array_like of int, shape (n,), optional
         Whose accelerations were recorded, ascending; none where empty.
     added_mass : array_like, shape (N,), optional
-        kg on each floor while this was recorded; None where nothing says so.
+        Added kg on each floor during the record; None if not declared.
     name : str, optional
     state : str, optional
-        The state of the frame while this was recorded; None where nothing says so.
+        The state of the frame during the record; None if not declared.
 
     Raises
     ------
@@ -171,26 +171,26 @@ class DrivenRecord:
 
 
 NOISE_FROM = 0.8
-"""Part of half the sampling rate from which on a record of anti-aliasing loggers holds noise alone: their filters begin
-at 0.8 of it or below."""
+"""Fraction of half the sampling rate above which a record has only noise: anti-aliasing filters begin at 0.8 or
+below."""
 
 NOISE_SCATTER = 2.0
-"""Ratio of spectrum to noise up to which it may be noise: averages of a dozen pieces scatter by a third."""
+"""Largest ratio of a spectrum to the noise that chance explains: averages of a dozen pieces scatter by a third."""
 
 SPECTRUM_SAMPLES = 512
 """Samples of a piece whose spectra are averaged: a minute at 100 Hz has some twenty, which scatter by a fifth."""
 
 MARGIN_SAMPLES = 64
-"""Samples by which a record is mirrored at its ends: the weights of samples so far away are below 1e-4."""
+"""Number of mirrored samples at the ends of a record: weights at this distance are below 1e-4."""
 
 
 def band_limited(samples: Floats) -> Floats:
     """Return samples whose straight lines have, below half the sampling rate, the spectrum of a band-limited motion.
 
     Between samples h apart, a straight line has sinc(f h)^2 = (sin(pi f h) / (pi f h))^2 of the part at frequency f:
-    3.3 % too little at a tenth of the sampling rate. What stands above the noise is divided by that. The noise is what
-    the spectrum has next to half the sampling rate, where anti-aliasing filters leave nothing else; samples of white
-    noise, which are no band-limited motion, stay as they are.
+    3.3 % too little at a tenth of the sampling rate. The part above the noise is divided by this factor. The noise is
+    the spectrum near half the sampling rate, above the anti-aliasing filter. Samples of white noise are not a
+    band-limited motion and are not changed.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from cvxshear.records.stabilization import Cluster, Criteria
 from cvxshear.util.typing import Bools, Complexes, Floats
 
 MOST_CANDIDATES = 8
-"""Strongest candidates that clock offsets are told by."""
+"""Number of strongest candidates that determine clock offsets."""
 
 MOSTLY_ROTATION = "mostly rotation"
 """How the reason of a candidate begins that is set aside as a mode of rotation."""
@@ -30,14 +30,15 @@ BESIDE = 0.1
 high again as the second."""
 
 UNSURE = 0.05
-"""Of a shape's largest entry: smaller ones can have either sign, by noise or by a sensor that stands askew."""
+"""Fraction of a shape's largest entry. Smaller entries can have either sign, because of noise or a sensor that is
+askew."""
 
 PICKABLE = 0.03
 """Relative; a pole picked by hand is looked for so far around the frequency given."""
 
 
 Doubts = dict[tuple[tuple[int, int], ...], tuple[str, bool]]
-"""Of candidates that are none, by their members: why, and whether their frequency comes back all the same."""
+"""Rejected candidates by their members: the reason, and whether their frequency comes back."""
 
 _Rank = tuple[int, int, float]
 """Modes, those among them whose signs fit as they stand, and the logarithm of the product of their energies."""
@@ -127,7 +128,7 @@ class ModeChoice:
     count : int
         Most modes to choose.
     stories : int
-        Of the frame, which has as many modes.
+        Stories of the frame; the frame has one mode for each story.
     by_signs : bool
         Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
         when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
@@ -180,7 +181,7 @@ def sweep_orders(
     shift : float, optional
         Decay that an exponential window added, 1/s.
     turning : callable, optional
-        The share of rotation in the motion at a frequency, Hz; a mode of more than half is none of sway.
+        The share of rotation in the motion at a frequency, Hz; a mode with more than half is not a sway mode.
 
     Returns
     -------
@@ -240,9 +241,9 @@ def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -
 
 
 def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
-    """Clock offsets of the channels, s, by the strongest candidates; None where one alone would tell them.
+    """Clock offsets of the channels, s, by the strongest candidates; None with a single candidate.
 
-    Each mode has the same weight in a straight line through the phases, and that of a pole of noise is no phase.
+    The straight line through the phases gives each mode the same weight. The phase of a pole of noise means nothing.
     """
     usable = sorted((item for item in found if item.physical), key=lambda item: -item.energy)[:MOST_CANDIDATES]
     strong = [item for item in usable if item.energy > FAINT * usable[0].energy]
@@ -285,7 +286,7 @@ def _swaying(found: list[PoleCandidate], turning: Callable[[float], float] | Non
 
 
 def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCandidate]:
-    """Find the candidate nearest to each frequency; none where none is within reach, or it is taken."""
+    """Find the nearest candidate to each frequency, each at most once and only within reach."""
     chosen: list[PoleCandidate] = []
     for frequency in sorted(picked):
         near = [
@@ -337,8 +338,8 @@ def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) ->
 def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
     """Give the candidates the lowest numbers that they can have where some floors are not measured.
 
-    At some of the floors mode r changes sign r - 1 times at most. Where that asks for more modes than the frame has,
-    the weakest candidates are left out, being none of it.
+    At some of the floors mode r changes sign r - 1 times at most. If this needs more modes than the frame has, the
+    weakest candidates are left out.
     """
     while chosen:
         numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen, order)), key=lambda each: each[-1])
@@ -406,7 +407,7 @@ class Values:
 
 
 class Parts:
-    """The poles of parts of the data, at the orders of a sweep; those of one part are found once.
+    """The poles of parts of the data, at the orders of a sweep, computed once for each part.
 
     Parameters
     ----------

@@ -32,7 +32,8 @@ PRIOR_MISSED = 0.03
 SPREAD_OF_STIFFNESS = 0.7
 """Standard deviation of the logarithm of a story's flexibility about the median story's: a factor of two either way."""
 SHAPE_ERROR = 0.03
-"""Of a mode's largest entry: what noise, a sensor askew and what no shear frame has do to an entry."""
+"""Deviation of an entry, relative to the mode's largest, by noise, a sensor that is askew and effects outside the shear
+frame."""
 FREQUENCY_RATIOS = {(1, 2): (2.85, 0.2), (1, 3): (4.6, 0.25), (2, 3): (1.62, 0.15)}
 """Ratio of the frequencies of two modes of a shear frame, and the standard deviation of its logarithm: uniform frames
 of 4 to 12 stories have 2.9 to 3.0, 4.4 to 4.9 and 1.5 to 1.65, those with a soft or a stiff story spread about it."""
@@ -43,16 +44,16 @@ NEAR_TOP = 0.9
 UNUSUAL = 3.0
 """Loss of log likelihood for a second mode whose node is beyond the sensors."""
 SURE = 0.95
-"""Probability from which on a channel is taken to be what a hypothesis says."""
+"""Least probability of a hypothesis that is accepted."""
 UNNAMED = 0.005
-"""Probability, of all hypotheses that are not named together, from which on it is said that something else may be."""
+"""Least total probability of the other hypotheses that is reported."""
 DOUBTFUL = 0.3
-"""Probability of a hypothesis from which on it is said beside that the channels are as declared."""
+"""Least probability of a hypothesis that is reported beside the declared channels."""
 
 
 @dataclass(frozen=True)
 class ChannelMistake:
-    """What may be wrong with the channels.
+    """A possible mistake in the channels.
 
     Parameters
     ----------

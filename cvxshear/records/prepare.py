@@ -118,7 +118,7 @@ def releases_of(record: TimeRecord) -> tuple[Floats, Ints]:
 
 
 def _release(responses: Floats) -> int:
-    """Find the sample at which the decay is under way: the last within a tenth of the largest response."""
+    """Find the first sample of the decay: the last sample above nine tenths of the largest response."""
     size = np.linalg.norm(responses / np.maximum(responses.std(axis=0), 1e-300), axis=1)
     return int(np.flatnonzero(size > 0.9 * size.max())[-1])
 
@@ -170,7 +170,7 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
 DECIMATION_FACTORS = (2, 4, 8, 16, 32, 64)
 """Steps of the sampling rate: at a factor of two the highest mode is met within LOWEST_SHARE and half the rate."""
 LOWEST_SHARE = 0.1
-"""Of the sampling rate: a highest mode below it asks for a lower rate."""
+"""Fraction of the sampling rate. With a lower highest mode, the rate is reduced."""
 
 Attempt = Callable[..., tuple[Source, Sweep]]
 
@@ -203,7 +203,7 @@ def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0)
         try:
             trial = attempt(dataclasses.replace(record, band=band))
         except (InputError, NoSolutionError):
-            # Too short to be decimated any further, or without a model then: what was found before stands.
+            # The record is too short for a lower rate, or has no model there: keep the earlier result.
             break
         if len(trial[1].chosen) < len(best[1].chosen):
             break

@@ -1,7 +1,7 @@
 """From a block Hankel matrix to poles and shapes of every model order.
 
-Every method here ends in the same place: a matrix whose column space is that of the extended
-observability matrix, col(C, CA, CA^2, ...). Its shift invariance gives A, its first block row C.
+Every method here computes a matrix with the column space of the extended observability matrix, col(C, CA, CA^2, ...).
+Its shift invariance gives A, its first block row C.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Impulse:
     pulse: Floats | None = None
 
     def excited(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
-        """Return the pulses' transforms at eigenvalues in 1/s, shape (modes, inputs): what multiplies residues."""
+        """Return the pulses' transforms at eigenvalues in 1/s, the factors of the residues, shape (modes, inputs)."""
         if self.pulse is None:
             return np.ones((len(eigenvalues), len(self.driven)), dtype=np.complex128)
         steps = np.outer(eigenvalues, np.arange(1, len(self.pulse))) / sampling_rate
@@ -97,7 +97,7 @@ class Impulse:
 
 
 class DampedModes:
-    """Modes that are told by eigenvalues, those of positive imaginary part.
+    """Modes by their eigenvalues with positive imaginary part.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ def realize(factor: Floats, outputs: int, sampling_rate: float, orders: Iterable
 def _poles(
     basis: Floats, gram: Floats, shift: Floats, states: int, order: int, outputs: int, sampling_rate: float
 ) -> Poles:
-    """Poles and shapes of a model of so many states."""
+    """Poles and shapes of a model with a given number of states."""
     transition = _least_squares(gram[:states, :states], shift[:states, :states])
     discrete, vectors = linalg.eig(transition)
     # A pole at the origin is a pure delay and has no continuous-time counterpart.

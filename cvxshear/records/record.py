@@ -87,7 +87,7 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(checks.ReadOnlyArrays):
     """One uninterrupted stretch of time: a hit, a release, an earthquake, an hour of wind.
 
     Parameters
@@ -132,7 +132,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class FrfRun:
+class FrfRun(checks.ReadOnlyArrays):
     """The responses to a unit force at one floor, by frequency.
 
     Parameters
@@ -160,8 +160,8 @@ FEWEST_LINES = 32
 
 
 @dataclass(frozen=True, eq=False)
-class _Recorded:
-    """What time histories and frequency response functions have in common."""
+class _Recorded(checks.ReadOnlyArrays):
+    """Common part of time histories and frequency response functions."""
 
     channels: tuple[Channel, ...]
     stories: int = 0
@@ -313,8 +313,8 @@ class TimeRecord(_Recorded):
         Raises
         ------
         InputError
-            Where a channel is not in the table, its time does not ascend in even steps, or nothing tells the sampling
-            rate, or two things do and differ.
+            Where a channel is not in the table, its time does not ascend in even steps, or the sampling rate is unknown
+            or contradictory.
         """
         columns = table_columns(table)
         column = label(excitation) if isinstance(excitation, Hashable) else None
@@ -370,9 +370,9 @@ class FrfRecord(_Recorded):
     frequencies : array_like, shape (lines,)
         Hz, ascending by one step, starting at zero or at a whole multiple of the step.
     truncated : bool, optional
-        Whether the functions were computed from responses cut off at the end of the window before they had
-        decayed (leakage), rather than being samples of the true functions. None: told from the phases of the
-        residues, where it matters.
+        Whether the functions were computed from responses cut off at the end of the window before they had decayed
+        (leakage), rather than being samples of the true functions. None: decided by the phases of the residues if it
+        matters.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Clocks that drift from one release of a frame to the next, by the phases of its modes.
+"""Clocks that drift between the releases of a frame, by the phases of its modes.
 
 In each release of a linear frame a mode has the same complex shape, dampers or not. A clock that drifts turns its
-channel's entries by a phase that goes with the frequency of the mode and with the time of the release.
+channel's entries by a phase in proportion to the frequency of the mode and the time of the release.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from cvxshear.util.quantities import significant
 from cvxshear.util.typing import Complexes, Floats
 
 SLOPE_CHANCE = 1e-4
-"""Probability that chance makes a slope so steep; that of a sound clock is a fraction of `DRIFT_SHORTEST` besides."""
+"""Significance level of a slope. The drift of a sound clock is also a fraction of `DRIFT_SHORTEST`."""
 
 
 def without_drifts(record: TimeRecord, eigenvalues: Complexes) -> tuple[TimeRecord, list[Finding]]:
@@ -59,7 +59,7 @@ def without_drifts(record: TimeRecord, eigenvalues: Complexes) -> tuple[TimeReco
 def _drift(amplitudes: Complexes, omega: Floats, times: Floats, channel: int) -> tuple[float, float, float]:
     """Find by how much a clock drifts against all others, s a second, its standard deviation and degrees of freedom.
 
-    The scatter is that of all channels, the one in question left out where another is compared.
+    The scatter is taken from all channels; other channels are compared without this one.
     """
     others = [each for each in range(amplitudes.shape[1]) if each != channel]
     slope, scatter, freedom, information = _line(amplitudes, omega, times, channel, others)

@@ -1,4 +1,4 @@
-"""Identified modes with their standard deviations, and the measurement that those of one or several records make."""
+"""Identified modes with their standard deviations, and the measurement from one or several records."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
 
 def other_modes(findings: Sequence[Finding]) -> list[Json]:
-    """Which other modes of the frame those of a record may be, as `other_modes` of a measurement file has it."""
+    """Alternative mode numbers of a record, as in `other_modes` of a measurement file."""
     return [
         {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
         for item in findings
@@ -59,7 +59,7 @@ class ModalResult(Shown):
     entry_std : array, shape (m, n)
         Standard deviations of independent errors on all entries, the mode's scale free, that scatter the
         shape as `mode_shape_std` says, and where `mass_normalized` its scale; relative to the mode's largest
-        entry. These go into the measurement file, whose errors are independent.
+        entry. The measurement file contains these, since its errors are independent.
     mass_normalized : bool
     modes : array of int, shape (m,)
         Which modes of the frame these are, 1 the lowest.
@@ -218,7 +218,7 @@ class ModalResult(Shown):
         Parameters
         ----------
         frame : dict, optional
-            The table `[frame]`: what is known of the frame itself.
+            The table `[frame]`: declared properties of the frame.
         priors : sequence of dict, optional
             The tables `[[prior]]`.
         added_mass : sequence of float, shape (N,), optional
@@ -234,7 +234,7 @@ class ModalResult(Shown):
         -----
         Where neither the shapes nor the frame nor a prior say how heavy the frame is, the total mass is set
         to 1, with `total_mass_placeholder = true`: masses and stiffnesses then come out relative to it, and no
-        command shows them in kilograms or newtons. A comment at the head of the measurement file says so too.
+        command shows them in kilograms or newtons. A comment at the head of the measurement file repeats this.
         """
         test = IdentifiedRecord(self.name, self, frame or {}, priors, added_mass, state)
         return merged([test])
@@ -278,7 +278,7 @@ def merged(tests: Sequence[IdentifiedRecord]) -> Json:
     Returns
     -------
     dict
-        One configuration a record, in their order. `total_mass` is 1 kg where nothing tells how heavy the frame is.
+        One configuration a record, in their order. `total_mass` is 1 kg if the mass scale is unknown.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Spectra of a record in overlapping segments, by which its clocks are compared: what two channels agree in."""
+"""Spectra of a record in overlapping segments, and the agreement of two channels, for the comparison of clocks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BETWEEN_RESONANCES = 0.03
 """Of the highest line: below it lines of a decay count little. There the tails of several modes overlap, with phases
 that change from release to release; counted in full, drifts erred by twice their standard deviations."""
 MAINS = (50.0, 60.0)
-"""Hz; lines at these and twice and three times as much, folded, say nothing of a frame."""
+"""Mains frequencies, Hz; their lines, harmonics up to the third and aliases are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Segments:
     spectra : array of complex, shape (segments, lines, clocks)
         The channels, then the input where there is one.
     weights : array, shape (segments, lines, clocks)
-        Between 0 and 1: how far a line stands out of what may be noise.
+        Between 0 and 1: the part of a line above the possible noise.
     times : array, shape (segments,)
         Middle of each, s.
     groups : list of array of int
@@ -111,7 +111,7 @@ class Segments:
         return 2 * np.pi * np.arange(self.spectra.shape[1]) * self.rate / self.length
 
     def agreed(self, first: int, second: int, seconds: float) -> float:
-        """Find how far the lines of two clocks agree in phase if the first is late by so much: 1 where all do."""
+        """Find the agreement in phase of two clocks if the first is late by a delay: 1 for complete agreement."""
         squares, weights, _, _ = self.agreement(first, second)
         turn = np.exp(2j * self.omega * seconds)
         return float(np.sum((squares.sum(axis=0) * turn).real) / max(float(weights.sum()), 1e-300))
@@ -126,7 +126,7 @@ def _window(length: int, *, decaying: bool) -> Floats:
 
 
 def mains_lines(length: int, rate: float) -> Ints:
-    """List the lines of a spectrum of so many samples at mains frequencies, folded where they lie beyond its end."""
+    """List the lines of a spectrum at mains frequencies and their aliases."""
     places = {
         round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
         for mains in MAINS

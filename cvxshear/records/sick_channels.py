@@ -1,4 +1,4 @@
-"""What single channels of a record get wrong, seen before any mode is looked for."""
+"""Faults of single channels, found before the identification."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -39,9 +39,9 @@ OUT_OF_MOTION = 2.0
 MANY_SPIKES = 0.02
 """Share of the samples; more is no accident."""
 AR_ORDER = 24
-"""Coefficients of the model that spikes stand out of: two for each mode of a dozen stories."""
+"""Coefficients of the model for spikes: two for each mode of a dozen stories."""
 SPIKE_PASSES = 8
-"""Times that spikes are looked for; so many may stand within reach of each other."""
+"""Number of searches for spikes; each search finds one of several near spikes."""
 WINSORIZED = 4.0
 """Local deviations that samples are cut to where the model is fitted, lest spikes make it."""
 BEGINNING = 15
@@ -82,7 +82,7 @@ def without_sick(record: AnyRecord, findings: list[Finding]) -> AnyRecord:
     Raises
     ------
     InputError
-        Where none is left.
+        No channel is left.
     """
     dead = {finding.numbers["channel"] for finding in findings if finding.kind in LEFT_OUT and finding.numbers["out"]}
     if not dead:
@@ -109,7 +109,7 @@ def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
 
 
 def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
-    """Find samples that stand out of their own channel's neighbours and of no other's, and the responses without them.
+    """Find samples that differ from their neighbors in one channel alone, and the responses without them.
 
     With the coefficients a of an autoregressive model, the difference of a sample from what all others make of it is
     (a * reversed a * x) / (a'a): white where the model holds, and largest at the sample itself.
@@ -122,7 +122,8 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
             if values.std() > 0:
                 off[:, column] = _interpolation_errors(values - values.mean())
                 scale[:, column] = _local_scale(off[:, column])
-        # Where motion is loud a model of the whole record errs by more than beside it: a spike stands out of both.
+        # Under strong motion a model of the whole record has larger errors; a spike exceeds the local and the overall
+        # errors.
         loud = np.sqrt(ndimage.uniform_filter1d((cleaned - cleaned.mean(axis=0)) ** 2, 2 * AR_ORDER + 1, axis=0))
         ratio = np.where(np.abs(off) > OUT_OF_MOTION * loud, np.abs(off) / scale, 0.0)
         near = ndimage.maximum_filter1d(ratio, 5, axis=0)
@@ -145,7 +146,7 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
 
 def _begins(values: Floats, place: int, hit: int) -> bool:
     """Whether motion of a channel begins at a sample and goes on as strongly, or begins in all within reach of it."""
-    # The model looks so many samples ahead: it errs before the first sample that moves. A knock on the sensor's own
+    # The model looks ahead: its errors begin before the first sample that moves. A knock on the sensor's own
     # floor dies away as fast as its highest modes, so what follows at once counts; a filter smears one sample to two.
     before = np.abs(values[max(0, place - 2 - BEGINNING) : max(0, place - 2)])
     after = np.abs(values[place + 3 : place + AR_ORDER + 1 + BEGINNING])
@@ -153,7 +154,7 @@ def _begins(values: Floats, place: int, hit: int) -> bool:
         return True
     loud = np.quantile(after, 0.75, axis=0)
     rises = loud[hit] > 3.0 * np.quantile(before[:, hit], 0.75)
-    # It looks as many back: a release is still in what it makes of the samples after it.
+    # The model looks back: a release affects its errors at later samples.
     quiet = np.abs(values[max(0, place - AR_ORDER - BEGINNING) : max(1, place - AR_ORDER)])
     released = values.shape[1] > 1 and bool(np.all(loud > 3.0 * np.quantile(quiet, 0.75, axis=0)))
     return released or bool(rises and abs(values[place, hit]) < 4.0 * after[:, hit].max())
@@ -277,7 +278,7 @@ def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
 
 
 def _cut_off(values: Floats, extreme: float, levels: Floats) -> int:
-    """Count the samples of a series that stand at its extreme value for longer than its converter makes of a peak."""
+    """Count the samples at the extreme value of a series, beyond the number that its converter gives a peak."""
     flat, middle = values == extreme, np.median(values)
     loud = (np.abs(values - middle) > 0.5 * abs(extreme - middle)) & ~flat
     steps = np.diff(values)[loud[1:] & loud[:-1]]
@@ -285,7 +286,7 @@ def _cut_off(values: Floats, extreme: float, levels: Floats) -> int:
     least = CLIPPED_RUN if share in (0.0, 1.0) else max(CLIPPED_RUN, 1 + np.log(CHANCE_OF_CLIP) / np.log(share))
     runs = stretches(flat)
     runs = runs[np.diff(runs, axis=1)[:, 0] >= least]
-    # Of a slow motion's peak that is rounded the samples before and after are one step lower.
+    # At the rounded peak of a slow motion, the samples before and after are one step lower.
     beside = np.abs(values[np.clip(runs - [1, 0], 0, len(values) - 1)] - extreme).max(axis=1, initial=0.0)
     ends = (runs[:, 0] == 0) | (runs[:, 1] == len(values))
     fine = np.diff(levels).min(initial=np.inf)
@@ -319,7 +320,7 @@ def _aliased(values: Floats, where: str, name: str, rate: float) -> Iterator[Fin
     top = power[int(0.9 * len(power)) :]
     below = power[int(0.7 * len(power)) : int(0.9 * len(power))]
     share = float(top.sum() / power.sum()) if power.sum() > 0 else 0.0
-    # White noise has a tenth of its power up there, and as much just below; a folded line stands out.
+    # White noise has a tenth of its power in this band, and another tenth just below it; an alias has more.
     if share > NEAR_NYQUIST and top.max() > 10 * np.median(below):
         yield finding("aliasing", {"channel": name, "share": share}, where=where, highest=rate / 2)
 
@@ -331,7 +332,7 @@ def _humming(values: Floats, where: str, name: str, rate: float) -> Iterator[Fin
         return
     frequencies, power = scipy.signal.welch(values, fs=rate, nperseg=length)
     lines = mains_lines(length, rate)
-    # Hum that folds to 0 Hz cannot be told from an offset or a drift.
+    # Hum with an alias at 0 Hz looks like an offset or a drift.
     lines = lines[lines > 1]
     near = np.isin(np.arange(len(power)), (lines[:, None] + np.arange(-8, 9)).ravel())
     # A resonance spreads over the neighbouring lines; hum does not.

@@ -1,4 +1,4 @@
-"""What is done to the samples of a record before anything is made of them: trend off, decimated, clocks right."""
+"""Preparation of the samples of a record: trend, decimation, clocks."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +16,8 @@ AnyRecord = TypeVar("AnyRecord", bound=TimeRecord | FrfRecord)
 IMPULSIVE = 0.1
 """A force that does nearly all its work within this share of the run is a blow."""
 FORCE_SEEN = 0.02
-"""Of a force's peak: less is the noise of a hammer's sensor, which over a long run has as much energy as the blow."""
+"""Fraction of a force's peak. Smaller values are noise of the hammer's sensor; over a long run its energy equals the
+blow's."""
 
 
 def impulsive(run: Run) -> bool:
@@ -97,7 +98,7 @@ def _mapped(record: TimeRecord, change: Callable[[Floats], Floats], rate: float)
 
 
 SINC_TERMS = 48
-"""Samples that a value between two samples is made of; a windowed sinc of so many is flat to 0.9 of half the rate."""
+"""Samples of the interpolation; a windowed sinc of this length is flat to 0.9 of half the rate."""
 
 
 def in_step(record: AnyRecord, late: Mapping[str, tuple[float, float]]) -> AnyRecord:

@@ -88,7 +88,7 @@ def hammer_record(
     duration: float = 60.0,
     sampling_rate: float = 20.0,
 ) -> TimeRecord:
-    """Blows of a soft hammer, a half sine of 0.1 s and 50 to 150 N, so many at each of the floors.
+    """Blows of a soft hammer at each of the floors, a half sine of 0.1 s and 50 to 150 N.
 
     Noise is white, of standard deviation `noise` times each channel's own, on every sensor and the hammer.
     """
@@ -138,7 +138,7 @@ def shaker_record(
 def ambient_record(
     frame: KnownFrame, seed: int, *, noise: float, duration: float = 1200.0, sampling_rate: float = 20.0
 ) -> TimeRecord:
-    """Independent white forces on all floors, of 1 N; nothing but the floors' accelerations is recorded."""
+    """Independent white forces of 1 N on all floors; only the floors' accelerations are recorded."""
     random = np.random.default_rng(seed)
     step = 1 / (sampling_rate * OVERSAMPLING)
     count = int(duration * sampling_rate) * OVERSAMPLING

@@ -17,12 +17,13 @@ from cvxshear.util import checks
 from cvxshear.util.typing import Complexes, Floats
 
 LEAST_ORDERS, STATES = 30, 3
-"""States of the largest model of a sweep: so many at least, and for each mode. A mode takes two, and has to last."""
+"""States of the largest model of a sweep: the minimum, and the number for each mode. A mode takes two, and has to
+last."""
 
 
 @dataclass(frozen=True)
 class Criteria:
-    """What makes a pole stable and a cluster of them physical; one set of defaults for every record.
+    """Criteria of stable poles and physical clusters; the defaults are the same for every record.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ class Criteria:
             checks.number(getattr(self, name), name, above=0.0)
 
     def orders(self, count: int) -> range:
-        """Return the orders of a sweep for so many modes."""
+        """Return the orders of a sweep for a number of modes."""
         highest = max(LEAST_ORDERS, STATES * count) if self.highest_order is None else self.highest_order
         return range(2, highest + 1, 2)
 
@@ -140,8 +141,8 @@ def undivided(
 ) -> list[tuple[int, int]]:
     """Select the members whose order holds no second pole of the same shape nearby.
 
-    A model of too high an order splits a mode whose frequency is not quite constant into two, neither of
-    which is it. All members where every order does.
+    A model of too high an order splits a mode with a slightly variable frequency into two wrong modes. All members
+    where every order does.
     """
     alone = []
     for i, j in cluster:
@@ -160,7 +161,7 @@ def undivided(
 
 
 def nearest(poles: Poles, eigenvalue: complex, shape: Complexes, reach: float = 0.05) -> int | None:
-    """Index of the pole nearest in the complex plane among those of like shape; None beyond `reach` (relative)."""
+    """Index of the nearest pole in the complex plane with a similar shape; None beyond `reach` (relative)."""
     distances = np.abs(poles.eigenvalues - eigenvalue) / abs(eigenvalue)
     near = np.flatnonzero(distances < reach)
     ordered = near[np.argsort(distances[near], kind="stable")].tolist()
@@ -179,7 +180,7 @@ def energies(factor: Floats, poles: Sequence[tuple[complex, Complexes]], samplin
     """Share of the data's energy that each mode carries, shape (modes,).
 
     The factor of the Hankel matrix is fitted by the modes' observability vectors, col(shape, z shape,
-    z^2 shape, ...); a mode's energy is that of its two terms.
+    z^2 shape, ...); a mode's energy is the energy of its two terms.
     """
     if not poles:
         return np.zeros(0)

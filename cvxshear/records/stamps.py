@@ -22,10 +22,10 @@ UNEVEN_STEP = 0.25
 """Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate."""
 
 COARSE = 0.1
-"""Fraction of all steps that differ from the usual one, above which they are no handful of gaps."""
+"""Largest fraction of unusual steps that gaps explain."""
 
 FINEST, COARSEST = -9, 0
-"""Powers of ten, s: what loggers round to."""
+"""Powers of ten, s, that loggers round to."""
 WHOLE = 1e-4
 """Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step."""
 SLACK = 0.1
@@ -35,17 +35,17 @@ SHORTEST = 0.75
 LONGEST_IN_BAND = 1.5
 """Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too."""
 LEAST_SHARE = 0.02
-"""Fraction of the steps that differ from the usual one below which they are gaps and not the work of rounding."""
+"""Unusual steps are gaps, and not rounding, if they are a smaller fraction of the steps."""
 DIGITS = 1e-12
 """Rounding of the binary number itself, as a fraction of the largest stamp."""
 
 
 class Stamped(Protocol):
-    """A table with time stamps: what messages call it, and a place in it."""
+    """Name of a table with time stamps and of a place in it, for messages."""
 
     @property
     def source(self) -> str:
-        """What it is called."""
+        """Name of the table."""
 
     def at(self, row: int) -> str:
         """Name the place of a row."""

@@ -33,6 +33,7 @@ from cvxshear.response.sources import (
     state_remarks,
 )
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.cached import cached_property
 from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown
@@ -144,6 +145,7 @@ class RecordPrediction(Shown):
         return largest_spectra(self.after.damped.model, accelerations, self.motion.step)
 
 
+@usual_arithmetic
 def predict(
     source: ModelSource,
     record: MotionSource,

@@ -29,6 +29,7 @@ from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.cached import cached_property
 from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
@@ -413,6 +414,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
     return said
 
 
+@usual_arithmetic
 def reconstruct(
     source: ModelSource,
     record: RecordingSource,

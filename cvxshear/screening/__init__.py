@@ -1,4 +1,4 @@
-"""What looks wrong in a measurement file, before anything is fitted: mistakes, which are refused, and doubts."""
+"""Screening of a measurement file before the fit: refuse mistakes and report doubts."""
 
 from cvxshear.screening.finding import FileFinding, in_json
 from cvxshear.screening.screen import Screening, close_loop, refuse_mistakes, screen

@@ -1,4 +1,4 @@
-"""What the tests of one file say of each other: copies, one state under two names, modes or units that cannot be."""
+"""Comparison of the tests in one file: copies, one state under two names, impossible modes or units."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,15 +18,15 @@ FACTORS = ((2 * np.pi, "2 pi, as of rad/s"), (60.0, "60, as of cycles a minute")
 """Factors between units of frequency, with the unit that each would mean."""
 
 ONE_FACTOR_STD = 0.1
-"""Standard deviation of the logarithms of the modes' ratios below which they are one factor: what changes a frame
-between two tests changes its modes differently."""
+"""The modes' ratios are one factor if their logarithms have a smaller standard deviation: a change of the frame changes
+its modes differently."""
 
 SAME_SHAPE_MAC, TOLD_APART = 0.9, 0.5
-"""Modal assurance criteria of adjacent modes: measured ones that look alike above the first, where those of a frame of
-equal floors and stories differ by the second. Of 15,000 sound random frames two have such modes."""
+"""Modal assurance criteria of adjacent modes: measured shapes are alike above the first, and shapes of a frame with
+equal floors and stories differ below the second. Of 15,000 sound random frames two have such modes."""
 
 SHOWN_LOAD = 5.0
-"""Standard deviations by which a load of the mean floors must have changed the frequencies to be missed in them."""
+"""Least change of the frequencies by a load on the mean floors, in standard deviations, for a finding."""
 
 WORD = re.compile(r"[^\W\d_]{4,}")
 """Letters in which a slip is seen; a shorter word with another letter is mostly another word."""
@@ -61,7 +61,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _shows_load(experiment: Experiment, tests: Sequence[Configuration]) -> bool:
-    """Whether the loads of tests with equal frequencies differ by as much as these must have shown.
+    """Return whether tests with equal frequencies have loads that must have changed the frequencies.
 
     Entries of shapes never agree. Frequencies alone can, read off lines of a spectrum, under a load that is light.
     """
@@ -113,7 +113,7 @@ def _one_slip(name: str, other: str) -> bool:
 
 
 def look_alike(experiment: Experiment) -> Iterator[FileFinding]:
-    """Adjacent sway modes differ at the sensors, if there are as many as modes.
+    """Adjacent sway modes differ at the sensors, if there is a sensor for each mode.
 
     Two that do not are one motion with another beside it: torsion seen by sensors off the centre, another direction, a
     mode of something on the frame, or a mode found twice.
@@ -132,7 +132,7 @@ def look_alike(experiment: Experiment) -> Iterator[FileFinding]:
 
 
 def frequency_units(experiment: Experiment) -> Iterator[FileFinding]:
-    """One configuration's frequencies are all off from those of the others by a factor between units.
+    """All frequencies of one configuration differ from the other configurations by a factor between units.
 
     The same modes of other configurations are compared with, the median where there are several.
     """

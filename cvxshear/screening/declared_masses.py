@@ -34,7 +34,7 @@ AS_DECLARED_STD = 0.003
 """Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
 
 SLIP = 0.5
-"""Standard deviation of the logarithm of a floor mass of which only the declared value is wrong: a factor 1.6."""
+"""Standard deviation of the logarithm of a floor mass with a wrong declared value: a factor 1.6."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ def _shared(given: MassFit, changed: DeclaredMasses) -> float:
 
 
 def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> DeclaredMasses | None:
-    """Read off what is declared, even floors where only the total is; None where nothing says how heavy they are."""
+    """Return the declared floor masses, or equal masses for a declared total; None without a declared mass."""
     N, frame = experiment.stories, experiment.frame
     expected, width = np.zeros(2 * N), shear_fit.usual_width(N)
     known = frame.known_total is not None
@@ -206,25 +206,25 @@ def _fitted(readings: Sequence[MeasuredModes], declared: DeclaredMasses, stiffne
 
 
 CONTRADICTION = 4.0
-"""Standard deviations between the logarithms of the two totals from which on they contradict each other."""
+"""The two totals contradict each other if their logarithms differ by more standard deviations."""
 
 LEAST_CONTRADICTION = 0.3
-"""Difference of the logarithms of the two totals below which a contradiction is not worth a word."""
+"""Least reported difference between the logarithms of the two totals."""
 
 POOREST = 0.6
-"""Standard deviation of the logarithm of a total from which on it says nothing."""
+"""Largest standard deviation of the logarithm of a useful total."""
 
 POOR = 4.0
-"""Cost a datum above which no shear frame is near enough to weigh, and odd frames are tried as starts as well."""
+"""Largest cost per datum of a shear frame that determines a mass; above it, uneven frames are starts as well."""
 
 VAGUE = 0.05
 """Weight, in the uncertainty of an implied total, of the rows that keep floors and stories alike."""
 
 LOAD_UNITS = (("t", 1e3), ("kN", 1e3 / 9.81), ("g", 1e-3), ("N", 1 / 9.81))
-"""Units other than kg in which added masses are written, with the factor by which the total then seems too large."""
+"""Other units of added masses than kg, with the factor that the total then seems too large by."""
 
 LARGEST_SLIP = float(np.log(30.0))
-"""Logarithm of the factor by which one added mass can be wrong: a decimal point in another place, and some more."""
+"""Logarithm of the largest error factor of one added mass: a shifted decimal point, and some more."""
 
 SLIP_STEP = 0.02
 """Logarithm of the factor to which that mass is estimated: it is shown with two digits, and is no better known."""
@@ -237,11 +237,11 @@ UNIT_OFF = 0.5
 
 
 def total_mass(experiment: Experiment) -> Iterator[FileFinding]:
-    """Compare the declared total with that of the configurations.
+    """Compare the declared total with the configurations' own total.
 
     Added masses lower the frequencies the more, the lighter the frame is, lambda = phi' K phi / phi' (M + A) phi. So
-    configurations with different added mass have a total of their own: that of the shear frame nearest to all of them
-    together, its scale free.
+    configurations with different added mass determine a total of their own, by the nearest shear frame with a free
+    scale.
     """
     if experiment.frame.total_mass_placeholder:
         yield doubt("total_mass/placeholder", total=experiment.frame.total_mass)
@@ -343,7 +343,7 @@ def implied_total(experiment: Experiment, found: NearestFrame | None = None) -> 
     share = np.exp(found.theta[:N])
     if found.at is None or found.cost > POOR * count:
         return float(share.sum()), np.inf
-    # What floors usually weigh decides no contradiction: it counts for little here, the added masses for all.
+    # Usual floor masses have a small weight here; the added masses decide.
     J = found.at.J.copy()
     J[-2 * N :] *= VAGUE
     covariance = np.linalg.pinv(J.T @ J)

@@ -1,7 +1,6 @@
 """Declarations that look wrong by what else is declared or measured: units, elevations for heights, percent, rounding.
 
-Nothing in the frequencies and shapes of one test alone says in which unit they are. What does is stated with each
-function.
+The frequencies and shapes of one test alone do not determine their units. Each function states its evidence.
 """
 
 from collections.abc import Iterator
@@ -24,19 +23,19 @@ HIGHEST_STORY = 25.0
 """Story height (m) that no building exceeds: lobbies and plant floors of towers have up to 20 m."""
 
 BUILDING_STORY = 2.3
-"""Story height (m) from which on a story is one of a building: people need as much."""
+"""Least story height (m) of a building: the height of a person."""
 
 MODEL_STORY = 0.6
-"""Story height (m) up to which a story is one of a model in a laboratory."""
+"""Largest story height (m) of a laboratory model."""
 
 LIGHTEST_FLOOR = 300.0
-"""Mass (kg) that a building's floor exceeds: one square metre of a concrete slab has as much."""
+"""Least mass (kg) of a building's floor: one square metre of a concrete slab."""
 
 HEAVIEST_MODEL_FLOOR = 3000.0
 """Mass (kg) that no floor of a laboratory's model reaches: it would need a crane of its own."""
 
 LIGHTEST_PLATE = 1.0
-"""Mass (kg/m²) of a model's floor that is as wide as its story is high: a plate of aluminium of 0.4 mm has as much."""
+"""Mass (kg/m²) of a model's floor that is as wide as its story is high: a plate of aluminium of 0.4 mm."""
 
 HIGHEST_TIMES_FREQUENCY = 130.0
 """Largest product (m Hz) of a building's height and first frequency. The mean is 46 (Ellis 1980), within a factor of
@@ -46,19 +45,19 @@ UNIT_FACTOR_WITHIN = 0.15
 """Difference of logarithms within which a ratio is taken for a factor between units."""
 
 STEEP = 0.15
-"""Relative deviation of the growth of story heights from an even one at which they still look added up."""
+"""Story heights look added up if their growth is even to this relative deviation."""
 
 HIGHEST_GROUND = 2.0
-"""Height of a ground story, over that of those above, up to which story heights that grow evenly look added up."""
+"""Largest ratio of the ground story's height to the stories above, for heights that look added up."""
 
 SLOWEST = 0.02
 """Lowest first frequency (Hz): the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
 
 BEST_LABORATORY_STD = 1e-6
-"""Relative standard deviation below which nothing is measured: the best counters and interferometers are no better."""
+"""Least relative standard deviation of a measurement: the accuracy of the best counters and interferometers."""
 
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
-"""Relative standard deviations beyond which nothing is measured any more, so that percent are suspected."""
+"""Largest relative standard deviations of measurements; larger ones may be in percent."""
 
 COARSE_STEP, FEWEST_ROUNDED = 2.0, 4
 """Times the stated standard deviation that rounding alone makes, from which on it is worth a word; and so many numbers
@@ -82,7 +81,7 @@ def heights(experiment: Experiment) -> Iterator[FileFinding]:
 
 
 def masses(experiment: Experiment) -> Iterator[FileFinding]:
-    """Floors of a building weigh tons, those of a model that stands on a table do not."""
+    """Floors of a building weigh tons; floors of a table-top model do not."""
     frame = experiment.frame
     if frame.story_heights is None or frame.known_total is None or frame.total_mass_placeholder:
         return
@@ -112,7 +111,8 @@ def added_up(experiment: Experiment) -> Iterator[FileFinding]:
     found = experiment.frame.story_heights
     if found is None or len(found) < 2:
         return
-    # A ground story is often higher than those above, so the growth from floor to floor counts. Of two it is the first.
+    # A ground story is often higher than the others, so compare the growth from floor to floor; with two stories, the
+    # first height.
     growth = np.diff(found)
     usual = float(np.median(growth))
     highest = (1 + STEEP) if len(growth) == 1 else HIGHEST_GROUND
@@ -169,7 +169,7 @@ def rounding(experiment: Experiment) -> Iterator[FileFinding]:
 
 
 def _over_nominal(experiment: Experiment) -> float | None:
-    """Divide the measured frequencies by those of the design values; None where these do not give any."""
+    """Divide the measured frequencies by the frequencies of the design values; None without complete design values."""
     values: dict[str, Floats] = {}
     for prior in experiment.priors:
         suggested = prior.suggested(experiment.stories)
@@ -206,4 +206,4 @@ def right_in_kg(experiment: Experiment, floor: float) -> bool | None:
 
 
 DECLARED_DOUBTS = (angular_frequency, heights, added_up, masses, gravity, slow, deviations, rounding)
-"""What is looked for in a declaration by itself."""
+"""Checks of a declaration alone."""

@@ -1,4 +1,4 @@
-"""What a finding of the screening says, and what is to be changed."""
+"""Findings of the screening and the changes that they propose."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FileFinding(InJson):
     change : str
         What to change, a sentence.
     refuses : bool
-        Whether nothing is to be fitted before it is changed or accepted; else it is a warning.
+        Whether the file is refused until the mistake is changed or accepted; otherwise a warning.
     rivals : tuple of str, optional
         Names of other mistakes that `change` proposes as well; to accept one of them is to accept the finding.
     """
@@ -42,7 +42,7 @@ class FileFinding(InJson):
     def of_changes(
         configuration: str | None, changes: Sequence[tuple[str, str, str]], evidence: str, *, refuses: bool
     ) -> FileFinding:
-        """Make a finding of changes of which one is needed: what each mends, what was found, and what to do."""
+        """Make a finding with alternative changes: the mistakes, the evidence and the changes."""
         names = list(dict.fromkeys(name for name, _, _ in changes))
         found = f"{' or '.join(found for _, found, _ in changes)}: {evidence}"
         change = f"{'One of: ' if len(changes) > 1 else ''}{'; or '.join(change for _, _, change in changes)}"
@@ -59,14 +59,14 @@ class FileFinding(InJson):
 
 
 def in_json(found: Iterable[FileFinding] | None) -> Json:
-    """List what the findings add to a result's JSON; nothing where nobody looked for any."""
+    """List the findings for a result's JSON; empty without screening."""
     return {} if found is None else {"warnings": [item.to_dict() for item in found]}
 
 
 WORDS_OF_FINDINGS: dict[str, dict[str, str]] = tomllib.loads(
     resources.files("cvxshear.screening").joinpath("words.toml").read_text(encoding="utf-8")
 )
-"""What each finding says, and what is to be changed; behind a slash, of one case of it."""
+"""Sentence of each finding, and the proposed change; a key with a slash is one case of a finding."""
 
 
 def in_words(key: str, /, **gaps: object) -> tuple[str, str, str]:

@@ -1,6 +1,6 @@
 """The single changes that would mend a reading, one function a kind of mistake.
 
-Each proposes, for a reading, every place at which its mistake can have been made. Whether one was made is not
+Each proposes all possible places of its mistake in a reading. Whether one was made is not
 decided here.
 """
 
@@ -22,13 +22,13 @@ MISTAKEN = 1e-2
 """Probability that a configuration has a mistake of one kind: one file in a hundred."""
 
 LEFT_TO_GIVEN = 1e-3
-"""Odds of a reading as given, to its best repair's, below which it is refused: wrong refusals cost more than doubts."""
+"""Refuse a reading if its odds against the best repair are smaller: a wrong refusal costs more than a doubt."""
 
 SUSPICIOUS = 25.0
-"""Cost of a reading as given below which no repair can be that much more probable: it needs 2 log of 1e5."""
+"""Readings with a smaller cost need no search: a repair cannot be 1e5 times as probable, which takes 2 log 1e5."""
 
 RIVAL_COST = 9.0
-"""Difference of costs up to which a repair is named with the best one: at least a hundredth as probable."""
+"""Name a repair beside the best one if their costs differ by less: at least a hundredth of its probability."""
 
 UNEXPLAINED = 0.25
 """Share of the cost as given that a repair may leave at most, where that is more."""
@@ -82,7 +82,7 @@ def _picked(reading: MeasuredModes, which: Any) -> MeasuredModes:
 
 
 def prior_cost(choices: int) -> float:
-    """Minus twice the logarithm of the odds of a mistake of one kind at one of so many places."""
+    """Minus twice the logarithm of the odds of a mistake of one kind at one of the given number of places."""
     return 2 * float(np.log(choices / MISTAKEN))
 
 
@@ -110,7 +110,8 @@ def floors_from_top(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repa
 
 
 GROUND_STILL = 3.0
-"""Standard deviations, tolerance included, up to which an entry can be that of a sensor on the ground."""
+"""An entry may come from a sensor on the ground if it is smaller than this number of standard deviations, tolerance
+included."""
 
 UNITS = (1e3, 1e-3, 9.80665, 1 / 9.80665)
 """Factors between units in which sensors are read: m and mm, m/s2 and g."""
@@ -123,7 +124,7 @@ def other_floors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]
     for by, word in ((1, "low"), (-1, "high")):
         moved = floors + by
         on = (moved >= 0) & (moved <= top)
-        # What is left out as the ground's must show no motion.
+        # A sensor on the ground must show no motion.
         still = np.all(np.abs(reading.scaled * reading.weights)[:, moved < 0] < GROUND_STILL)
         if np.all(moved <= top) and still and on.any():
             listed = ", ".join(str(floor + 1) for floor in moved)
@@ -171,7 +172,7 @@ def transposed(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Repair]:
 
 
 def other_orders(reading: MeasuredModes, frames: Sequence[Modes]) -> Iterator[Repair]:
-    """Each pair of shapes exchanged, and the order in which the shapes are most like those of each frame."""
+    """Each exchange of two shapes, and the best order of the shapes for each frame."""
     count = len(reading.modes)
     orders = {tuple(_exchanged(count, i, j)) for i, j in itertools.combinations(range(count), 2)}
     orders |= {tuple(_assigned(reading, frame)) for frame in frames}

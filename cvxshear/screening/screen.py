@@ -36,6 +36,7 @@ from cvxshear.screening.repairs import Repair
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, NearestFrame
 from cvxshear.screening.wrong_frequency import wrong_frequency
 from cvxshear.util import ranking
+from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
 
@@ -43,16 +44,16 @@ if TYPE_CHECKING:
     from cvxshear.records.record import Finding as RecordFinding
 
 DOUBT_CHECKS = (*DECLARED_DOUBTS, repeats, state_names)
-"""What is looked for in the declaration, whatever the shapes are like."""
+"""Checks of the declaration, independent of the shapes."""
 
 SHOWN_MODES = 3
 """Modes of impossible signs that a finding lists."""
 
 PLAUSIBLE = 4.0
-"""Cost a datum up to which a repair explains the reading."""
+"""Largest cost per datum of a repair that explains the reading."""
 
 FAR_DATUM = 3.5
-"""Standard deviations, the smaller tolerance included, below which no datum of a reading counts as wrong."""
+"""Data that are off by fewer standard deviations, the smaller tolerance included, are not wrong."""
 
 
 MISDECLARED = ("sign", "unit", "swapped channels")
@@ -90,7 +91,7 @@ class Screening(Shown):
 
     @property
     def refused(self) -> bool:
-        """Whether nothing is to be fitted before something is changed or accepted."""
+        """Whether the file is refused until a change or an acceptance."""
         return any(item.refuses for item in self.findings)
 
     @property
@@ -129,12 +130,12 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     ----------
     experiment : Experiment, path or name of a built-in
     weighed : collection of str, optional
-        Configurations of which what follows weighs the numbers of the modes itself; that they look wrong is a warning.
+        Configurations whose mode numbers the loop weighs itself; wrong mode numbers are a warning there.
 
     Raises
     ------
     InputError
-        Naming the first mistake found, what to change and how to accept it.
+        The file has a mistake. The message names it, the change, and how to accept it.
     """
     experiment = opened(experiment)
     found = tuple(
@@ -150,6 +151,7 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     return found
 
 
+@usual_arithmetic
 def close_loop(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
@@ -194,7 +196,7 @@ def close_loop(
         If this backend could not fit the shear model.
     """
     experiment = opened(experiment)
-    # A configuration with other_modes asks for its mode numbers to be weighed together with the effects.
+    # The loop weighs the mode numbers of a configuration with other_modes together with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
     doubts = refuse_mistakes(experiment, {*weighed, *numbered_anew})
     found = search_for_effects(experiment, effects, assume, backend, priors, jobs=jobs)
@@ -224,7 +226,7 @@ def judge(reading: MeasuredModes) -> tuple[NearestFrame, list[WeighedRepair]]:
     given : NearestFrame
         The frame nearest to the reading as given.
     explaining : list of WeighedRepair
-        The repairs that explain the reading, one of which it needs, best first; none where it may stand as given.
+        Repairs that explain the reading, best first; empty for a reading that needs no repair.
     """
     begin = shear_fit.starts(reading.stories)
     given = shear_fit.distance(reading, [*begin, *shear_fit.story_starts(reading, begin[:1])])
@@ -258,7 +260,7 @@ def judge(reading: MeasuredModes) -> tuple[NearestFrame, list[WeighedRepair]]:
 
 
 def _may_stand(reading: MeasuredModes, given: NearestFrame) -> bool:
-    """Whether no repair can be so much more probable, or nothing is farther off than noise."""
+    """Return whether the reading needs no repair: its cost is too small for one, or noise explains all data."""
     return given.cost < repairs.SUSPICIOUS or shear_fit.farthest(reading.closer, given.modes) < FAR_DATUM
 
 

@@ -5,13 +5,14 @@ Floor masses and story stiffnesses are those that minimize
     sum (log f_model - log f)^2 / s_f^2 + sum |(1 - u u') W phi|^2 + sum (log m_i)^2 / s_m^2
         + sum (log k_i - mean log k)^2 / s_k^2,      u = W phi_model / |W phi_model|,
 
-the scale of each shape eliminated, by Gauss-Newton (`fit.gauss_newton`). What was declared of masses plays no part: one
-configuration fixes them only up to a common factor, and a declaration can be wrong as well. The last two sums say how
+the scale of each shape eliminated, by Gauss-Newton (`fit.gauss_newton`). Declared masses are not used: one
+configuration determines masses only up to a common factor, and the declaration may be wrong. The last two sums say how
 far floors and stories of one frame differ, as in the loop (`fit.expectation`); they decide where the measurement does
 not.
 
-A story that is a thousand times softer than the others, or a floor as much heavier, is a valley of its own that no even
-frame leads into. So a reading that even frames do not explain is also fitted from frames with one such story or floor.
+A story that is a thousand times softer, or a floor that is a thousand times heavier, has a local minimum that an even
+start does not reach. So a reading that even frames do not explain is also fitted from frames with one such story or
+floor.
 """
 
 from __future__ import annotations
@@ -51,16 +52,16 @@ MOST_NEAREST_STEPS = 60
 """Step programs at most, in one fit."""
 
 ROUGH_STEPS = 8
-"""Steps of a fit that only ranks starts or repairs: what is nearer then mostly stays so."""
+"""Steps of a fit that only ranks starts or repairs; further steps rarely change the order."""
 
 TALLEST_FITTED = 24
-"""Stories up to which frames are fitted: repairs are as many as the square of their number, each a fit."""
+"""Largest number of stories for fits of repairs: their number grows with the square of the stories."""
 
 ENOUGH = 3e-2
 """Change of a residual, in standard deviations, of a step that counts as none."""
 
 OUTLIER = 2.0
-"""Standard deviations from which on a robust fit pays less and less heed to an entry."""
+"""A robust fit reduces the weight of entries that are off by more standard deviations."""
 
 ABOUT = 0.1
 """Standard deviation of the logarithm of a frequency under a frame of about the right proportions."""
@@ -219,7 +220,7 @@ def misfit(reading: MeasuredModes, found: Modes) -> float:
 
 
 def farthest(reading: MeasuredModes, found: Modes) -> float:
-    """Find the largest difference of a frequency or an entry from those of a frame, in standard deviations."""
+    """Find the largest difference between the data and a frame, in standard deviations."""
     frequency = (np.log(found.frequencies[reading.modes]) - reading.log_frequencies) / reading.frequency_std
     return float(max(np.max(np.abs(frequency)), np.max(np.abs(shape_residual(reading, found)))))
 

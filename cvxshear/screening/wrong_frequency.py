@@ -40,13 +40,13 @@ MISTYPED = 0.3
 """Standard deviation of the logarithm of a frequency that is wrong: a wrong digit changes it by a few to 100 %."""
 
 AS_STATED = 0.01
-"""Probability of the other data's chi-square below which they do not fit as their deviations say."""
+"""Least probability of the other data's chi-square; below it, their deviations are too small."""
 
 WRONG_FOR_SURE = 0.95
-"""Least probability of a wrong frequency, against a mass on a spring, that refuses a file: the other is said beside."""
+"""Least probability of a wrong frequency, against a mass on a spring, for a refusal. The finding names both."""
 
 FEWEST_SPARE = 2.0
-"""Data beyond those that the frame takes up, from which on that the others fit means anything."""
+"""Least number of data, beyond the frame's parameters, for a test of the fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Freed:
     cost : float
         Minus twice the logarithm of its probability, but for a constant.
     expected, std : float
-        Logarithm of the frequency that the other data ask for, Hz, and its standard deviation.
+        Logarithm of the frequency, Hz, that follows from the other data, and its standard deviation.
     """
 
     test: int
@@ -80,7 +80,7 @@ def wrong_frequency(experiment: Experiment) -> Iterator[FileFinding]:
     if experiment.stories > TALLEST_FITTED:
         return
     for tests in groups:
-        # Of deviations that nobody stated none can say that the rest fits.
+        # Without stated deviations, the fit of the other data cannot be tested.
         if not all(_noise_stated(each) for each in tests):
             continue
         found = _explaining(experiment, tests)
@@ -159,7 +159,7 @@ def _freed(
 
 
 def _as_stated(freed: Freed, data: int) -> bool:
-    """Whether the other data, so many, are more than the frame takes up and fit as their deviations say."""
+    """Return whether the other data are enough for a test and fit within their deviations."""
     at = freed.frame.at
     if at is None:
         return False
@@ -199,7 +199,7 @@ def _rivals(
         for each in given.configurations
     )
     freed = dataclasses.replace(given, configurations=tuple(less_sure))
-    # What any story lost or gained in the other states is theirs.
+    # Changes of stories in the other states belong to those states.
     changed = StoryChange()
     others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)
     try:
@@ -230,7 +230,7 @@ def _beside_a_mass(found: FileFinding, test: str, rivals: Sequence[tuple[ModelCl
 
 
 def _said(tests: Sequence[Configuration], named: Sequence[Freed], given: NearestFrame) -> FileFinding:
-    """Name the frequency, or those of which one is wrong, with what the other data say."""
+    """Report the wrong frequency, or the possibly wrong ones, with the value from the other data."""
     changes = []
     for item in named:
         test = tests[item.test]

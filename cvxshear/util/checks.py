@@ -124,6 +124,8 @@ def near(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
 
 def number(value: object, where: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
     """Check a finite number, greater than `above` and not less than `least`."""
+    if value is np.ma.masked:
+        raise InputError(f"{where} is masked: a number is needed here")
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
@@ -177,7 +179,9 @@ def choice(value: object, options: Sequence[str], where: str) -> str:
 
 def _clean(value: object, axes: int, *, above: float, least: float, nan: bool) -> bool:
     """Whether the value is an array of floats that all pass `number`: what is right needs no look entry by entry."""
-    if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.ndim != axes or not value.size:
+    if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
+        return False
+    if value.dtype != np.float64 or value.ndim != axes or not value.size:
         return False
     known = value[~np.isnan(value)] if nan else value
     if not np.isfinite(known).all() or np.any(known <= above) or np.any(known < least):
@@ -188,7 +192,7 @@ def _clean(value: object, axes: int, *, above: float, least: float, nan: bool) -
 
 def _items(value: object, where: str, what: str) -> list[object]:
     if isinstance(value, np.ndarray):
-        value = value.tolist()
+        value = list(value) if isinstance(value, np.ma.MaskedArray) else value.tolist()
     if not isinstance(value, list | tuple):
         raise InputError(f"{where} must be a list of {what}, not {shown(value)}")
     return list(value)
@@ -219,7 +223,7 @@ def vector(
         raise InputError(f"{where} must have {entries(length)}{each}, not {len(items)}")
 
     def checked(item: object, place: int) -> float:
-        if nan and isinstance(item, float) and math.isnan(item):
+        if nan and (item is np.ma.masked or (isinstance(item, float) and math.isnan(item))):
             return math.nan
         return number(item, f"{where}, entry {place}", above=above, least=least)
 
@@ -229,6 +233,14 @@ def vector(
 def entries(count: int) -> str:
     """Write a count as a message says it: 1 entry, 2 entries."""
     return f"{count} {'entry' if count == 1 else 'entries'}"
+
+
+class ReadOnlyArrays:
+    """A frozen dataclass whose arrays stay read-only when it is copied or unpickled."""
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, frozen(value) if isinstance(value, np.ndarray) else value)
 
 
 def many(value: object) -> bool:

@@ -40,6 +40,10 @@ class NoModesError(CvxshearError, ArithmeticError):
     """A model has no modes: a mass is not positive, or the frame would buckle."""
 
 
+class FaultyEffectError(NoModesError):
+    """An effect made a mass or stiffness matrix that is not finite; the message names the effect and its place."""
+
+
 class LostProcessError(CvxshearError, RuntimeError):
     """A process that worked for this one was ended from outside; the same call may well succeed again."""
 

@@ -53,7 +53,7 @@ def test_every_public_function_takes_a_path(tmp_path, function):
 
 @pytest.mark.parametrize("function", [name for name in TAKE_A_PATH if name != "plan"])
 def test_what_is_no_experiment_is_refused(function):
-    with pytest.raises(InputError, match=r"an Experiment, the path of its file or the name of a built-in .*, not 3"):
+    with pytest.raises(InputError, match=r"an Experiment, its dict, the path of its file or the name .*, not 3"):
         TAKE_A_PATH[function](3)
 
 

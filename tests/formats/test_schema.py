@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.cli.before import _said
+from cvxshear.cli import main
 from cvxshear.io.to_fill_in import template
 from cvxshear.records import IdentifiedRecord, from_arrays, identify_modes, merged
 from cvxshear.records.simulate import PAPER_FRAME, base_record
@@ -19,6 +19,7 @@ from cvxshear.screening.screen import Screening
 from cvxshear.util.errors import InputError
 from tests import closed
 from tests.frames import EXAMPLES, MEASURED
+from tests.fuzz import files
 
 jsonschema = pytest.importorskip("jsonschema")
 SCHEMAS = Path(__file__).parents[2] / "docs" / "schema"
@@ -131,11 +132,18 @@ def test_motions_in_a_record():
     assert faults("reconstruct", left_out) == []
 
 
-def test_modes_of_one_record_and_of_several():
-    result = identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0))
-    assert faults("modes", json.loads(json.dumps(result.to_dict()))) == []
-    found = [IdentifiedRecord("a.toml", result, {}), InputError("b.toml: empty")]
-    said = _said(["a.toml", "b.toml"], found)
-    assert faults("modes", said) == []
-    assert said["failed"] == [{"file": "b.toml", "reason": "b.toml: empty"}]
-    assert np.isfinite(said["records"][0]["frequencies"]).all()
+def test_modes_of_one_record_and_of_several(tmp_path, capsys):
+    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=150.0)
+    assert faults("modes", json.loads(json.dumps(identify_modes(record).to_dict()))) == []
+    (run,) = record.runs
+    table = np.column_stack([np.arange(run.samples) / record.sampling_rate, run.excitation, run.responses])
+    np.savetxt(tmp_path / "sound.csv", table, delimiter=",", header="t,ground,a1,a2,a3", comments="")
+    (tmp_path / "a.toml").write_text(files.record_text("sound.csv"))
+    (tmp_path / "b.toml").write_text(files.record_text("absent.csv"))
+    with pytest.raises(SystemExit) as stopped:
+        main(["modes", str(tmp_path / "a.toml"), str(tmp_path / "b.toml"), "--json", "-"])
+    assert stopped.value.code == 2
+    printed = json.loads(capsys.readouterr().out)
+    assert faults("modes", printed) == []
+    assert [Path(each["file"]).name for each in printed["failed"]] == ["b.toml"]
+    assert np.isfinite(printed["records"][0]["frequencies"]).all()

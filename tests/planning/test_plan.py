@@ -405,7 +405,7 @@ def test_a_measurement_that_leaves_the_frame_open_is_not_planned_for():
 
 
 def test_a_loop_needs_a_measurement_and_a_result_without_heights_says_so(file, tmp_path):
-    with pytest.raises(InputError, match="needs a file with measured modes"):
+    with pytest.raises(InputError, match="a file with measured modes"):
         plan(file, loop=True)
     path = tmp_path / "loop.json"
     path.write_text(json.dumps(closed.paper().to_dict()))

@@ -1,4 +1,4 @@
-"""Observers, projections and covariances of continuous records, against recursions and sums written out."""
+"""Observers, projections and covariances of continuous records, against explicit recursions and sums."""
 
 import numpy as np
 import pytest
@@ -21,23 +21,13 @@ def test_lags_and_rows_hold_samples_enough_for_each_state(stories, outputs, samp
 def test_triangles_add_up_without_one_block_or_several():
     rng = np.random.default_rng(0)
     blocks = [rng.standard_normal((count, 5)) for count in (9, 3, 12, 7)]
-    triangles = Triangles([continuous._triangle(block) for block in blocks])
+    triangles = Triangles([np.linalg.qr(np.vstack([block, np.zeros((5, 5))]), mode="r") for block in blocks])
     for gone in ([], [0], [2], [3], [0, 2], [1, 3]):
         keep = np.isin(np.arange(4), gone, invert=True)
         found = triangles.together(keep if gone else None)
         products = sum(block.T @ block for block, kept in zip(blocks, keep, strict=True) if kept)
         np.testing.assert_allclose(found.T @ found, products)
         np.testing.assert_allclose(np.tril(found, -1), 0.0, atol=1e-12)
-
-
-def test_rows_of_the_regressions_hold_what_came_before():
-    u, y = np.arange(8.0)[:, None], 10.0 * np.arange(8.0)[:, None] + np.arange(2.0)
-    found = continuous._regression(u, y, 3)
-    assert found.shape == (5, 1 + 3 * 3 + 2)
-    np.testing.assert_array_equal(found[1], [4, 3, 30, 31, 2, 20, 21, 1, 10, 11, 40, 41])
-    found = continuous._data(u, y, 2)
-    assert found.shape == (5, 2 + 2 + 4 + 4)
-    np.testing.assert_array_equal(found[1], [3, 4, 1, 2, 10, 11, 20, 21, 30, 31, 40, 41])
 
 
 def arx(rng, lags=3, outputs=2):
@@ -52,17 +42,6 @@ def impulse_response(direct, inputs, outputs, count):
         own = inputs[k - 1] if k <= len(inputs) else np.zeros_like(direct)
         found.append(own + sum(outputs[i - 1] @ found[k - i] for i in range(1, min(k, len(outputs)) + 1)))
     return np.array(found)
-
-
-def test_markov_parameters_are_the_answer_to_a_unit_pulse():
-    direct, inputs, outputs = arx(np.random.default_rng(1))
-    found = continuous._system_markov(direct, inputs, outputs, 40)
-    np.testing.assert_allclose(found, impulse_response(direct, inputs, outputs, 40), atol=1e-10)
-    # A pole may come out a little unstable by chance; one that is well outside stands for nothing.
-    one = np.ones((1, 1, 1))
-    for pole, later in ((1.0015, 1.0015 ** np.arange(5)), (1.0025, np.zeros(5))):
-        found = continuous._system_markov(np.zeros((1, 1)), one, pole * one, 5)
-        np.testing.assert_allclose(found[:, 0, 0], [0.0, *later], atol=1e-9)
 
 
 def driven(samples=260, seed=2):
@@ -94,9 +73,9 @@ def test_a_rougher_observer_is_that_of_half_the_lags_on_the_same_samples():
     half = OkidSource([(a[3:], b[3:]) for a, b in pieces], 50.0, lags=3)
     np.testing.assert_allclose(rougher.markov(), half.markov(), atol=1e-9)
     inner = SubspaceSource(pieces, 50.0, rows=5, lags=20)
-    assert inner._observer.lags == 9
-    assert inner.rougher()._observer.lags == 4
     np.testing.assert_allclose(inner.impulse().sequence, OkidSource(pieces, 50.0, lags=9).markov())
+    fewer = OkidSource([(a[5:], b[5:]) for a, b in pieces], 50.0, lags=4)
+    np.testing.assert_allclose(inner.rougher().impulse().sequence, fewer.markov(), atol=1e-9)
 
 
 def test_the_factor_of_a_subspace_is_the_future_as_the_past_explains_it():
@@ -104,8 +83,14 @@ def test_the_factor_of_a_subspace_is_the_future_as_the_past_explains_it():
     u, y, _ = driven()
     y = y + 0.3 * np.random.default_rng(4).standard_normal(y.shape)
     pieces = [(u[:140], y[:140]), (u[120:], y[120:])]
-    rows = np.vstack([continuous._data(*piece, 4) for piece in pieces])
-    future_inputs, past, future = np.split(rows, [4, 4 + 12], axis=1)
+
+    def windows(which, start):
+        """Four samples in each row; the rows begin at each time from `start` on."""
+        found = [np.lib.stride_tricks.sliding_window_view(piece[which][start : len(piece[0]) - 4 + start], 4, axis=0)
+                 for piece in pieces]  # fmt: skip
+        return np.vstack([each.swapaxes(1, 2).reshape(len(each), -1) for each in found])
+
+    future_inputs, future, past = windows(0, 4), windows(1, 4), np.hstack([windows(0, 0), windows(1, 0)])
 
     def less(values, basis):
         return values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
@@ -137,20 +122,14 @@ def test_covariances_of_an_ambient_record_are_means_of_products():
     data = source.data()
     np.testing.assert_allclose(data @ data.T, hankel @ hankel.T)
     past = np.block([[R[i - j].T if i >= j else R[j - i] for j in range(3)] for i in range(3)])
-    root = continuous._root(past)
-    np.testing.assert_allclose(np.triu(root, 1), 0.0)
-    lift = (root @ root.T - past)[0, 0]
-    np.testing.assert_allclose(root @ root.T, past + lift * np.eye(6), atol=1e-9)
-    least = linalg.eigvalsh(past)[0]
-    assert lift == pytest.approx(1e-8 * past.diagonal().max() - min(0.0, least), abs=1e-9)
+    lift = 1e-8 * past.diagonal().max() - min(0.0, linalg.eigvalsh(past)[0])
     factor = source.factor()
-    weighted = hankel @ np.linalg.solve(root @ root.T, hankel.T)
+    weighted = hankel @ np.linalg.solve(past + lift * np.eye(6), hankel.T)
     np.testing.assert_allclose(factor @ factor.T, weighted, rtol=1e-6, atol=1e-6 * np.abs(weighted).max())
-    future = continuous._toeplitz(R, 4)
-    expected = np.block([[R[i - j] if i >= j else R[j - i].T for j in range(4)] for i in range(4)])
-    np.testing.assert_allclose(future, expected)
-    # The weight of the future is undone, but it decides what counts.
-    inverse = np.linalg.inv(continuous._root(future))
+    future = np.block([[R[i - j] if i >= j else R[j - i].T for j in range(4)] for i in range(4)])
+    lift = 1e-8 * future.diagonal().max() - min(0.0, linalg.eigvalsh(future)[0])
+    # The weight of the future decides the order of the columns, and is then removed.
+    inverse = np.linalg.inv(np.linalg.cholesky(future + lift * np.eye(8)))
     sizes = np.linalg.norm(inverse @ factor, axis=0)
     alike = (inverse @ factor).T @ (inverse @ factor) / np.outer(sizes, sizes)
     np.testing.assert_allclose(alike, np.eye(6), atol=1e-6)

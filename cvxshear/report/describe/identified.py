@@ -9,11 +9,13 @@ import numpy as np
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.quality import Quality
 from cvxshear.fit.results import Identification, IdentifiedFrame, SingleIdentification
+from cvxshear.programs.certificate import ActiveConstraint
 from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.measured import declared, units_for
 from cvxshear.report.describe.vocabulary import (
     Block,
     Document,
+    Points,
     Row,
     Section,
     Sentence,
@@ -229,6 +231,7 @@ def part_section(result: Identification, part: SingleIdentification, place: int,
     parts = [
         frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
         *_bounds(part),
+        *_prices(part, place, units),
         *how_it_ended(part),
         *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
         Sentence(_fit(part)),
@@ -248,6 +251,28 @@ def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
             "hold only as far as the bound is true.",
             "warning",
         )
+
+
+def _prices(part: SingleIdentification, place: int, units: Units) -> Iterator[Block]:
+    """List the active bounds and exact priors, each with its price."""
+    if part.active:
+        misfit = "the objective of the program" if part.name else "chi-square with the noise of the fit"
+        yield Sentence(f"Active bounds and exact priors with their prices (the misfit is {misfit}):", "strong")
+        yield Points(f"active-{place}", tuple(_price(held, units) for held in part.active))
+
+
+def _price(held: ActiveConstraint, units: Units) -> str:
+    """Say how one more unit on the right side of a constraint changes the misfit."""
+    about = f"{held.name} {held.source}"
+    quantities = {} if units.relative else {"floor_mass": "kg", "story_stiffness": "N/m"}
+    unit = next((unit for quantity, unit in quantities.items() if quantity in about), "unit")
+    at_bound = held.constraint in ("lower", "upper")
+    where = f"the {held.constraint} bound of {in_words([held.name])}" if at_bound else "the right side"
+    change = "lower" if held.dual > 0 else "raise"
+    return (
+        f"{held.source or held.name}: one more {unit} on {where} would {change} the misfit by "
+        f"{significant(abs(held.dual), 3)}"
+    )
 
 
 def how_it_ended(part: SingleIdentification) -> Iterator[Sentence]:

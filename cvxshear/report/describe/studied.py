@@ -136,7 +136,7 @@ def _comparison(result: Comparison, units: Units = AUTOMATIC) -> Document:
     if result.left_out:
         tables.insert(0, Sentence(f"Without the paper's programs: {result.left_out}."))
     headline = f"{result.experiment}: {_backends_headline(result)}"
-    every = Section("worst", "All programs", (worst(result),), detail=True)
+    every = Section("worst", "All programs", (worst(result),))
     return Document(result.experiment, headline, (Section("programs", "Programs", tuple(tables)), every))
 
 
@@ -190,17 +190,21 @@ def _backend_cells(row: BackendResult) -> Iterator[str]:
 def worst(result: Comparison) -> Table:
     """For each backend its worst figures over all programs that it takes."""
     names = dict.fromkeys(row.backend for row in result.rows)
-    head = ("backend", "programs solved", "largest difference", "largest certificate residual", "remark")
+    head = (
+        "backend", "programs solved", "as given", "polished", "replaced", "largest difference",
+        "largest certificate residual", "remark",
+    )  # fmt: skip
     rows = tuple(_worst(name, [row for row in result.rows if row.backend == name]) for name in names)
-    return Table("backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 4))
+    return Table("backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 7))
 
 
 def _worst(name: str, rows: list[BackendResult]) -> Row:
     solved = [row for row in rows if not row.failure]
     residuals = [each for row in solved for each in (row.primal_residual, row.dual_residual, row.duality_gap)]
     count = f"{sum(row.programs for row in solved)} of {sum(row.programs for row in rows)}"
+    accepted = [str(sum(getattr(row, how) for row in rows)) for how in ("as_given", "polished", "replaced")]
     remark = "; ".join(sorted({short(row.failure) for row in rows if row.failure}))
-    return Row((name, count, _largest([row.difference for row in solved]), _largest(residuals), remark))
+    return Row((name, count, *accepted, _largest([row.difference for row in solved]), _largest(residuals), remark))
 
 
 def _largest(values: list[float | None]) -> str:
