@@ -22,9 +22,10 @@ newer ones too, and the warning is no one's who calls this package; the tests ta
 
 TESTS = (
     "test_import.py", "backends/test_backends.py", "backends/test_certificates.py", "backends/test_compiled.py",
-    "programs/test_formulations.py", "fit/test_identify.py", "fit/test_efficient.py", "test_cli.py", "test_writing.py",
-    "test_lowest_versions.py", "formats", "campaign", "records/test_formats.py", "records/test_adapters.py",
-    "planning/test_choice.py", "response/test_files.py", "report/test_figures.py", "report/test_html.py",
+    "programs/test_formulations.py", "fit/test_identify.py", "fit/test_efficient.py", "cli/test_cli.py",
+    "util/test_writing.py", "test_lowest_versions.py", "formats", "campaign", "records/test_formats.py",
+    "records/test_adapters.py", "planning/test_choice.py", "response/test_files.py",
+    "report/test_figures.py", "report/test_html.py",
 )  # fmt: skip
 """Files and folders of tests that lean on other packages: solvers, readers, matplotlib, jinja, rich, typer, joblib."""
 

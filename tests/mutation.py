@@ -33,12 +33,15 @@ ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("cvxshear", "tests", "examples", "docs", "pyproject.toml", "README.md")
 
 ROOMS = (
-    "planning", "programs", "priors", "backends", "effects", "data", "fit", "loop", "response", "modal", "model",
+    "planning", "programs", "priors", "backends", "effects", "data", "fit", "loop", "response", "records", "model",
     "paper",
 )  # fmt: skip
 """Rooms whose modules are changed."""
 
-ASKED = ("test_*.py", "effects", "planning", "modal", "response", "paper", "screening", "formats")
+ASKED = (
+    "test_*.py", "util", "priors", "measurement", "programs", "backends", "model", "effects", "data", "fit", "loop",
+    "records", "screening", "response", "planning", "paper", "formats",
+)  # fmt: skip
 """Tests that may be run on a change; those of documents, commands, reports and damaged files say little about numbers
 and take long."""
 

@@ -159,3 +159,50 @@ def test_a_name_means_one_thing():
 def test_names_in_tuples_are_seen():
     tree = ast.parse("A, (B, C) = 1, (2, 3)\nD: int = 4\nE = F = 5\n")
     assert [name for node in tree.body for name in assigned(node)] == ["A", "B", "C", "D", "E", "F"]
+
+
+BUDGET = {"lines of code": 30_500, "modules": 232, "numeric constants": 700, "lines of imports": 3_000}
+"""Limits of the package's size. A change that needs more raises the limit, as a decision that its review sees."""
+
+
+def sizes():
+    """Count lines of code, modules, numeric constants of modules, and lines of imports."""
+    found = dict.fromkeys(BUDGET, 0)
+    for source in modules().values():
+        tree = ast.parse(source)
+        documented = {
+            line
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None
+            for line in range(node.body[0].lineno, node.body[0].end_lineno + 1)
+        }
+        found["modules"] += 1
+        found["lines of code"] += sum(
+            bool(line.strip()) and not line.strip().startswith("#") and number not in documented
+            for number, line in enumerate(source.splitlines(), 1)
+        )
+        found["lines of imports"] += sum(
+            node.end_lineno - node.lineno + 1
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import | ast.ImportFrom)
+        )
+        found["numeric constants"] += sum(numeric_constants(tree))
+    return found
+
+
+def numeric_constants(tree):
+    """For each name in capitals that a module assigns: whether its value holds a number and no text."""
+    for node in tree.body:
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+            continue
+        values = [each.value for each in ast.walk(node.value) if isinstance(each, ast.Constant)]
+        numbers = [each for each in values if isinstance(each, int | float) and not isinstance(each, bool)]
+        numeric = bool(numbers) and not any(isinstance(each, str) for each in values)
+        for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+            for name in ast.walk(target):
+                if isinstance(name, ast.Name) and name.id.isupper():
+                    yield numeric
+
+
+def test_the_package_stays_within_its_budget():
+    assert {name: size for name, size in sizes().items() if size > BUDGET[name]} == {}

@@ -169,7 +169,7 @@ def test_derivatives_are_symmetric():
 
 
 def test_every_effect_of_the_catalogue_is_tested():
-    """But statements about masses and priors, which change no matrix; forces are in `tests/test_open_classes.py`."""
+    """Statements about masses and priors change no matrix; forces are in `tests/loop/test_open_classes.py`."""
     elsewhere = {
         "attached_mass", "load_mounting", "total_mass", "wrong_prior", "wrong_exact_prior", "shape_scale", "force_scale"
     }  # fmt: skip

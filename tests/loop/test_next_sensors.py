@@ -61,7 +61,7 @@ def test_carrying_it_out_makes_the_verdict_surer(first, before):
 
 def test_it_is_said_in_words_and_in_the_documented_json(before):
     jsonschema = pytest.importorskip("jsonschema")
-    schema = json.loads((Path(__file__).parents[1] / "docs/schema/loop.json").read_text(encoding="utf-8"))
+    schema = json.loads((Path(__file__).parents[2] / "docs/schema/loop.json").read_text(encoding="utf-8"))
     said = json.loads(json.dumps(before.to_dict()))
     jsonschema.Draft202012Validator(schema).validate(said)
     (third,) = set(before.next_test.measured_floors) - {1, 5}
