@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import Experiment, backends, close_loop
+from cvxshear import Experiment, backends
 from cvxshear.cli import main
 from cvxshear.fit.efficient import efficient
 from cvxshear.io.toml import write_measurement
+from cvxshear.loop.close import search_for_effects
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.records import identify_modes
 from cvxshear.records.diagnostics import A_MODE, left_out, overlooked_modes
@@ -53,7 +54,7 @@ def closed_without(mode, effect, configurations, tests, size, seed):
     """What is declared of a frame one of whose modes was overlooked, in so many tests; what it is; and its loop."""
     declared, truth = measured_frame(effect, seed, configurations=configurations, **dict(size))
     lose(declared, mode, slice(tests))
-    return declared, truth, close_loop(Experiment.from_dict(declared))
+    return declared, truth, search_for_effects(Experiment.from_dict(declared))
 
 
 def status(arguments):
@@ -111,7 +112,7 @@ def test_before_is_the_model_with_the_numbers_as_given():
 @pytest.mark.parametrize("effect", [None, "joint_rotation"])
 def test_right_numbers_stay(effect):
     declared, truth = measured_frame(effect, 43, configurations=2, **dict(FIVE))
-    closure = close_loop(Experiment.from_dict(declared))
+    closure = search_for_effects(Experiment.from_dict(declared))
     assert not numbers(closure)
     assert closure.numberings[0].probability > 0.99
     assert [item.placed.effect.name for item in closure.effects] == [name for name, *_ in truth["effects"]]
@@ -125,7 +126,7 @@ def test_the_probability_of_other_modes_is_that_of_their_evidence_and_their_odds
     sets = []
     for probability in (0.1, 0.6):
         configuration["other_modes"] = [{"modes": [1, 2, 4], "probability": probability}]
-        closure = close_loop(Experiment.from_dict(declared), effects=["total_mass"])
+        closure = search_for_effects(Experiment.from_dict(declared), effects=["total_mass"])
         given, other = (next(p.probability for p in closure.numberings if bool(p.changes) == b) for b in (False, True))
         sets.append(other / given / (probability / (1.0 - probability)))
     assert sets[0] == pytest.approx(sets[1], rel=1e-9)
@@ -136,7 +137,7 @@ def test_numbers_that_nothing_tells_are_said_to_be_in_doubt():
     """One floor and three frequencies: whatever was said beforehand stays, and the page says how to find out."""
     declared, _ = measured_frame(None, 44, modes=3, floors=(7,))
     declared["configuration"][0]["other_modes"] = [{"modes": [1, 2, 4], "probability": 0.5}]
-    closure = close_loop(Experiment.from_dict(declared), effects=["total_mass"])
+    closure = search_for_effects(Experiment.from_dict(declared), effects=["total_mass"])
     assert closure.verdict == "ambiguous"
     assert 0.1 < closure.numberings[1].probability < 0.5
     page = " ".join(str(closure).split())
@@ -164,7 +165,7 @@ def test_shapes_at_every_floor_that_contradict_their_numbers_put_them_in_questio
     declared, _ = measured_frame(None, 46, stories=5, floors=range(1, 6), modes=4)
     (found,) = overlooked_in_all(Experiment.from_dict(lose(declared, 3)))[1:2]
     assert found.changes == (("test 1", (1, 2, 4)),)
-    closure = close_loop(Experiment.from_dict(declared))
+    closure = search_for_effects(Experiment.from_dict(declared))
     assert numbers(closure) == {"test 1": (1, 2, 4)}
     assert not closure.effects
 
@@ -240,7 +241,7 @@ def test_a_record_that_lacks_a_mode_is_numbered_by_the_loop_where_its_signs_do_n
     _, modes = shaken([3, 5, 8], count=5, method="subspace")
     assert modes.modes.tolist() == [1, 2, 3, 4, 5]
     rivals = ["attached_mass", "ground_spring", "sensor_gain", "story_change", "gravity"]
-    closure = close_loop(Experiment.from_dict(modes.to_experiment({"floor_masses": [10.0] * 8})), rivals)
+    closure = search_for_effects(Experiment.from_dict(modes.to_experiment({"floor_masses": [10.0] * 8})), rivals)
     assert numbers(closure) == {modes.name: (1, 2, 4, 5, 6)}
     assert not closure.effects
 

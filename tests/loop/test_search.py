@@ -119,13 +119,13 @@ def test_a_hopeless_misfit_ends_after_few_fits():
     for table in too_sure["configuration"]:
         table["frequency_std"] /= 100
         table["mode_shape_std"] /= 100
-    found = close_loop(Experiment.from_dict(too_sure))
+    found = search_for_effects(Experiment.from_dict(too_sure))
     assert found.fits <= 250
     assert found.programs <= 1000
     assert found.verdict not in ("adequate", "explained")
     assert found.steps[0].p_value < 1e-12
     in_rad["configuration"][0]["frequencies"] = [2 * np.pi * f for f in in_rad["configuration"][0]["frequencies"]]
-    found = close_loop(Experiment.from_dict(in_rad))
+    found = search_for_effects(Experiment.from_dict(in_rad))
     assert found.fits <= 250
     assert found.programs <= 1000
     # A frame (2 pi)^2 times as stiff has just these modes; `check` asks about the unit.
