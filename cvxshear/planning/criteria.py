@@ -1,12 +1,12 @@
-"""What makes one choice better than another: one number from the covariance of what is asked for.
+"""Criteria that compare choices: one number from the covariance of the parameters of the plan's goal.
 
-Each criterion is convex in the weights of the candidates, and each is said as a standard deviation: that of a typical
-parameter (D, A), of the worst combination of parameters (E), of the worst parameter. Over several frames the variances
-are averaged (A, E, worst), or their logarithms (D), which keeps them convex.
+Each criterion is convex in the weights of the candidates. Each is reported as a standard deviation: of a typical
+parameter (D, A), of the worst combination of parameters (E), or of the worst parameter. Over several frames, the
+variances (A, E, worst) or their logarithms (D) are averaged, which keeps the criteria convex.
 
-A criterion also states itself for conic solvers, with linear matrix inequalities in w: for D, a matrix S with
-[[M_aa - S, M_ab], [M_ba, M_bb]] >= 0 is at most the information of z_a with the others marginalised, and log det S is
-maximised; for the others [[T, F 0], [(F 0)', M]] >= 0 makes T at least the covariance.
+A criterion also has a program for conic solvers, with linear matrix inequalities in w. For D, a matrix S with
+[[M_aa - S, M_ab], [M_ba, M_bb]] >= 0 is at most the information of z_a with the others marginalized, and log det S is
+maximized. For the other criteria, [[T, F 0], [(F 0)', M]] >= 0 makes T at least the covariance.
 """
 
 from abc import ABC, abstractmethod
@@ -22,11 +22,12 @@ from cvxshear.util import checks, ranking
 from cvxshear.util.typing import Floats
 
 POWER = 24
-"""The largest of the variances is taken for the power mean (sum of v^24)^(1/24) where a derivative is needed: above it
-by a factor of s^(1/24) at most for s parameters."""
+"""Exponent of the power mean (sum of v^24)^(1/24), which replaces the largest variance if a derivative is needed. For s
+parameters, the power mean is larger by at most a factor of s^(1/24)."""
 
 MOST_PARAMETERS = 16
-"""Parameters, those known least, in the program for the worst one: its time grows with their fourth power."""
+"""Largest number of parameters in the program for the worst one; the program keeps the least known. The time grows with
+the fourth power of this number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +38,11 @@ class Reduced:
     ----------
     base, added : ndarray, shapes (r, r) and (n, r, r)
     asked : ndarray, shape (s, a)
-        F of the directions that are kept, the first a of r.
+        F in the directions that are kept; these are the first a of the r directions.
     left : ndarray, shape (s, s)
-        Covariance that comes from the directions left out.
+        Covariance from the directions that are left out.
     whole : bool
-        Whether the candidates tell of no other direction.
+        Whether the candidates give no information about other directions.
     """
 
     base: Floats
@@ -52,7 +53,7 @@ class Reduced:
 
 
 Program = tuple[Any, list[Any], Callable[[], Floats] | None]
-"""Objective and constraints of cvxpy, and what gives the hardest mixture of parameters after solving."""
+"""Objective and constraints of cvxpy, and a function that returns the hardest mixture of parameters after solving."""
 
 
 class Criterion(ABC):
@@ -61,32 +62,32 @@ class Criterion(ABC):
     Attributes
     ----------
     name : str
-        Its word in options and results.
+        Name in options and results.
     summary : str
-        What its value is, in words.
+        Description of the value.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
 
     def value(self, problem: Candidates, information: Floats) -> Floats:
-        """Return the standard deviation that an information stands for, shape (...), for information (..., q, p, p)."""
+        """Return the criterion as a standard deviation, shape (...), for information, shape (..., q, p, p)."""
         return self.value_at(problem, problem.own(information))
 
     @abstractmethod
     def value_at(self, problem: Candidates, own: Floats) -> Floats:
-        """Return the standard deviation, shape (...), for covariances of z_a, shape (..., q, a, a)."""
+        """Return the criterion as a standard deviation, shape (...), for covariances of z_a, shape (..., q, a, a)."""
 
     @abstractmethod
     def smooth(self, problem: Candidates, weights: Floats) -> tuple[float, Floats]:
-        """Evaluate a smooth convex function, least where the criterion is or nearly, and its gradient, shape (n,)."""
+        """Evaluate a smooth convex function with almost the criterion's minimizer, and its gradient, shape (n,)."""
 
     @abstractmethod
     def bound(self, problem: Candidates, weights: Floats, number: int, hardest: Floats | None = None) -> float:
-        """Bound from below what a choice of so many candidates can reach, by linearising at these weights.
+        """Compute a lower bound for all choices of `number` candidates, by linearizing at these weights.
 
-        A convex function lies above its tangent, whose minimum over 0 <= w <= 1, sum w = N is a matter of sorting:
-        the bound holds however roughly the weights were found.
+        A convex function lies above its tangent. Sorting gives the tangent's minimum over 0 <= w <= 1, sum w = N.
+        Hence the bound is valid for any weights; better weights give a tighter bound.
 
         Parameters
         ----------
@@ -94,41 +95,41 @@ class Criterion(ABC):
         weights : ndarray, shape (n,)
         number : int
         hardest : ndarray, shape (s, s), optional
-            Positive semidefinite, of trace 1: the mixture of parameters that a solver found the hardest.
+            Positive semidefinite, trace 1: the hardest mixture of parameters according to a solver.
         """
 
     @abstractmethod
     def windowed(
         self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
     ) -> tuple[float, list[int]]:
-        """Bound the same, every choice within windows of neighbours looked at.
+        """Compute a tighter lower bound, by trying every choice within windows of neighboring candidates.
 
         Parameters
         ----------
         problem : Candidates
         weights : ndarray, shape (n,)
-            Near which the bound is to be close.
+            The bound is tight near these weights.
         number : int
         width : int
-            Of the windows.
+            Number of candidates in a window.
         enough : float
-            The standard deviation at which looking for a higher bound may end.
+            The search for a higher bound may end at this standard deviation.
 
         Returns
         -------
         bound : float
             A standard deviation.
         chosen : list of int
-            The choice at which the bound is least: one to exchange from.
+            The choice with the least bound; an exchange can start from this choice.
         """
 
     @abstractmethod
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
-        """State the criterion for a conic solver, the information being affine in the weights."""
+        """Return the criterion's program for a conic solver; the information is affine in the weights."""
 
 
 class Determinant(Criterion):
-    """D: the geometric mean of the standard deviations along the axes of the covariance's ellipsoid."""
+    """D: the geometric mean of the standard deviations along the axes of the covariance ellipsoid."""
 
     name = "D"
     summary = "geometric mean standard deviation"
@@ -165,14 +166,14 @@ class Determinant(Criterion):
 
 
 class _Mixture(Criterion):
-    """The criteria that are a largest tr(Z C) over a set of mixtures Z of the parameters."""
+    """Criteria that maximize tr(Z C) over a set of mixtures Z of the parameters."""
 
     def smooth(self, problem: Candidates, weights: Floats) -> tuple[float, Floats]:
         information = problem.information(weights)
         covariance = problem.covariance(problem.own(information))
         Z, least = self.hardest(covariance)
         slopes = problem.slopes(information, problem.asked.swapaxes(1, 2) @ Z @ problem.asked)
-        # Of the logarithm, whose size is the same for every frame.
+        # The logarithm has the same size for every frame.
         return float(np.log(least)), slopes / float(np.sum(Z * covariance))
 
     def bound(self, problem: Candidates, weights: Floats, number: int, hardest: Floats | None = None) -> float:
@@ -185,7 +186,7 @@ class _Mixture(Criterion):
 
     @abstractmethod
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
-        """Find a mixture of trace 1 at which tr(Z C) is nearly the largest, and the smooth function of C behind it."""
+        """Find a mixture of trace 1 that nearly maximizes tr(Z C), and the value of the smooth function of C."""
 
 
 class Trace(_Mixture):
@@ -212,13 +213,13 @@ class Trace(_Mixture):
         return np.eye(s) / s, float(np.trace(covariance)) / s
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
-        # tr(F C F') depends on F'F alone: a square factor of it stands for F.
+        # tr(F C F') depends only on F'F: a square factor of F'F replaces F.
         T, above = _above(cp, np.asarray(np.linalg.qr(reduced.asked, mode="r")), information)
         return cp.Minimize(cp.trace(T)), [above], None
 
 
 class _Largest(_Mixture):
-    """The criteria that are the largest of many variances."""
+    """Criteria that are the largest of many variances."""
 
     def windowed(
         self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
@@ -258,7 +259,7 @@ class Eigenvalue(_Largest):
 
 
 class Worst(_Largest):
-    """The largest standard deviation of a parameter, each relative to its size: the worst coefficient of variation."""
+    """Largest relative standard deviation of a parameter: the worst coefficient of variation."""
 
     name = "worst"
     summary = "worst coefficient of variation"
@@ -291,7 +292,7 @@ class Worst(_Largest):
 
 
 CRITERIA: dict[str, Criterion] = {each.name: each for each in (Determinant(), Trace(), Eigenvalue(), Worst())}
-"""Criteria by the names that options have for them."""
+"""Criteria by their names in options."""
 
 
 def criterion_named(name: str) -> Criterion:
@@ -300,13 +301,13 @@ def criterion_named(name: str) -> Criterion:
     Raises
     ------
     InputError
-        Where there is none; the message lists those there are.
+        If there is none; the message lists the names.
     """
     return CRITERIA[checks.choice(name, list(CRITERIA), "criterion")]
 
 
 def _power_mean(variances: Floats) -> tuple[Floats, float]:
-    """Shares of the variances in their largest, by (sum v^POWER)^(1/POWER), and that number."""
+    """Return the weight of each variance in the gradient of (sum v^POWER)^(1/POWER), and this power mean."""
     largest = float(np.max(variances))
     ratio = np.maximum(variances, 0.0) / largest
     weights = ratio ** (POWER - 1)
@@ -314,12 +315,12 @@ def _power_mean(variances: Floats) -> tuple[Floats, float]:
 
 
 def _least(slopes: Floats, weights: Floats, number: int) -> float:
-    """Find the least of slopes' (w - weights) over 0 <= w <= 1, sum w = number: the lowest slopes, so many."""
+    """Minimize slopes' (w - weights) over 0 <= w <= 1, sum w = number: the `number` lowest slopes have w = 1."""
     return float(np.sort(slopes)[:number].sum() - slopes @ weights)
 
 
 def _above(cp: Any, asked: Floats, information: Any) -> tuple[Any, Any]:
-    """Return a matrix T, and the constraint that makes it at least F C_a F'."""
+    """Return a matrix T and the constraint that T is at least F C_a F'."""
     s, r = len(asked), information.shape[0]
     wide = np.hstack([asked, np.zeros((s, r - asked.shape[1]))])
     T = cp.Variable((s, s), symmetric=True)

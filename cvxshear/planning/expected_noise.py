@@ -1,16 +1,17 @@
-"""The noise that a test is expected to have: as declared, or as it follows from how long is recorded.
+"""Expected noise of a test: declared values, or values computed from the length of the record.
 
-From a record the modes come with standard deviations that have closed forms where modes are apart, damping is small and
-the record long (Au 2014, "Uncertainty law in ambient modal identification"). With N_c = T f the record's length in
-periods, zeta the damping and B the part of the data that the band around the mode holds (`band_factors`), the
-coefficients of variation of a frequency and of a damping ratio from an ambient record are
+Modes identified from a record have standard deviations with closed forms if the modes are separate, the damping is
+small and the record is long (Au 2014, "Uncertainty law in ambient modal identification"). N_c = T f is the record's
+length in periods, zeta the damping ratio and B the fraction of the data in the band around the mode (`band_factors`).
+The coefficients of variation of a frequency and of a damping ratio from an ambient record are
 
-    sqrt(zeta / (2 pi N_c B_f)),   1 / sqrt(2 pi zeta N_c B_zeta),
+    sqrt(zeta / (2 pi N_c B_f)),   1 / sqrt(2 pi zeta N_c B_zeta).
 
-and a shape of unit length scatters in every direction across itself by sqrt(nu zeta / (N_c B_phi)), nu the noise there
-over the mode's own force, both as spectral densities. Noise of an ambient record is that of the sensors and, far more
-of it, the response of the other modes. Where the force is recorded the other modes are known, and of the force only
-the part that its own sensor adds stays unknown: the frequency's law holds with that part as a factor.
+A shape of unit length scatters in every direction normal to itself by sqrt(nu zeta / (N_c B_phi)). Here nu is the
+noise in this direction relative to the mode's own force, both as spectral densities. The noise of an ambient record
+consists of the sensors' noise and, mostly, of the response of the other modes. If the force is recorded, the response
+of the other modes is known, and only the noise of the force's sensor remains unknown. The law of the frequency then
+holds with this noise as a factor.
 """
 
 from __future__ import annotations
@@ -28,22 +29,22 @@ from cvxshear.util import checks, ranking
 from cvxshear.util.typing import Floats, Ints
 
 EXCITATIONS = ("ambient", "shaker", "hammer")
-"""Kinds of records whose noise is known, see `Recorded`."""
+"""Kinds of records with known noise, see `Recorded`."""
 
 HAMMER = 0.35
-"""Of the shaker's factor: between blows a hammer's force is known to be zero. From the study
-`python -m tests.benchmarks.records`, whose hammer records have frequencies that scatter 0.22 to 0.34 times as much as
-the law with the whole noise says."""
+"""Factor on the unrecorded part of a shaker's force. Between blows a hammer's force is known to be zero. In the study
+`python -m tests.benchmarks.records`, frequencies of hammer records scatter 0.22 to 0.34 times the value of the law with
+the whole noise."""
 
 BAND_WIDTH = 10.0
-"""kappa: the band of data around a mode that identification uses is f (1 +- kappa zeta)."""
+"""kappa: identification uses the band f (1 +- kappa zeta) around a mode."""
 
 SAMPLES_A_PERIOD = 6.0
-"""Of the highest mode that is identified: the sensors' noise spreads over the band that this makes."""
+"""Samples per period of the highest identified mode. The sensors' noise spreads over the band of this sampling rate."""
 
 
 class TestNoise(ABC):
-    """What the modes of a test will be uncertain by."""
+    """Standard deviations of the modes of a test."""
 
     @abstractmethod
     def of(self, found: Modes, mass: Floats, which: Ints) -> tuple[Floats, Floats]:
@@ -56,24 +57,24 @@ class TestNoise(ABC):
         mass : ndarray, shape (N,)
             Its floor masses with added mass, kg.
         which : ndarray of int, shape (m,)
-            The modes that are measured, zero-based.
+            The measured modes, zero-based.
 
         Returns
         -------
         frequency_std : ndarray, shape (m,)
             Relative.
         mode_shape_std : ndarray, shape (m,)
-            Of an entry, the mode's largest entry over all floors being 1.
+            Standard deviation of an entry; the mode's largest entry over all floors is 1.
         """
 
     def damping_std(self, frequencies: Floats) -> Floats | None:
-        """Coefficients of variation of the damping ratios of modes at these frequencies (Hz), where the noise tells."""
+        """Return coefficients of variation of damping ratios at these frequencies (Hz); None if they are unknown."""
         return None
 
     @property
     @abstractmethod
     def words(self) -> str:
-        """What it is, as a sentence has it."""
+        """Description of the noise, as a part of a sentence."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Declared(TestNoise):
     Parameters
     ----------
     frequency_std, mode_shape_std : float
-        Relative; of an entry, the mode's largest being 1.
+        Relative deviation of a frequency; deviation of a shape entry if the mode's largest entry is 1.
     """
 
     frequency_std: float = DEFAULT_FREQUENCY_STD
@@ -95,11 +96,11 @@ class Declared(TestNoise):
 
     @staticmethod
     def of_tests(tests: Sequence[Configuration]) -> Declared:
-        """Expect the median of what tests state; the default where they state nothing."""
+        """Return the median of the tests' declared deviations; the default if the tests declare none."""
         if not tests:
             return Declared()
         frequency = np.concatenate([each.log_frequency_std for each in tests])
-        # Where nothing was measured no entry has a deviation.
+        # A shape without measured entries has no deviations.
         shapes = [
             (each.entry_std / np.max(np.abs(each.known_shapes), axis=1, keepdims=True))[each.measured]
             for each in tests
@@ -120,19 +121,19 @@ class Declared(TestNoise):
 
 @dataclass(frozen=True)
 class Recorded(TestNoise):
-    """What follows from a record.
+    """Noise computed from the length of the record.
 
     Parameters
     ----------
     excitation : str
-        "ambient": forces of equal strength on all floors that nobody records; "shaker": a recorded motion of the base;
-        "hammer": recorded blows, as many on every floor.
+        "ambient": unrecorded forces of equal strength on all floors; "shaker": a recorded motion of the base;
+        "hammer": recorded blows, equally distributed over the floors.
     duration : float
-        s, of all records of a test together.
+        Length of all records of a test together, s.
     damping : float, optional
-        Fraction of critical, every mode.
+        Damping ratio of every mode.
     sensor_noise : float, optional
-        Standard deviation of the noise of a channel, relative to that of its signal.
+        Standard deviation of the noise of a channel, relative to its signal's.
     """
 
     excitation: str
@@ -159,20 +160,20 @@ class Recorded(TestNoise):
 
     @property
     def _unrecorded(self) -> float:
-        """The part of the force that nothing recorded, over the whole."""
+        """Unrecorded part of the force, relative to the whole force."""
         return {"ambient": 1.0, "shaker": self.sensor_noise, "hammer": HAMMER * self.sensor_noise}[self.excitation]
 
     def _modal_force(self, found: Modes, mass: Floats) -> Floats:
-        """Spectral densities of the modal forces and between them, shape (N, N), up to a factor."""
+        """Return the spectral densities and cross-densities of the modal forces, shape (N, N), up to a factor."""
         if self.excitation == "shaker":
             participation = found.shapes @ mass
             return np.outer(participation, participation)
         return found.shapes @ found.shapes.T
 
     def _entry_std(self, found: Modes, force: Floats, mode: int, band: float) -> float:
-        """Root mean square over the floors of the entries' standard deviations, the largest entry being 1.
+        """Return the rms over the floors of the entries' standard deviations; the largest entry is 1.
 
-        The sensors' noise is spread over the band, Hz.
+        The sensors' noise is spread over the band (Hz).
         """
         phi, f = found.shapes.T, found.frequencies
         own = np.diag(force)
@@ -187,7 +188,7 @@ class Recorded(TestNoise):
         spread = spread / own[mode] * self.damping / (self.duration * f[mode] * band_factors(BAND_WIDTH)[2])
         shape = phi[:, mode]
         largest = ranking.first_largest(np.abs(shape))
-        # Of phi_i / phi_p, by which the entries are scaled.
+        # Derivative of phi_i / phi_p: the largest entry phi_p scales the shape.
         turn = np.eye(len(shape))
         turn[:, largest] -= shape / shape[largest]
         turn /= shape[largest]
@@ -206,10 +207,10 @@ class Recorded(TestNoise):
 
 
 def band_factors(kappa: float) -> tuple[float, float, float]:
-    """Au's data length factors of a band f (1 +- kappa zeta): B_f, B_zeta, B_phi; 1, 1, pi/2 for a wide one.
+    """Return Au's data length factors B_f, B_zeta, B_phi of a band f (1 +- kappa zeta); 1, 1, pi/2 for a wide band.
 
-    The first is 2/pi (atan k - k / (k^2 + 1)), the second 2/pi (atan k + k / (k^2 + 1) - 2 (atan k)^2 / k), the third
-    atan k.
+    With k = kappa, the first is 2/pi (atan k - k / (k^2 + 1)), the second
+    2/pi (atan k + k / (k^2 + 1) - 2 (atan k)^2 / k), the third atan k.
     """
     angle, part = np.arctan(kappa), kappa / (kappa**2 + 1)
     return (float(2 / np.pi * (angle - part)), float(2 / np.pi * (angle + part - 2 * angle**2 / kappa)), float(angle))

@@ -1,4 +1,4 @@
-"""The tests of a frame before they are made: what each would show, by the model's own derivatives."""
+"""Expected results of tests that have not been made, and their derivatives by the parameters of the model."""
 
 from __future__ import annotations
 
@@ -20,42 +20,43 @@ from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRM = 0.1
-"""Relative standard deviation of design values up to which a plan is made at these values alone. What a test tells
-changes with the frame: averaged over stiffnesses good to 30 % expected standard deviations are 14 % larger than those
-at the design values, in a story up to twice, and the difference goes with the square."""
+"""Largest relative standard deviation of the design values for a plan at these values alone. The information of a test
+depends on the frame: if the stiffnesses have a standard deviation of 30 %, the average expected deviations are 14 %
+larger than at the design values, and twice as large in some stories. The difference grows with the square."""
 
 MOST_PAIRS, FEWEST_PAIRS = 16, 4
-"""Frames on either side of the design values over which a plan is averaged where these are vague. With sixteen pairs,
-stiffnesses good to 30 %, promises are within 2 % of the average of 200 frames in the mean (`python -m
-tests.benchmarks.planning vague`)."""
+"""Largest and smallest number of pairs of frames around uncertain design values over which a plan is averaged. With 16
+pairs and stiffnesses known to 30 %, expected deviations are on average within 2 % of the mean over 200 frames
+(`python -m tests.benchmarks.planning vague`)."""
 
 STORIES_DRAWN = 160
-"""Stories of all pairs together: tall frames get fewer, each of which takes longer and draws more stories."""
+"""Number of stories in all pairs together. Tall frames get fewer pairs, because each pair takes longer and draws more
+stories."""
 
 PAIRS_SEED = 2024
-"""Seed of these frames, so that a plan comes out the same each time."""
+"""Seed of the drawn frames; a fixed seed makes plans repeatable."""
 
 UNKNOWN_STDS = 10.0
-"""Standard deviation, in its own size, of a parameter of which nothing is known: everything is known a little, so that
-every choice, of a single sensor too, has finite standard deviations to compare."""
+"""Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
+single sensor, finite standard deviations to compare."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What a test is expected to show, and its derivatives by all P parameters, each in its own size.
+    """Expected modes of a test, and their derivatives by all P parameters, each relative to the parameter's size.
 
     Parameters
     ----------
     found : Modes
-        Of the frame with the test's masses.
+        Modes of the frame with the test's masses.
     frequency_std : ndarray, shape (m,)
         Relative.
     shapes, shape_std : ndarray, shape (m, N)
         Measured modes at every floor, largest entry 1, and the entries' standard deviations.
     frequency_rows : ndarray, shape (m, P)
-        In standard deviations.
+        Derivatives of the frequencies, divided by their standard deviations.
     shape_rows : ndarray, shape (N, m, P)
-        The same, a block a floor.
+        Derivatives of the shapes, divided by their standard deviations; one block per floor.
     """
 
     found: Modes
@@ -67,11 +68,11 @@ class Expected:
 
     @property
     def entries(self) -> Floats:
-        """Derivatives of the entries by the logarithm of their mode's scale, in standard deviations, shape (N, m)."""
+        """Derivatives of the entries by the logarithm of their mode's scale, over the entries' deviations, (N, m)."""
         return np.asarray((self.shapes / self.shape_std).T)
 
     def at(self, floors: Ints) -> Floats:
-        """Return what is measured at these floors (zero-based), each shape's scale eliminated, shape (m + m n, P)."""
+        """Return the rows for sensors at these floors (zero-based), free of each shape's scale, shape (m + m n, P)."""
         rows, entries = self.shape_rows[floors], self.entries[floors]
         length = np.linalg.norm(entries, axis=0)
         unit = entries / np.where(length > 0, length, 1.0)
@@ -79,7 +80,7 @@ class Expected:
         return np.concatenate([self.frequency_rows, own.reshape(-1, rows.shape[2])])
 
     def without(self, first: int) -> Expected:
-        """Return the test with the derivatives by the first so many parameters alone."""
+        """Return the test with the derivatives by the first `first` parameters only."""
         return dataclasses.replace(
             self, frequency_rows=self.frequency_rows[:, :first], shape_rows=self.shape_rows[:, :, :first]
         )
@@ -87,15 +88,15 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class TestModel:
-    """One frame, what the plan is for, and how its tests are measured.
+    """One frame, the goal of the plan, and the noise of its tests.
 
     Parameters
     ----------
     design : Design
     targets : tuple of Target
-        Effects to tell apart; where there are none the plan is for the frame.
+        Effects that the plan shall distinguish; without targets, the goal is the frame's parameters.
     quantities : tuple of str
-        Of "floor_mass", "story_stiffness": what the plan is for without targets.
+        "floor_mass", "story_stiffness", or both: the goal of a plan without targets.
     which : ndarray of int, shape (m,)
         Modes that are measured, zero-based.
     noise : TestNoise
@@ -114,54 +115,54 @@ class TestModel:
 
     @property
     def effects(self) -> tuple[Placed, ...]:
-        """The effects of the model: those that were found, and those that are free to be there or not."""
+        """Effects of the model: the effects found before, then the targets."""
         return (*self.design.effects, *(each.placed for each in self.targets))
 
     @property
     def certain(self) -> int:
-        """Number of parameters before those of the targets: masses, stiffnesses, and what the found effects have."""
+        """Number of parameters before the targets' parameters: masses, stiffnesses, values of the effects found."""
         return len(self.design.theta)
 
     @property
     def theta(self) -> Floats:
-        """The parameters: floor masses, story stiffnesses, the effects' values, the targets' null values; (P,)."""
+        """Parameters: floor masses, story stiffnesses, the effects' values, the targets' null values; shape (P,)."""
         return np.concatenate([self.design.theta, [each.null for each in self.targets]])
 
     @property
     def units(self) -> Floats:
-        """The size of each parameter, shape (P,)."""
+        """Size of each parameter, shape (P,)."""
         return np.concatenate([self.design.units, [each.size for each in self.targets]])
 
     @cached_property
     def question(self) -> Floats:
-        """Rows that pick what the plan is for, shape (s, P)."""
+        """Rows that select the parameters of the plan's goal, shape (s, P)."""
         n, P = self.design.stories, len(self.units)
         if self.targets:
             return np.eye(P)[self.certain :]
         at = {"floor_mass": slice(0, n), "story_stiffness": slice(n, 2 * n)}
         picked = np.concatenate([np.eye(P)[at[each]] for each in self.quantities])
-        # What is known exactly is no part of the question.
+        # A parameter that is known exactly is not part of the goal.
         return np.asarray(picked[np.linalg.norm(picked @ free_changes(self.fixed), axis=1) > 1e-9])
 
     @cached_property
     def fixed(self) -> Floats:
-        """Rows on which every change is zero, shape (e, P)."""
+        """Rows whose product with every allowed change is zero, shape (e, P)."""
         rows = self.design.fixed()
         return np.hstack([rows, np.zeros((len(rows), len(self.units) - rows.shape[1]))])
 
     @cached_property
     def learned(self) -> Floats:
-        """What is known before the test, rows in standard deviations, shape (k, P)."""
+        """Prior information as rows divided by their standard deviations, shape (k, P)."""
         rows = self.design.known([each.placed for each in self.targets], [each.null for each in self.targets])
         return np.asarray(rows * np.concatenate([np.ones(self.certain), [each.size for each in self.targets]]))
 
     @cached_property
     def known(self) -> Floats:
-        """Rows of `learned`, and of everything being known a little, shape (k + P, P)."""
+        """Rows of `learned`, and a weak prior of every parameter (`UNKNOWN_STDS`), shape (k + P, P)."""
         return np.concatenate([self.learned, np.eye(len(self.units)) / UNKNOWN_STDS])
 
     def expected(self, added_mass: Floats) -> Expected:
-        """Predict what a test with these masses would show."""
+        """Predict the modes of a test with these added masses."""
         state = compose(self.design.shell(), self.design.blank(added_mass), self.effects, self.theta)
         found = modes(state.system.M, state.system.K)
         dlam, dphi = mode_derivatives(found, state.system, self.which)
@@ -175,7 +176,7 @@ class TestModel:
         return Expected(found, frequency_std, psi / largest, std, frequency.T, shape.transpose(2, 1, 0))
 
     def sensors(self, tests: Sequence[Expected], number: int) -> Candidates:
-        """Take the floors as candidates, measured in every one of these tests."""
+        """Return the floors as candidates; each floor is measured in all of these tests."""
         m, scales, P = len(self.which), len(self.which) * len(tests), len(self.units)
         n = self.design.stories
         rows = np.zeros((n, scales, P + scales))
@@ -190,21 +191,22 @@ class TestModel:
         return candidates(known, wide[0], rows, wide[1], number / n)
 
     def choices(self, tests: Sequence[Expected], floors: Ints, number: int) -> Candidates:
-        """Take tests as candidates, each measured at these floors."""
+        """Return the tests as candidates; each test is measured at these floors."""
         rows = np.array([test.at(floors) for test in tests])
         return candidates(self.known, self.fixed, rows, self.question, number / len(tests))
 
     def covariance(self, tests: Sequence[Expected], floors: Ints) -> Floats:
-        """Covariance of all parameters, each in its own size, after these tests at these floors, shape (P, P)."""
+        """Covariance of all parameters, relative to their sizes, after these tests at these floors, shape (P, P)."""
         rows = np.concatenate([self.known, *(test.at(floors) for test in tests)])
         free = free_changes(self.fixed)
         half = free @ np.linalg.inv(np.linalg.qr(rows @ free, mode="r"))
         return np.asarray(half @ half.T)
 
     def of_targets(self, tests: Sequence[Expected], floors: Ints) -> Floats:
-        """Information about the targets' values after these tests at these floors, the frame following, shape (e, e).
+        """Compute the information about the targets after these tests at these floors, shape (e, e).
 
-        Of a single effect, of its size: the square of how many standard deviations it is from none.
+        The frame's parameters are unknown, too. For a single target, the information is the square of its size in
+        standard deviations.
         """
         rows = np.concatenate([self.learned, *(test.at(floors) for test in tests)])
         first = self.certain
@@ -214,17 +216,17 @@ class TestModel:
 
 
 Test = tuple[Expected, ...]
-"""A test as each of the frames that the design values allow would show it."""
+"""Expected results of one test, for each frame that the design values allow."""
 
 
 @dataclass(frozen=True, eq=False)
 class AveragedModel:
-    """The frames that the design values allow; what a plan promises is an average over them.
+    """Frames that the design values allow; the expected deviations of a plan are averages over them.
 
     Parameters
     ----------
     frames : tuple of TestModel
-        The frame as designed first, and alone where the design values are firm.
+        The frame as designed comes first. No other frame follows if the design values are certain to `FIRM`.
     """
 
     frames: tuple[TestModel, ...]
@@ -235,21 +237,21 @@ class AveragedModel:
         return AveragedModel(tuple(dataclasses.replace(model, design=each) for each in possible(model.design)))
 
     def expected(self, added_mass: Floats) -> Test:
-        """Predict what a test with these masses would show."""
+        """Predict the modes of a test with these added masses, for each frame."""
         return tuple(each.expected(added_mass) for each in self.frames)
 
     def sensors(self, tests: Sequence[Test], number: int) -> Candidates:
-        """Take the floors as candidates, measured in every one of these tests."""
+        """Return the floors as candidates; each floor is measured in all of these tests."""
         return Candidates.averaged([each.sensors(own, number) for each, own in self._by_frame(tests)])
 
     def choices(self, tests: Sequence[Test], floors: Ints, number: int) -> Candidates:
-        """Take tests as candidates, each measured at these floors."""
+        """Return the tests as candidates; each test is measured at these floors."""
         return Candidates.averaged([each.choices(own, floors, number) for each, own in self._by_frame(tests)])
 
     def shear_std(self, tests: Sequence[Test], floors: Ints) -> Floats:
-        """Return standard deviations of masses and stiffnesses without the targets, relative, shape (2N,).
+        """Return relative standard deviations of masses and stiffnesses without the targets, shape (2N,).
 
-        The root mean square over the frames.
+        They are root mean squares over the frames.
         """
         variances = []
         for each, own in self._by_frame(tests):
@@ -259,7 +261,7 @@ class AveragedModel:
         return np.asarray(np.sqrt(np.mean(variances, axis=0)))
 
     def of_targets(self, tests: Sequence[Test], floors: Ints) -> Floats:
-        """Information about the targets' values on each frame, shape (q, e, e)."""
+        """Compute the information about the targets on each frame, shape (q, e, e)."""
         return np.array([each.of_targets(own, floors) for each, own in self._by_frame(tests)])
 
     def _by_frame(self, tests: Sequence[Test]) -> list[tuple[TestModel, list[Expected]]]:
@@ -267,10 +269,10 @@ class AveragedModel:
 
 
 def possible(design: Design) -> tuple[Design, ...]:
-    """Return the frame as designed, then frames that its design values allow; it alone where they are firm.
+    """Return the frame as designed, then other frames that its design values allow; none if the values are certain.
 
-    Masses and stiffnesses are drawn from what is known beforehand, in pairs about the design values, so that the mean
-    and the variance of each are those known. What nothing is known of stays as designed.
+    Masses and stiffnesses are drawn from the prior in pairs symmetric to the design values. Mean and variance of each
+    parameter agree with the prior. Parameters without prior information keep their design values.
 
     Parameters
     ----------
@@ -285,14 +287,14 @@ def possible(design: Design) -> tuple[Design, ...]:
         return (design,)
     pairs = int(np.clip(STORIES_DRAWN // design.stories, FEWEST_PAIRS, MOST_PAIRS))
     z = np.random.default_rng(PAIRS_SEED).standard_normal((pairs, root.shape[1]))
-    # The frame as designed is one of them: without a factor they would scatter less than is known.
+    # The designed frame is one of the sample: without this factor the sample's variance would be too small.
     z *= np.sqrt((2 * pairs + 1) / (2 * np.sum(z**2, axis=0)))
     return (design, *(_moved(design, root @ each) for each in (*z, *-z)))
 
 
 def _moved(design: Design, change: Floats) -> Design:
-    """Change masses and stiffnesses by these parts of themselves; a total mass that is exact stays as declared."""
-    # Below a half the logarithm is changed instead, which leaves every value positive.
+    """Change masses and stiffnesses by these relative amounts; an exactly known total mass stays as declared."""
+    # Below -0.5 the logarithm is changed instead, which keeps every value positive.
     factor = np.where(change > -0.5, 1 + change, 0.5 * np.exp(2 * np.minimum(change, 0.0) + 1))
     mass, stiffness = np.split(design.sizes * factor, 2)
     frame = design.frame

@@ -1,4 +1,4 @@
-"""Comparison of a predicted and a measured response: errors in time, and of the transfer functions around each mode.
+"""Comparison of a predicted and a measured response: errors in time, and errors of the transfer functions per mode.
 
 H1 = S_yf / S_ff by averaged periodograms. Measured and predicted responses go through the same estimate, so that
 leakage and resolution are the same in both and cancel in the comparison.
@@ -25,11 +25,11 @@ BANDWIDTH_LINES = 8
 """Number of lines in the half-power bandwidth of a mode if the record is long enough."""
 
 AROUND = 0.1
-"""Half width of a mode's neighbourhood, relative to its natural frequency, unless the next mode is nearer."""
+"""Half width of a mode's neighborhood, relative to its natural frequency, unless the next mode is nearer."""
 
 SHIFTED = 0.25
 """Half width of the search for a resonance, relative to the natural frequency, unless the next mode is nearer. A frame
-without two fifths of its stiffness has this shift."""
+that lost two fifths of its stiffness has this shift."""
 
 AS_MUCH = 0.5
 """Report shifts larger than half the smallest significant one: the modes of one frame have similar shifts."""
@@ -47,7 +47,7 @@ class Transfer:
     frequencies : ndarray, shape (lines,)
         Hz.
     functions : ndarray of complex, shape (lines, n)
-        (m/s2)/(m/s2) or (m/s2)/N, a column a floor.
+        (m/s2)/(m/s2) or (m/s2)/N, one column per floor.
     coherence : ndarray, shape (lines, n)
     """
 
@@ -57,13 +57,13 @@ class Transfer:
 
 
 def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
-    """Length of the pieces, samples: long enough for a mode of this frequency (Hz) and ratio, short for several."""
+    """Return the number of samples of a piece, for a mode of this frequency (Hz) and ratio; allow several pieces."""
     wanted = BANDWIDTH_LINES * rate / max(2 * ratio * frequency, 1e-12)
     return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
 
 
 def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> Transfer:
-    """Estimate the transfer functions over all runs together, by pieces of so many samples."""
+    """Estimate the transfer functions over all runs together, from pieces of `length` samples."""
     cross: Complexes | float = 0.0
     force: Floats | float = 0.0
     power: Floats | float = 0.0
@@ -74,7 +74,7 @@ def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: f
         force = force + weight * own
         power = power + weight * scipy.signal.welch(y, rate, nperseg=length, axis=0)[1]
         cross = cross + weight * scipy.signal.csd(f[:, None], y, rate, nperseg=length, axis=0)[1]
-    # Lines that nothing drives have no transfer function; 0 / 0 stands for it.
+    # Lines without excitation have no transfer function: 0 / 0 gives nan.
     with np.errstate(divide="ignore", invalid="ignore"):
         functions = np.asarray(cross) / np.asarray(force)[:, None]
         coherence = np.abs(cross) ** 2 / (np.asarray(force)[:, None] * np.asarray(power))
@@ -82,7 +82,7 @@ def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: f
 
 
 def around(frequencies: Floats, natural: Floats, mode: int, half: float = AROUND) -> Bools:
-    """Return the lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
+    """Return a mask of the lines near one natural frequency and nearer to it than to any other, shape (lines,)."""
     own = natural[mode]
     near: Bools = np.abs(frequencies - own) <= half * own
     others = np.delete(natural, mode)
@@ -92,9 +92,9 @@ def around(frequencies: Floats, natural: Floats, mode: int, half: float = AROUND
 
 
 def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
-    """Error of the predicted size around each mode, rms over that of the measured one, shape (n, N).
+    """Compute the rms error of the predicted magnitude around each mode, relative to the measured rms, shape (n, N).
 
-    A row a floor; nan around modes that the excitation does not reach. Both are on the same lines.
+    One row per floor; nan around modes that the excitation does not reach. Both functions have the same lines.
     """
     result = np.full((measured.functions.shape[1], len(natural)), np.nan)
     for mode in range(len(natural)):
@@ -109,16 +109,16 @@ def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
 
 
 def power_at(estimated: Transfer, natural: Floats, mode: int, frequency: float) -> float:
-    """Squared size of the transfer functions of all floors together at a frequency, over the largest near a mode."""
+    """Compute the squared magnitude over all floors at a frequency, relative to its maximum near a mode."""
     power = np.sum(np.abs(estimated.functions) ** 2, axis=1)
     largest = power[around(estimated.frequencies, natural, mode, SHIFTED)].max()
     return float(np.interp(frequency, estimated.frequencies, power) / largest)
 
 
 def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
-    """Where the transfer functions of all floors together peak near a mode, Hz; None where they do not.
+    """Find the frequency at which the transfer functions of all floors together peak near a mode, Hz; None if none.
 
-    The top of the parabola through the largest line and its neighbours, of the logarithm.
+    The peak is the top of the parabola through the logarithms of the largest line and its neighbors.
     """
     near = np.flatnonzero(around(estimated.frequencies, natural, mode, SHIFTED))
     if len(near) < 3 or estimated.coherence[near].mean() < COHERENT:
@@ -133,19 +133,19 @@ def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
 
 
 FALLEN = 0.8
-"""Share of a peak's power below which a transfer function counts as fallen where another peaks. The top of a damped
-resonance is flat, so that noise and leakage move its largest line by up to ten lines; they leave 0.8 of the power
-there."""
+"""Largest power of a transfer function at the other function's peak, relative to its own peak, for a clear shift. The
+top of a damped resonance is flat. Noise and leakage move its largest line by up to ten lines, where 0.8 of the power
+remains."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """A mode whose resonance the record has elsewhere than the model.
+    """A mode whose resonance in the record differs from the model's.
 
     Parameters
     ----------
     measured, modelled : float
-        Where the transfer functions peak, Hz.
+        Frequencies of the peaks of the transfer functions, Hz.
     """
 
     mode: int
@@ -172,17 +172,17 @@ class RecordComparison(InJson):
     Parameters
     ----------
     floors : ndarray of int, shape (n,)
-        Those that were measured.
+        The measured floors.
     nrmse : ndarray, shape (n,)
-        Root mean square of the error in time over that of the measurement.
+        Root mean square of the error in time, relative to the measured root mean square.
     rms_ratio, peak_ratio : ndarray, shape (n,)
-        Predicted over measured.
+        Ratios of predicted to measured values.
     frf_error : ndarray, shape (n, N)
-        Of the size of the transfer function around each mode; nan where the excitation does not reach one.
+        Error of the transfer function's magnitude around each mode; nan if the excitation does not reach the mode.
     shifts : tuple of Shift
     measured, predicted : Transfer
     contradiction : str
-        What one factor, sign or exchange of channels would explain; empty where nothing is.
+        Contradictions that one factor, a sign or an exchange of channels would explain; empty without contradiction.
     """
 
     floors: Ints
@@ -199,23 +199,23 @@ class RecordComparison(InJson):
 
 
 def seen(model: DampedModel, response: Response, floors: Ints) -> Floats:
-    """Return the predicted accelerations as the sensors would show them, shape (samples, n)."""
+    """Return the predicted accelerations at the sensors, with the sensors' gains, shape (samples, n)."""
     return response.acceleration[:, floors - 1] * model.gain[floors - 1]
 
 
 def compared(
     model: DampedModel, responses: Sequence[Response], motion: DrivenRecord, measured_modes: Ints | None = None
 ) -> RecordComparison | None:
-    """Compare the prediction with the record; None where the record has no accelerations of floors.
+    """Compare the prediction with the record; return None if the record has no accelerations of floors.
 
     Parameters
     ----------
     responses : sequence of Response
-        One a run of the record.
+        One response per run of the record.
     motion : DrivenRecord
         Floors with missing samples are left out.
     measured_modes : ndarray of int, optional
-        The modes that were measured, from 1, whose shifts alone are reported; all where not given.
+        Numbers (from 1) of the measured modes, the only ones with reported shifts; by default, all modes.
     """
     recorded = [run.responses for run in motion.runs if run.responses is not None]
     if len(recorded) < len(motion.runs):
@@ -254,10 +254,10 @@ def compared(
 
 
 def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_modes: Ints | None) -> tuple[Shift, ...]:
-    """Find the modes whose resonance is elsewhere than the model's.
+    """Find the modes whose resonance differs from the model's.
 
-    By more than a line of the spectrum, and so far that either transfer function has fallen where the other peaks. Once
-    that is so of one mode, those that moved about as much relatively are found, too.
+    The shift must exceed a line of the spectrum, and either transfer function must be below `FALLEN` at the other's
+    peak. If one mode has such a shift, other modes with similar relative shifts are found, too.
     """
     line = measured.frequencies[1] - measured.frequencies[0]
     found, sure = [], []
@@ -278,19 +278,19 @@ def _around_modes(
     excitations: Sequence[Floats], measured: Sequence[Floats], predicted: Sequence[Floats],
     averaged: tuple[Transfer, Transfer], motion: DrivenRecord, natural: Floats,
 ) -> Floats:  # fmt: skip
-    """Errors around each mode; by one piece a run where averaged pieces have too few lines around one."""
+    """Compute the errors around each mode, from one piece per run if averaged pieces have too few lines."""
     result = errors(*averaged, natural)
     lines = np.array([around(averaged[0].frequencies, natural, mode).sum() for mode in range(len(natural))])
     few = np.flatnonzero(lines < FEWEST_AVERAGED)
     if not few.size:
         return result
-    # A single piece has no coherence to judge by: what the frame answers at a resonance stands above its noise there.
+    # A single piece has no coherence. This is acceptable, because the response at a resonance exceeds its noise.
     length = min(len(each) for each in excitations)
     finer = [
         transfer([f[:length] for f in excitations], [y[:length] for y in side], motion.sampling_rate, length)
         for side in (measured, predicted)
     ]
-    # The excitation's own lines may be nearly empty; weighed by them, the functions are the responses' spectra.
+    # Some lines of the excitation may be nearly empty. With its power as weight, the error compares response spectra.
     shaken = np.array([scipy.signal.detrend(f[:length]) * np.hanning(length) for f in excitations])
     weights = np.sum(np.abs(np.fft.rfft(shaken, axis=1)) ** 2, axis=0)
     for mode in few:
@@ -304,13 +304,13 @@ def _around_modes(
 
 
 def moved_alike(measured: Floats, predicted: Floats) -> Floats:
-    """Correlation of each channel with its prediction over time, shape (n,)."""
+    """Compute the correlation of each channel with its prediction over time, shape (n,)."""
     power: Floats = np.sum(measured**2, axis=0) * np.sum(predicted**2, axis=0)
     return np.asarray(np.sum(measured * predicted, axis=0) / np.maximum(np.sqrt(power), 1e-300))
 
 
 def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bools:
-    """Whether each channel moved against its prediction where all others moved with theirs, shape (n,)."""
+    """Find channels that moved opposite to their prediction while all others moved with theirs, shape (n,)."""
     y, p = np.concatenate(measured), np.concatenate(predicted)
     alike = moved_alike(y, p)
     against = alike < -LIKE
@@ -319,7 +319,7 @@ def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bo
 
 
 def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
-    """Say what one factor, a sign or an exchange of two channels would explain; empty where none does."""
+    """Report contradictions that one factor, a sign or an exchange of two channels explains; empty if there is none."""
     y, p = np.concatenate(measured), np.concatenate(predicted)
     size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
     if not np.all(size_y > 0) or not np.all(size_p > 0):
@@ -366,17 +366,17 @@ UNIT_FACTORS = (
     (0.01, "is the base motion in cm/s2 (gal)?"),
     (386.1, "are the floors in in/s2?"),
 )
-"""Ratios of units of acceleration that are mixed up, and what each would mean."""
+"""Ratios of confused units of acceleration, and the question to the user for each."""
 
 SAME_FACTOR = 0.25
-"""Difference of logarithms up to which a ratio counts as one of `UNIT_FACTORS`: a prediction's own rms is rarely off by
-more, and no two of them are as near."""
+"""Largest difference of logarithms between a ratio and one of `UNIT_FACTORS`. The rms of a prediction rarely has a
+larger error, and all factors differ by more."""
 
 LIKE = 0.5
-"""Correlation in time from which on two motions belong together: those of floors of one frame, in step, have 0.8."""
+"""Least correlation in time of two motions that belong together; floors of one frame in step have 0.8."""
 
 EXCHANGED = 0.1
-"""Gain in squared correlation that an exchange of two channels must bring: neighbouring floors move nearly alike."""
+"""Least gain in squared correlation for a reported exchange of two channels; neighboring floors move nearly alike."""
 
 FEWEST_AVERAGED = 5
-"""Lines of the averaged spectra around a mode below which its height is taken from one piece a run."""
+"""Least number of lines of the averaged spectra around a mode; with fewer, one piece per run gives the error."""

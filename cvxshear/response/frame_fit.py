@@ -1,9 +1,9 @@
 """Fit the frame to the innovations of a record and select the changed stories by the evidence.
 
-The likelihood of the innovations times a Gaussian prior is maximized by Gauss-Newton, whose steps are programs with
-bounds: first over a short part of the record, then over a long one. Which stories changed by themselves, and how much
-the form of the model misses, is decided by the evidence of the linearised likelihood; the covariance is that of the
-mixture of all answers.
+The likelihood of the innovations times a Gaussian prior is maximized by Gauss-Newton. Its steps are programs with
+bounds, first over a short part of the record, then over a long one. The evidence of the linearized likelihood selects
+the stories that changed by themselves and the size of the model's errors of form. The covariance belongs to the mixture
+of all answers.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ GROWN_INFLATION = 2.0
 the prior of masses and effects."""
 
 NONLINEAR = 4.0
-"""Inflation of the scores above which the record does not fit a linear frame with sound sensors. Linear frames have 1
+"""Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1
 to 2, a clock 5 ms late gives 5, and a yielding story 4 to 50."""
 
 
@@ -81,9 +81,9 @@ class FittedFrame:
     answers : tuple of FrameChange
         Most probable first.
     inflation : float
-        Of the covariance, for innovations that are not white.
+        Factor on the covariance of the likelihood, for innovations that are not white.
     along : Directions
-        Along which it was fitted.
+        Directions along which the frame was fitted.
     log_evidence : float
         Log probability of the record, averaged over the answers. A fixed frame has one answer.
     """
@@ -119,7 +119,7 @@ class FittedFrame:
 
     @cached_property
     def gain_probability(self) -> Floats:
-        """Probability that each sensor's gain is off by itself, shape (m,) with the excitation's last."""
+        """Probability that each sensor has a gain error of its own, shape (m,); the excitation's sensor is last."""
         return self._changed[self._first_gain :]
 
     @property
@@ -140,9 +140,9 @@ class FittedFrame:
 
     @property
     def gains(self) -> tuple[Floats, Floats]:
-        """Relative error of each sensor, the excitation's last, and its standard deviation, shapes (m,)."""
+        """Relative gain error of each sensor, and its standard deviation, shapes (m,); the excitation's is last."""
         at, m = self.errors.varied.sensor_gains, len(self.errors.setting.floors)
-        # An excitation that was larger than its sensor shows: that one reads too little.
+        # If the excitation was larger than measured, its sensor reads too little.
         signs = np.where(np.arange(at.stop - at.start) < m, 1.0, -1.0)
         logarithms, std = self._unknown(at, GAIN_UNIT * signs)
         return np.expm1(logarithms), np.exp(logarithms) * std
@@ -159,9 +159,9 @@ class FittedFrame:
 
     @property
     def scale_std(self) -> float:
-        """Relative standard deviation of the total mass, and so of all stiffnesses, since floors may have changed.
+        """Relative standard deviation of the total mass, and hence of all stiffnesses, from mass changes since tests.
 
-        Base motion tells how each floor changed against the others, not all together.
+        Base motion gives only the relative changes of the floors' masses, not their common factor.
         """
         if not self.errors.setting.base_measured or self.errors.setting.force_floor:
             return 0.0
@@ -174,9 +174,9 @@ class FittedFrame:
 
     @property
     def against_others(self) -> tuple[Floats, Floats]:
-        """Each story's factor over that of the stories that hardly changed, less one, and its deviation, shapes (N,).
+        """Ratio of each story's factor to the mean of the unchanged stories, minus one, and its deviation, (N,) each.
 
-        What all stories share, such as the scale of the masses, is in neither.
+        Common errors of all stories, such as the mass scale, cancel.
         """
         N, f = len(self.factors), self.factors
         weights = np.maximum(1.0 - self.story_probability, 1e-6) * (1.0 - np.eye(N)) + 1e-12
@@ -190,8 +190,8 @@ class FittedFrame:
     def mass_change(self) -> tuple[Floats, Floats]:
         """Relative change of each floor's mass since the tests, and its standard deviation, shapes (N,).
 
-        Under the most probable answer in which they changed; zeros where there is none. The difference from the
-        identified masses is partly the error of these.
+        The values belong to the most probable answer with changed masses; they are zero without such an answer. The
+        difference from the identified masses is partly the error of the identification.
         """
         N = self.errors.stories
         answer = next((each for each in self.answers if each.mass_std > 0), None)
@@ -215,12 +215,12 @@ class FittedFrame:
 
     @property
     def model(self) -> DampedModel:
-        """The frame at the most probable unknowns."""
+        """Frame at the most probable unknowns."""
         return self.errors.model(self.p)
 
 
 class _Point:
-    """The posterior at one point; derivatives are computed where they are asked for."""
+    """The posterior at one point; derivatives are computed on demand."""
 
     def __init__(self, posterior: _Posterior, p: Floats) -> None:
         self.posterior, self.p = posterior, p
@@ -252,7 +252,7 @@ class _Posterior:
     Parameters
     ----------
     inflation : float, optional
-        By which the likelihood is tempered: scores of a model that is wrong scatter more than they say.
+        Factor that divides the log likelihood: the scores of a wrong model scatter more than the likelihood predicts.
     """
 
     def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian, inflation: float = 1.0) -> None:
@@ -265,9 +265,9 @@ class _Posterior:
     def maximum(
         self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED, idle: Ints | None = None
     ) -> tuple[_Point, bool]:
-        """Find the most probable point from p on, and whether it was reached within so many steps.
+        """Find the most probable point from p on, and whether the search converged within `steps` steps.
 
-        Dashpots that are idle stay about zero, as their prior has them.
+        Absent (idle) dashpots stay near zero, as in their prior.
         """
         lower, upper = self.errors.lower(form_std), self.errors.upper.copy()
         if idle is not None:
@@ -293,11 +293,11 @@ def fit_frame(
     Parameters
     ----------
     backend : Backend
-        Solves the steps.
+        Solver of the steps.
     start : ndarray, shape (P,), optional
-        Where an earlier fit ended; without it a rough fit to a short part goes before.
+        End of an earlier fit; without `start`, a rough fit to a short part comes first.
     free : bool, optional
-        Whether the frame is fitted; otherwise only the noise is.
+        Whether the frame is fitted; otherwise only the noise is fitted.
     dashpots : bool, optional
         Whether the rough fit has a dashpot in every story.
     """
@@ -305,7 +305,7 @@ def fit_frame(
     answer = FrameChange((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], GAIN_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
-        # The frame stays as it was identified: nothing of it is fitted, its uncertainty is in the bands.
+        # The frame stays as identified; its uncertainty is part of the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(
             p, backend, MOST_FIT_STEPS, FORM_STDS[-1], idle=prior.idle_dashpots(())
@@ -320,8 +320,8 @@ def fit_frame(
         idle = prior.idle_dashpots(range(len(prior.single)) if dashpots else ())
         p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED, idle)[0].p
     along, inflation = informative(errors, prior, p), 1.0
-    # From the prior of another answer, or far from that of the right one, the fit would move masses or their scale in
-    # place of a changed story, and hardly find back: base motion does not tell that scale.
+    # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
+    # story, and rarely return, because base motion does not determine this scale.
     rough_likelihood = errors.linearised(p, along)
     answer = possible_answers(rough_likelihood, prior, p)[0]
     nearer, _ = Linear(rough_likelihood, p, prior.gaussian(*answer.prior)).posterior()
@@ -339,12 +339,12 @@ def fit_frame(
     first_gain = errors.stories + len(errors.varied.dashpot)
     asked = answer.mass_std or answer.gain_std > GAIN_STDS[0] or any(each >= first_gain for each in answer.changed)
     if asked and at.likelihood.inflation > NONLINEAR:
-        # Masses and gains that leave the record as unlike a linear frame's as this take up what is none of theirs.
+        # If the record does not fit a linear frame, masses and gains absorb other errors: fit without their changes.
         return fit_frame(errors, prior.linear_alone, backend, start)
     found = _mixed(errors, prior, at, answers, converged)
     if converged or start is not None or not dashpots:
         return found
-    # From the frame as it was identified the way may be another, and without dashpots that all begin at once.
+    # Other starts may converge: from the identified frame, or without dashpots in the rough fit.
     for begin, with_dashpots in ((np.zeros(errors.size), True), (None, False)):
         other = fit_frame(errors, prior, backend, begin, dashpots=with_dashpots)
         if other.converged or other.log_evidence > found.log_evidence:
@@ -355,22 +355,22 @@ def fit_frame(
 
 
 def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
-    """Find the directions of which the record tells something, whatever changed and whatever the form misses."""
-    # An unknown first state would hide from a short part what the whole record tells.
+    """Find the directions on which the record has information, for all possible changes and errors of form."""
+    # An unknown first state would hide information in a short part that the whole record has.
     short = errors.shortened(FIRST_SAMPLES, p, free=False)
     root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
     return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
-    """Fit the frame again without one sensor, with the same answers possible.
+    """Fit the frame again without one sensor, with the same possible answers.
 
     Parameters
     ----------
     gone : int
-        Unknown that the sensor's noise was.
+        Index of the unknown of the sensor's noise.
     steps : int
-        At most; with none the frame stays as it was.
+        Maximum number of steps; with zero steps the frame stays unchanged.
     """
     prior = dataclasses.replace(frame.prior, others=frame.prior.others - 1)
     start = np.delete(frame.p, gone)
@@ -399,10 +399,10 @@ def _mixed(
 
 
 def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[FrameChange]) -> float:
-    """Log of the probability of the record, all answers together: that of the best one over its share."""
+    """Compute the log probability of the record over all answers: the best answer's, divided by its probability."""
     best = answers[0]
     linear = Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
     own = linear.evidence(np.zeros((len(at.p), 0))).plain + float(prior.log_odds[list(best.changed)].sum())
-    # The triangle holds what depends on the unknowns; the rest of -2 log likelihood is the same for all of them.
+    # The triangle has the part that depends on the unknowns; the rest of -2 log likelihood is constant.
     rest = at.posterior.errors.objective(at.p) - float(at.likelihood.c @ at.likelihood.c)
     return own - float(np.log(best.probability)) - 0.5 * rest

@@ -30,18 +30,18 @@ from cvxshear.util.typing import Bools, Floats
 
 FIRST_SENSOR = 0.02
 FIRST_FORCE = 0.02
-"""Sensor noise, relative to a channel's rms, and missed story forces, relative to the rms story force, where the fit
-starts and where their priors are centred."""
+"""Starting values of the fit and centers of the priors: sensor noise, relative to a channel's rms, and missed story
+forces, relative to the rms story force."""
 
 MOST_INPUT_NOISE = 0.03
-"""Bound on the noise of the excitation's sensor, relative to its rms. A larger bound lets this noise absorb what a
-story that yields does, and without the bound the motion of a fixed frame is less exact."""
+"""Bound on the noise of the excitation's sensor, relative to its rms. With a larger bound, this noise absorbs the
+effect of a yielding story. Without the bound, the motion of a fixed frame is less exact."""
 
 FURTHEST = np.log(10.0)
-"""Bound on the logarithm of factors on stiffness and damping: a story ten times softer is another frame."""
+"""Bound on the logarithm of factors on stiffness and damping; a story ten times softer is another frame."""
 
 FURTHEST_DASHPOT = 20.0
-"""Bound on a dashpot, in units of that which gives a mode its measured ratio: a story that it nearly locks."""
+"""Bound on a dashpot, in units of the dashpot that gives a mode its measured ratio; this bound nearly locks a story."""
 
 FURTHEST_STDS = 20.0
 """Bound on masses and effects, in standard deviations. An incomplete model can state too small deviations."""
@@ -96,7 +96,7 @@ class Segment:
     start : ndarray, shape (n,)
         State at the beginning.
     spread : ndarray, shape (n, n), optional
-        Root L of the covariance L L' of the state at the beginning; None where the frame is at rest there.
+        Root L of the covariance L L' of the state at the beginning; None if the frame is at rest there.
     """
 
     excitation: Floats
@@ -107,11 +107,11 @@ class Segment:
 
     @property
     def seen(self) -> Floats:
-        """Accelerations of the sensors that recorded, shape (samples, those)."""
+        """Accelerations of the sensors that recorded, shape (samples, recording sensors)."""
         return self.y[:, self.channels]
 
     def strongest(self, most: int) -> slice:
-        """Find the part of at most so many samples that holds the most of the motion, every channel counting alike."""
+        """Find the part of at most `most` samples with the strongest motion; all channels have the same weight."""
         samples = len(self.y)
         if samples <= most:
             return slice(0, samples)
@@ -123,20 +123,20 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Directions in the space of the unknowns along which a likelihood is linearised.
+    """Directions in the space of the unknowns along which a likelihood is linearized.
 
     Parameters
     ----------
     columns : ndarray, shape (P, r)
     rows : ndarray, shape (r, P)
-        A change d of the unknowns counts as columns rows d; what is left of it moves no innovation.
+        The component of a change d along the directions is columns rows d; the rest does not change the innovations.
     """
 
     columns: Floats
     rows: Floats
 
     def without(self, gone: int) -> Directions:
-        """Return the directions without one unknown, a level of the noise, which has a direction of its own."""
+        """Return the directions without one noise level, which has a direction of its own."""
         own = int(np.flatnonzero(self.rows[:, gone])[-1])
         return Directions(*(
             np.delete(np.delete(each, row, axis=0), column, axis=1)
@@ -146,13 +146,13 @@ class Directions:
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """The linearised likelihood at one point: -2 log L = |U d + c|^2 + constant for a step d.
+    """The linearized likelihood at one point: -2 log L = |U d + c|^2 + constant for a step d.
 
     Parameters
     ----------
     U, c : ndarray, shapes (r, P) and (r,)
     inflation : float
-        Scatter of the summed scores over what white innovations would have; at least 1.
+        Scatter of the summed scores, relative to white innovations; at least 1.
     """
 
     U: Floats
@@ -163,13 +163,13 @@ class Likelihood:
 class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
-    Unknowns: those of the frame (`VariedFrame`), and the logarithms of m sensor noises, of the missed story forces, and
-    of the excitation's noise, or of the base acceleration where nobody measured it.
+    The unknowns are the frame's (`VariedFrame`), and the logarithms of m sensor noises, of the missed story forces, and
+    of the excitation's noise. If the base motion was not measured, the base acceleration replaces the last one.
 
     Parameters
     ----------
     noise : Noise
-        Where the noise levels start.
+        Starting values of the noise levels.
     """
 
     def __init__(self, varied: VariedFrame, setting: Setting, stretches: Sequence[Segment], noise: Noise) -> None:
@@ -192,7 +192,7 @@ class PredictionErrors:
         self._force = force
 
     def lower(self, form_std: float) -> Floats:
-        """Return lower bounds of the unknowns of a model whose form is off by so much, shape (P,)."""
+        """Return lower bounds of the unknowns, shape (P,), for errors of form with this standard deviation."""
         least = -self.upper
         least[self.varied.dashpots] = 0.0
         missed = min(max(LEAST_MISSED, MISSED_A_FORM * form_std), MISSED_BY_FORM)
@@ -201,20 +201,20 @@ class PredictionErrors:
 
     @property
     def samples(self) -> int:
-        """Number of samples of all stretches together."""
+        """Number of samples in all segments."""
         return sum(len(each.y) for each in self.stretches)
 
     def shortened(self, most: int, p: Floats, *, free: bool = True) -> PredictionErrors:
-        """Take the strongest part of each stretch, which starts from the state that the filter has there.
+        """Return the strongest part of each segment; its initial state is the filter's state there.
 
         Parameters
         ----------
         most : int
-            Samples of each stretch.
+            Maximum number of samples of each segment.
         p : ndarray, shape (P,)
             Unknowns of the filter.
         free : bool, optional
-            Whether the state at the beginning of a part is unknown; otherwise it is the filter's.
+            Whether the state at the beginning of a part is unknown; otherwise it is the filter's state.
         """
         parts = []
         for filtered, runs in self._filtered(p):
@@ -229,7 +229,7 @@ class PredictionErrors:
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
     def spread(self, model: Dynamics, y: Floats) -> Floats:
-        """Find the root of the covariance of a state at which the sensors show what they do over the first period."""
+        """Find the root of the covariance of an initial state that explains the sensors' rms in the first period."""
         begins = y[: self.varied.first_samples(self.setting.step)]
         shown = np.sum(model.H @ model.P0 * model.H, axis=1)
         unit = np.sqrt(np.diag(model.P0))
@@ -238,7 +238,7 @@ class PredictionErrors:
         return root * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
 
     def _filtered(self, p: Floats) -> list[tuple[Steady, list[Segment]]]:
-        """Settle the filter of each set of sensors; return it with the stretches in which these recorded."""
+        """Settle the filter of each set of sensors; return the filter with the segments that this set recorded."""
         model = self.dynamics(p)
         sets: dict[bytes, list[Segment]] = {}
         for run in self.stretches:
@@ -246,11 +246,11 @@ class PredictionErrors:
         return [(Steady.of(model.seen_by(runs[0].channels)), runs) for runs in sets.values()]
 
     def model(self, p: Floats) -> DampedModel:
-        """Return the frame at a point."""
+        """Return the frame at these unknowns."""
         return self.varied.model(p[self.frame])
 
     def stable(self, p: Floats) -> bool:
-        """Whether the frame at a point has modes."""
+        """Return whether the frame at these unknowns has modes."""
         try:
             self.model(p)
         except NoModesError:
@@ -258,18 +258,18 @@ class PredictionErrors:
         return True
 
     def noise_at(self, p: Floats) -> Noise:
-        """Return the noise at a point."""
+        """Return the noise at these unknowns."""
         levels = np.exp(p[self.frame.stop :])
         m = len(self.setting.floors)
         force, ground = self.noise.force * levels[m], self.noise.ground * levels[m + 1]
         return Noise(self.noise.sensors * levels[:m], float(force), float(ground))
 
     def dynamics(self, p: Floats) -> Dynamics:
-        """Return the state-space model at a point."""
+        """Return the state-space model at these unknowns."""
         return dynamics(self.model(p), self.noise_at(p), self.setting)
 
     def objective(self, p: Floats) -> float:
-        """-2 log likelihood, without its constant."""
+        """Compute -2 log likelihood, without its constant."""
         total = 0.0
         for filtered, runs in self._filtered(p):
             _, log_det = np.linalg.slogdet(filtered.S)
@@ -285,15 +285,15 @@ class PredictionErrors:
         return total
 
     def informed(self, p: Floats, root: Floats, least: float) -> Directions:
-        """Find the directions of the frame on which the record has information; add each level of the noise.
+        """Find the directions of the frame on which the record has information; add one direction per noise level.
 
         Parameters
         ----------
         p : ndarray, shape (P,)
         root : ndarray, shape (P, P)
-            Square root of the largest covariance of the unknowns that is possible.
+            Square root of the largest possible covariance of the unknowns.
         least : float
-            Least size of a change of the innovations, each in its standard deviation, along one of a prior.
+            Least norm of the change of the innovations, in their standard deviations, per prior standard deviation.
         """
         own = root[self.frame, self.frame]
         columns = np.eye(self.size)
@@ -309,7 +309,7 @@ class PredictionErrors:
         """Return the rows of a Gauss-Newton step, reduced to a triangle."""
         parts = self._rows(p, along.columns)
         products = _products(parts)
-        # Directions that the record cannot tell apart keep a pivot of the size of rounding.
+        # Directions that the record cannot distinguish keep a pivot of the size of rounding.
         np.fill_diagonal(products, (1.0 + LOST_DIGITS) * products.diagonal() + np.finfo(np.float64).tiny)
         whole = np.asarray(np.linalg.cholesky(products), dtype=np.float64).T
         frame = along.columns.shape[1] - (self.size - self.frame.stop)
@@ -324,9 +324,9 @@ class PredictionErrors:
         return [part for here, runs in self._filtered(p) for part in self._rows_of(here, runs, rates)]
 
     def _rows_of(self, here: Steady, runs: Sequence[Segment], rates: Mapping[str, Floats]) -> list[_Rows]:
-        """Return the rows of the stretches in which the same sensors recorded.
+        """Return the rows of the segments that the same sensors recorded.
 
-        One part a stretch, and one of log det S and the states at the beginnings.
+        There is one part per segment, and one part for log det S and the initial states.
         """
         whitening = np.linalg.inv(np.linalg.cholesky(here.S))
         slopes = _Slopes.of(here, rates, runs[0].channels, whitening)
@@ -341,7 +341,7 @@ class PredictionErrors:
             J = slopes.moved(x, np.column_stack([seen, run.excitation, following]))
             white = e @ whitening.T
             if run.spread is not None:
-                # The state at the beginning goes along with every change of the frame: variable projection.
+                # The initial state is minimized for every change of the frame: variable projection.
                 free = _free(here, run, whitening)
                 normal = np.eye(free.shape[1]) + free.T @ free
                 both: Floats = np.asarray(np.linalg.solve(normal, _crossed(free, J, white.ravel())))
@@ -354,13 +354,13 @@ class PredictionErrors:
             parts.append(_Rows(J, white.ravel(), m))
             mean += white.T @ white
         root = np.sqrt(samples / 2)
-        # J'r of these rows is half the gradient of T log det S + sum e' S^-1 e by S.
+        # For these rows, J'r is half the gradient of T log det S + sum e' S^-1 e with respect to S.
         r = [root * (np.eye(m) - mean / samples).ravel(), *(both[:, -1] for both in begun)]
         R = [slopes.S.reshape(len(slopes.S), -1).T * root, *(both[:, :-1] for both in begun)]
         return [*parts, _Rows(np.concatenate(R), np.concatenate(r), 0)]
 
     def _inflation(self, parts: Sequence[_Rows], rows: int) -> float:
-        """How much more the summed scores of the first directions scatter than of white innovations."""
+        """Compute the scatter of the summed scores of the first directions, relative to white innovations."""
         samples = max(1, round(SCORE_PERIODS * self.varied.period / self.setting.step))
         spread, curvature = np.zeros(rows), np.zeros(rows)
         for part in parts:
@@ -371,21 +371,21 @@ class PredictionErrors:
             flat = part.J[: blocks * length, :rows]
             weights = part.r[: len(flat)].astype(SHORT).reshape(blocks, 1, length)
             summed = (weights @ flat.reshape(blocks, length, rows))[:, 0].astype(np.float64)
-            # At the most probable frame the scores balance the prior and need not sum to zero.
+            # At the most probable frame the scores balance the prior; their sum need not be zero.
             summed = summed - summed.mean(axis=0)
             spread += np.sum(summed**2, axis=0) * (blocks / (blocks - 1))
             curvature += np.einsum("ij,ij->j", flat, flat)
-        # Where the frame is not fitted there are none.
+        # A fixed frame has no directions.
         return 1.0 if not rows else max(1.0, float(np.mean(spread / np.maximum(curvature, 1e-300))))
 
 
 def _products(parts: Sequence[_Rows]) -> Floats:
-    """Products of derivatives and residuals with each other over all rows, shape (r + 1, r + 1)."""
+    """Compute the products of all derivatives and residuals, summed over all rows, shape (r + 1, r + 1)."""
     return np.asarray(sum(_crossed(None, part.J, part.r) for part in parts))
 
 
 def _crossed(left: Floats | None, J: Floats, r: Floats) -> Floats:
-    """Products of rows, or of [J, r] itself, with [J, r], in double precision some samples at a time."""
+    """Multiply rows (by default [J, r]) with [J, r], in double precision, some samples at a time."""
     total: Floats = np.zeros(1)
     for first in range(0, len(r), SWEPT_AT_ONCE):
         chosen = slice(first, first + SWEPT_AT_ONCE)
@@ -395,7 +395,7 @@ def _crossed(left: Floats | None, J: Floats, r: Floats) -> Floats:
 
 
 def _free(filtered: Steady, run: Segment, whitening: Floats) -> Floats:
-    """Return what the whitened innovations lose to a state at the beginning, of unit prior, shape (samples m, n)."""
+    """Return the change of the whitened innovations by an initial state with unit prior, shape (samples m, n)."""
     rows = [whitening @ filtered.model.H]
     for _ in range(BLOCK - 1):
         rows.append(rows[-1] @ filtered.F)
@@ -417,7 +417,7 @@ class _Rows:
     Parameters
     ----------
     sensors : int
-        Residuals a sample, of innovations; 0 of others.
+        Number of residuals per sample; 0 for residuals other than innovations.
     """
 
     J: Floats
@@ -435,7 +435,7 @@ class _Slopes:
         The filter; its k signals are the sensors, the excitation (q and p) and q at the end of a step.
     dF, dB, dC, dD : ndarray, shapes (r, n, n), (r, k, n), (r, n, m) and (r, k, m)
     S : ndarray, shape (r, m, m)
-        Of the innovations' covariance, whitened.
+        Derivatives of the innovations' covariance, whitened.
     """
 
     F: Floats
@@ -451,7 +451,7 @@ class _Slopes:
     def of(here: Steady, rates: Mapping[str, Floats], channels: Bools, whitening: Floats) -> _Slopes:
         """Differentiate the filter's matrices.
 
-        The derivative of the covariance P solves dP = F dP F' + G, in which the gain counts as constant, since it is
+        The derivative of the covariance P solves dP = F dP F' + G. The gain counts as constant there, because it is
         optimal.
         """
         model, K, F, P = here.model, here.K, here.F, here.P
@@ -465,7 +465,7 @@ class _Slopes:
         dK = dK @ np.linalg.inv(here.S)
         m, nothing = len(K.T), np.zeros(len(F))
         B = np.vstack([K.T, model.before, nothing, model.after])
-        # y - D p changes by -D' p, which the gain turns into a change of the state.
+        # y - D p changes by -D' p; the gain turns this into a change of the state.
         dB = np.concatenate(
             [dK.swapaxes(1, 2), rates["before"][:, None], -(direct @ K.T)[:, None], rates["after"][:, None]], axis=1
         )
@@ -479,10 +479,10 @@ class _Slopes:
     def moved(self, x: Floats, signals: Floats) -> Floats:
         """Differentiate the whitened innovations of all samples, shape (samples m, r).
 
-        A block of samples follows from the state at its beginning and its signals by one product.
+        One product gives a block of samples from the state at its beginning and its signals.
         """
         (samples, k), (n, m), r = signals.shape, self.C.shape, len(self.dF)
-        # So many samples a block make these products smallest.
+        # This block length minimizes the cost of the products.
         block = 2 ** max(0, round(float(np.log2(n / np.sqrt(k * m)))))
         blocks = -(-samples // block)
         own = np.zeros((blocks * block, k))
@@ -506,12 +506,12 @@ class _Slopes:
         Returns
         -------
         ndarray, shape (n + block k, r, block m + n)
-            What the state at the beginning and the signals add to the derivatives of the innovations, less their sign,
-            and of the state at the end.
+            Derivatives of the innovations (with opposite sign) and of the final state, for each initial state and
+            signal.
         ndarray, shape (n, block m)
-            What the derivative of the state at the beginning adds to those of the innovations.
+            Effect of the derivative of the initial state on the derivatives of the innovations.
         ndarray, shape (n, n)
-            And to that of the state at the end.
+            Effect of the derivative of the initial state on the derivative of the final state.
         """
         (n, m), (r, k) = self.C.shape, self.dB.shape[:2]
         maps = np.zeros((n + block * k, r, block * m + n), dtype=SHORT)
@@ -519,7 +519,7 @@ class _Slopes:
         between = [self.dD.swapaxes(0, 1)]
         for j in range(block):
             maps[:n, :, j * m : (j + 1) * m] = dshown.swapaxes(0, 1)
-            # From the signals of a sample to the innovations j later, and from those of j before the last to the end.
+            # Signals of a sample act on the innovations j later; signals of j before the last act on the end.
             for i in range(block - j):
                 maps[n + i * k : n + (i + 1) * k, :, (i + j) * m : (i + j + 1) * m] = between[j]
             last = n + (block - 1 - j) * k

@@ -1,4 +1,4 @@
-"""Prediction: the response of an identified frame to a record, beside what was measured."""
+"""Prediction: the response of an identified frame to a record, compared with the measured motion."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
-"""Quantities whose deviations are given over time: what is compared with a record, and what owners ask for."""
+"""Quantities with standard deviations over time. Records show accelerations; owners need drifts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,9 @@ class ModelResponse:
     fitted : Fitted
     damped : Damped
     responses : tuple of Response
-        One a run of the record.
+        One response per run of the record.
     comparison : RecordComparison or None
-        None where the record has no accelerations of floors.
+        None if the record has no accelerations of floors.
     """
 
     fitted: Fitted
@@ -73,26 +73,26 @@ class RecordPrediction(Shown):
     Parameters
     ----------
     motion : DrivenRecord
-        As it was used: without the drift of its sensors.
+        The record of the prediction, without the drift of its sensors.
     configuration : Configuration
-        The state that the frame is predicted in.
+        Configuration of the frame in the prediction.
     backend : str
     before : ModelResponse or None
-        By the shear model; None where there is but one model.
+        Response of the shear model; None if there is only one model.
     after : ModelResponse
-        With the effects that were found.
+        Response of the model with the effects that were found.
     peaks : Peaks
-        Of `after`; the deviations include `missed`.
+        Peaks of `after`; their deviations include `missed`.
     damping : IdentifiedDamping
-        Of `after`.
+        Damping of `after`.
     std : tuple of dict of str to ndarray
-        Standard deviations over time of `after`, one a run, by the names in `BANDS`; nan where nothing tells the noise.
-        What the frame leaves uncertain, and how the excitation went between its samples.
+        Standard deviations over time of `after`, one dict per run, with the names in `BANDS`; nan if the noise is
+        unknown. They include the uncertainty of the frame and of the excitation between its samples.
     missed : float or None
-        Error of the predicted accelerations of the measured floors, over their size, beyond these deviations; None
-        where the record has none to compare with.
+        Error of the predicted accelerations of the measured floors beyond these deviations, relative to the motion;
+        None if the record has no accelerations to compare with.
     remarks : tuple of str
-        What was assumed, and what speaks against the model.
+        Assumptions, and evidence against the model.
     """
 
     motion: DrivenRecord
@@ -115,26 +115,26 @@ class RecordPrediction(Shown):
 
     @property
     def otherwise_before(self) -> ModelResponse | None:
-        """What the shear model predicts, where that is not what `after` does: None where nothing was added to it."""
+        """Prediction of the shear model if it differs from `after`; None if the loop added no effect."""
         if self.before is None:
             return None
         before, after = self.before.fitted, self.after.fitted
-        # Nothing added is the same estimate, whose numbers a file keeps exactly.
+        # Without added effects, both models are the same estimate; files store all digits of the parameters.
         same = not before.effects and not after.effects and np.array_equal(before.theta, after.theta)
         return None if same else self.before
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a floor or story, indexed by `story`: the peaks, each beside its standard deviation.
+        """Return one row per floor or story, indexed by `story`: the peaks and their standard deviations.
 
         Returns
         -------
         pandas.DataFrame
-            Columns by the names of the JSON and their SI unit, such as story_drift_m; those that apply.
+            Columns are the JSON names with SI units, such as story_drift_m; only the columns that apply.
 
         Raises
         ------
         InputError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         return self.peaks.to_dataframe()
 
@@ -156,24 +156,24 @@ def predict(
     assume: Sequence[str | Placed] = (),
     detrend: bool = True,
 ) -> RecordPrediction:
-    """Predict how every floor answers to a record, and compare it with what was measured.
+    """Predict the response of every floor to a record, and compare it with the measured motion.
 
     Parameters
     ----------
     source : str, Path, Experiment, Closure, Estimate or Models
-        What the model is made of. A file is a measurement file, a record file, or the JSON of `loop`. Where the loop
-        was not closed yet, it is.
+        Source of the model. A file is a measurement file, a record file, or the JSON of `loop`. If the loop is not
+        closed yet, it is closed here.
     record : str, Path, TimeRecord or DrivenRecord
-        What drives the frame: a record file or a record, with base motion or a force.
+        Excitation of the frame: a record file or a record, with base motion or a force.
     backend : str or Backend, optional
     damping : str, optional
-        "modal", "story" or "rayleigh"; what the experiment declares where not given.
+        "modal", "story" or "rayleigh"; by default, the damping that the experiment declares.
     configuration : str, optional
-        Which state the frame is in. Where not given, the one with the record's added mass.
+        Configuration of the frame; by default, the one with the record's added mass.
     assume : sequence of str or Placed, optional
-        Effects that are in the model from the start, where the loop is closed here.
+        Effects that are in the model from the start of a loop that is closed here.
     detrend : bool, optional
-        Whether the straight line through each acceleration of the record is taken for its sensor's, and off.
+        Whether the straight line through each acceleration of the record is removed as a fault of the sensor.
 
     Returns
     -------
@@ -182,9 +182,9 @@ def predict(
     Raises
     ------
     InputError
-        Where nothing tells the frame's damping or what drives it, or the record is of another frame.
+        If the frame's damping or the excitation is unknown, or the record does not fit the frame.
     NoSolutionError
-        Where the backend does not solve a program.
+        If the backend does not solve a program.
     """
     solver = backends.get(backend)
     recorded = motion_of(record)
@@ -200,15 +200,15 @@ def predict(
         before = _model_response(models.before, frame.at(np.zeros(frame.size)), motion)
     found = _predicted(models, frame_after, motion, before)
     said = [*state_remarks(experiment, recorded, state, named=configuration is not None), *_taken_off(recorded, motion)]
-    # The comparison finds, too, what the model said of the sensors before.
+    # The comparison may repeat remarks that the model made on the sensors before.
     said += [each for each in found.remarks if each not in faults]
     return dataclasses.replace(found, remarks=(*faults, *said))
 
 
 def _set_right(motion: DrivenRecord, model: DampedModel) -> tuple[DrivenRecord, tuple[str, ...]]:
-    """Return a record without the faults of its sensors, as `reconstruct` takes it, and what was said of them.
+    """Return a record with the corrections of its sensors that `reconstruct` makes, and remarks on these corrections.
 
-    As it is where a sensor that would be left out moves as predicted: the model knows better then.
+    Return the record unchanged if a sensor to be left out moves as predicted: then the model contradicts the fault.
     """
     forces = {driven.floor for driven in motion.runs}
     known = all(driven.responses is not None and np.isfinite(driven.responses).any() for driven in motion.runs)
@@ -233,7 +233,7 @@ def _set_right(motion: DrivenRecord, model: DampedModel) -> tuple[DrivenRecord, 
 def _predicted(
     models: Models, frame: UncertainFrame, motion: DrivenRecord, before: ModelResponse | None
 ) -> RecordPrediction:
-    """Predict by the final model, with everything's standard deviations from one propagation."""
+    """Predict with the final model; one propagation gives all standard deviations."""
 
     def everything(damped: Damped, driven: DrivenRecord = motion) -> Floats:
         responses = _responses(damped, driven)
@@ -241,7 +241,7 @@ def _predicted(
         return np.concatenate([parts_of(damped), *_largest(responses).values(), *bands])
 
     centre, std = propagated(frame, everything)
-    # Nobody saw how the excitation went between its samples: in straight lines, or band-limited.
+    # The excitation between its samples is unknown: it may be linear or band-limited.
     between = everything(centre, motion.band_limited()) - everything(centre)
     std = np.hypot(std, between)
     after = _model_response(models.after, centre, motion)
@@ -267,11 +267,12 @@ def _predicted(
 
 
 def _missed(side: ModelResponse, std: tuple[dict[str, Floats], ...]) -> float | None:
-    """Find by how much the record was missed beyond what the frame leaves uncertain, over the size of the motion.
+    """Compute the error of the prediction beyond the stated deviations, relative to the size of the motion.
 
-    The root mean square over the measured floors of the errors in time. It holds the noise of the measured excitation,
-    how that went between its samples, what the model lacks, and the noise of the floors' sensors. Motions that fall out
-    of step are missed by more than their peaks are; the errors of a few floors' peaks would say too little.
+    The error is the root mean square over time and the measured floors. It includes the noise of the measured
+    excitation, its motion between the samples, the model's error, and the noise of the floors' sensors. If two motions
+    fall out of step, their errors in time are larger than the errors of their peaks. The peaks of a few floors would
+    therefore give too small an error.
     """
     beside = side.comparison
     if beside is None:
@@ -281,14 +282,14 @@ def _missed(side: ModelResponse, std: tuple[dict[str, Floats], ...]) -> float | 
     moved = np.concatenate([each.acceleration[:, places] for each in side.responses]) * side.damped.model.gain[places]
     with np.errstate(divide="ignore", invalid="ignore"):
         stated = beside.rms_ratio * np.sqrt(np.mean(band**2, axis=0) / np.mean(moved**2, axis=0))
-        # Over the larger of both motions: one a tenth of the other would be missed by all of it, not by ten times.
+        # Relative to the larger motion: if one motion is a tenth of the other, the error is at most 100 %.
         beyond = (beside.nrmse**2 - np.nan_to_num(stated) ** 2) / np.maximum(1.0, beside.rms_ratio) ** 2
     beyond = beyond[np.isfinite(beyond)]
     return float(np.sqrt(max(0.0, np.mean(beyond)))) if beyond.size else None
 
 
 def _bands(moved: Response) -> dict[str, Floats]:
-    """Return the quantities of `BANDS` that apply, flat."""
+    """Return the quantities of `BANDS` that apply, as flat arrays."""
     found = histories(moved)
     return {name: values.ravel() for name in BANDS if (values := found[name]) is not None}
 
@@ -309,7 +310,7 @@ def _model_response(fitted: Fitted, damped: Damped, motion: DrivenRecord) -> Mod
 
 
 def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
-    """How large the straight lines were that were taken for the sensors' own, where they were worth a word."""
+    """Report the size of the straight lines that were removed as sensor faults, if they are large enough."""
     found = [(0.0, "")]
     for before, after in zip(recorded.runs, motion.runs, strict=True):
         columns = [("the base motion", before.excitation, after.excitation)] if recorded.input == "base" else []
@@ -327,7 +328,7 @@ def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
 
 
 def _between_samples(unseen: float, excitation: str) -> list[str]:
-    """Say by how much it matters how the excitation went between its samples, where that is worth a word."""
+    """Report the influence of the excitation between its samples on the peaks, if it is large enough."""
     if unseen < WORTH_A_WORD:
         return []
     return [
@@ -337,7 +338,7 @@ def _between_samples(unseen: float, excitation: str) -> list[str]:
 
 
 def _remarks(after: ModelResponse, motion: DrivenRecord) -> list[str]:
-    """Say what the reader has to know besides the numbers."""
+    """Collect remarks that the reader needs besides the numbers."""
     said = []
     if after.fitted.undetermined:
         names = "; ".join(listed(names) for names in after.fitted.undetermined)

@@ -82,28 +82,28 @@ class Reconstruction(Shown):
     Parameters
     ----------
     recording : Recording
-        As it was used.
+        The recording after the corrections of its sensors.
     configuration : Configuration
     backend : str
     fitted : Fitted
-        The model that was identified.
+        The identified model.
     kind : str
-        Of damping.
+        Kind of damping.
     frame : FittedFrame
         The frame in this record.
     frame_fitted : bool
-        Whether it was fitted to the record: not where the base motion was not measured or `fit` was False.
+        Whether the frame was fitted to the record: not if the base motion was not measured or `fit` was False.
     model : DampedModel
-        Its matrices.
+        Matrices of the frame in this record.
     runs : tuple of ReconstructedRun
     peaks : Peaks
     predicted_peaks : Peaks or None
-        Of the identified model without a look at the sensors; None where the excitation was not measured.
+        Peaks that the identified model predicts from the excitation alone; None if the excitation was not measured.
     checks : tuple of SensorCheck
     whiteness : tuple of Whiteness
     limits : Limits or None
     passed : ndarray, shape (L, N), or None
-        Probability that the drift ratio of each story passed each limit; nan where that cannot be told.
+        Probability that the drift ratio of each story passed each limit; nan if it is unknown.
     remarks : tuple of str
     """
 
@@ -132,20 +132,20 @@ class Reconstruction(Shown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Faults of sensors, and why the numbers are less sure than they look: to be read before them."""
+        """Sensor faults, and reasons for larger errors than the stated deviations; read them before the numbers."""
         return *self.recording.remarks, *_warnings(self)
 
     @property
     def widening(self) -> float:
-        """Factor on all bands by which left-out sensors missed more than stated; at least 1."""
+        """Factor on all bands: ratio of the left-out sensors' errors to their stated deviations, at least 1."""
         return widening(self.checks)
 
     @property
     def changed(self) -> tuple[int, ...]:
         """Stories (from 1) that changed by themselves with a probability of at least `NAMED_CHANGE`.
 
-        No story where the fit did not settle; only those of which it is known whether they are softer or stiffer and,
-        where the modes speak against the model, that changed by more than twice what it lacks.
+        The sign of the change must be known. If the modes contradict the model, the change must also exceed twice the
+        model's shape error. The tuple is empty if the fit did not converge.
         """
         if self.change_probability is None or not self.names_changes:
             return ()
@@ -155,35 +155,35 @@ class Reconstruction(Shown):
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the record is not that of a linear frame with sound sensors."""
+        """Whether the record does not fit a linear frame with sound sensors."""
         return self.frame.inflation > NONLINEAR
 
     @property
     def names_changes(self) -> bool:
-        """Whether what changed since the tests is named: where record and tests fit the model of a linear frame."""
+        """Whether changes since the tests are reported: record and tests must fit the model of a linear frame."""
         fits = self.frame_fitted and self.frame.converged and not self.nonlinear and not self.undetermined
         return fits and self.widening <= WIDER
 
     @property
     def undetermined(self) -> bool:
-        """Whether many frames have the modes of the tests: what changed since is then not named."""
+        """Whether many frames have the modes of the tests; changes since the tests are then not reported."""
         return bool(self.fitted.undetermined)
 
     @property
     def coloured(self) -> tuple[int, ...]:
-        """Floors whose innovations are not white: the model misses a part of the motion there."""
+        """Floors with colored innovations: the model misses a part of the motion there."""
         return tuple(each.floor for each in self.whiteness if each.coloured)
 
     @property
     def sound(self) -> bool:
-        """Whether the model passes its checks: of a linear frame, left-out sensors met, and white innovations."""
+        """Whether the model passes its checks: a linear frame, small errors of left-out sensors, white innovations."""
         return self.names_changes and not self.coloured
 
     @property
     def dampers(self) -> tuple[int, ...]:
-        """Stories (from 1) in which something damps by itself, with a probability of at least `NAMED_CHANGE`.
+        """Stories (from 1) that have a damper of their own, with a probability of at least `NAMED_CHANGE`.
 
-        Only those whose damper is more than its deviations.
+        The damper must also exceed `SIGN_KNOWN` standard deviations.
         """
         if not self.names_changes:
             return ()
@@ -193,9 +193,9 @@ class Reconstruction(Shown):
 
     @property
     def missed_most(self) -> tuple[int, ...]:
-        """Stories (from 1), between two floors with sensors, whose forces a frame that is not linear misses most.
+        """Stories (from 1) between two floors with sensors, with the largest deviations from a linear frame.
 
-        Empty where the record is that of a linear frame, or no place stands out.
+        Empty if the record fits a linear frame, or if no stories exceed the others clearly.
         """
         edges = np.concatenate([[0], self.recording.floors])
         stories = np.split(np.arange(1, len(self.model.M) + 1), edges[1:])
@@ -215,7 +215,7 @@ class Reconstruction(Shown):
 
     @property
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
-        """Sensors that read too much or too little: in words, by how much relatively, and its standard deviation."""
+        """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
         names += [f"the sensor of the {DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
         deviations, least = GAIN_OFF
@@ -227,7 +227,7 @@ class Reconstruction(Shown):
 
     @property
     def change_probability(self) -> Floats | None:
-        """Probability that each story changed by itself, shape (N,); None where that was not asked, or is not told."""
+        """Probability that each story changed by itself, shape (N,); None if the frame was not fitted or determined."""
         return self.frame.story_probability if self.frame_fitted and not self.undetermined else None
 
     @cached_property
@@ -237,23 +237,23 @@ class Reconstruction(Shown):
 
     @cached_property
     def spectra_std(self) -> Floats:
-        """Standard deviations of the spectra, shape (N, lines): relatively those of the floors' peak accelerations."""
+        """Standard deviations of the spectra, shape (N, lines), from the relative deviations of the floors' peaks."""
         peak = self.peaks.values["floor_acceleration"]
         relative: Floats = self.peaks.std["floor_acceleration"] / np.where(peak > 0, peak, 1.0)
         return self.spectra.acceleration * relative[:, None]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a floor or story, indexed by `story`: the peaks, each beside its standard deviation, then the frame.
+        """Return one row per floor or story, indexed by `story`: peaks, their standard deviations, then the frame.
 
         Returns
         -------
         pandas.DataFrame
-            Columns by the names of the JSON and their SI unit, such as story_drift_m; those that apply.
+            Columns are the JSON names with SI units, such as story_drift_m; only the columns that apply.
 
         Raises
         ------
         InputError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         frame = self.frame
         return self.peaks.to_dataframe(
@@ -264,7 +264,7 @@ class Reconstruction(Shown):
         )  # fmt: skip
 
     def to_dict(self) -> Json:
-        """Return the documented JSON; null where it does not apply."""
+        """Return the documented JSON; null for values that do not apply."""
         frame, none = self.frame, [None] * len(self.model.M)
         sound = None if self.change_probability is None else frame
         damps = np.isin(np.arange(1, len(none) + 1), self.dampers if self.fitted.mass_known else ())
@@ -307,7 +307,7 @@ class Reconstruction(Shown):
 
 
 def reading_remark(excitation: str, straight: float, band_limited: float, *, sound: bool) -> str:
-    """Say how the excitation was taken to go between its samples, and what speaks for that where the model is sound."""
+    """Report the assumed excitation between the samples, and the evidence for it if the model is sound."""
     taken, other = "band-limited", "straight lines"
     if straight >= band_limited:
         taken, other = other, taken
@@ -322,7 +322,7 @@ def reading_remark(excitation: str, straight: float, band_limited: float, *, sou
 
 
 def _warnings(found: Reconstruction) -> list[str]:
-    """Say why the numbers are less sure than they look."""
+    """List reasons for larger errors than the stated deviations."""
     said = []
     if found.undetermined:
         names = "; ".join(listed(names) for names in found.fitted.undetermined[:1])
@@ -367,7 +367,7 @@ def _warnings(found: Reconstruction) -> list[str]:
 
 
 def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
-    """Say what the reader has to know besides the numbers."""
+    """Collect remarks that the reader needs besides the numbers."""
     said = [
         "residual displacement is out of reach: accelerations do not show where a floor comes to rest, and the model "
         "returns to where it began"
@@ -428,31 +428,31 @@ def reconstruct(
     leave_out: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction:
-    """Find how every floor moved, with deviations, from the floors that carry sensors.
+    """Find the motion of every floor, with standard deviations, from the floors with sensors.
 
     Parameters
     ----------
     source : str, Path, Experiment, Closure, Estimate or Models
-        What the model is made of, as for `predict`.
+        Source of the model, as for `predict`.
     record : str, Path, TimeRecord or DrivenRecord
-        Accelerations of some floors, with gaps (nan) where pieces are missing, and what drove the frame; with
-        input = "none" the base acceleration is estimated.
+        Accelerations of some floors, with nan in gaps, and the excitation; with input = "none" the base acceleration
+        is estimated.
     backend : str or Backend, optional
-        Solves the steps of the frame's fit.
+        Solver of the steps of the frame's fit.
     damping : str, optional
-        "modal", "story" or "rayleigh"; what the experiment declares where not given.
+        "modal", "story" or "rayleigh"; by default, the damping that the experiment declares.
     configuration : str, optional
-        Which state the frame is in.
+        Configuration of the frame during the record.
     assume : sequence of str or Placed, optional
-        Effects that are in the model from the start, where the loop is closed here.
+        Effects that are in the model from the start of a loop that is closed here.
     detrend : bool, optional
-        Whether the straight line through each acceleration is taken for its sensor's, and off.
+        Whether the straight line through each acceleration is removed as a fault of the sensor.
     fit : bool, optional
-        Whether the frame is fitted to the record; otherwise only the noise is, and the frame stays as identified.
+        Whether the frame is fitted to the record; otherwise only the noise is fitted.
     leave_out : bool, optional
-        Whether each sensor is predicted from the others.
+        Whether each sensor is predicted from the others, as a check.
     progress : callable, optional
-        Called with the number of parts done and to do.
+        Function of the number of finished parts and the number of all parts.
 
     Returns
     -------
@@ -461,9 +461,9 @@ def reconstruct(
     Raises
     ------
     InputError
-        Where nothing tells the frame's damping, the record is of another frame, or no floor was measured.
+        If the frame's damping is unknown, the record does not fit the frame, or no floor was measured.
     NoSolutionError
-        Where the backend does not solve a program.
+        If the backend does not solve a program.
     """
     solver = backends.get(backend)
     models = models_of(source, solver, assume)
@@ -489,7 +489,7 @@ def reconstruct(
                 shown = shown_by(identified, predicted_responses(identified, reading), reading)
                 reading = reading.less(reading.lines(shown))
             work, fitted, smoothed = FrameMotion.around(frame, reading, solver, free=fit).fitted(detrend=detrend)
-            # The states of a long record are large, and found once more with their deviations.
+            # The states of a long record need much memory; `runs` computes them again with their deviations.
             yield work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
             advance()
 
@@ -521,10 +521,10 @@ def reconstruct(
 def _passed(
     limits: Limits, peaks: Peaks, predicted: Sequence[Response] | None, *, nonlinear: bool
 ) -> Floats | None:
-    """Probability that each drift ratio passed each limit, shape (L, N); None where the frame's heights are not known.
+    """Compute the probability that each drift ratio passed each limit, shape (L, N); None without story heights.
 
-    How far a story that yields went is not seen: that it stayed below a limit cannot be said, and that another passed
-    one only where the frame as it was identified would have passed it, too.
+    If the frame is nonlinear, the drift of a yielding story is unknown. Then only certain exceedances are reported, and
+    only if the identified frame would have exceeded the limit, too.
     """
     name = "story_drift_ratio"
     if name not in peaks.values:
@@ -538,11 +538,11 @@ def _passed(
 
 
 _Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]
-"""The motion as it was set up, the frame, and its motion without its states but the first."""
+"""The setup of the motion, the frame, and its motion with only the first states."""
 
 
 def _most_probable(fits: Iterator[_Fit]) -> tuple[_Fit, list[float]]:
-    """Return the most probable fit, and the log evidence of each; long records fill the memory, so one is kept."""
+    """Return the most probable fit, and the log evidence of each; only one fit is kept, to save memory."""
     best = next(fits)
     evidences = [best[1].log_evidence]
     for other in fits:

@@ -1,4 +1,4 @@
-"""What sensors on some floors recorded: with gaps, and with or without the motion of the ground."""
+"""Accelerations that sensors on some floors recorded, with gaps, and the excitation if it was measured."""
 
 from __future__ import annotations
 
@@ -25,45 +25,47 @@ from cvxshear.util.typing import Bools, Floats, Ints
 RecordingSource = str | Path | TimeRecord | DrivenRecord
 
 ENVELOPE_PERIODS = 4.0
-"""Fundamental periods over which the strength of the motion is averaged: shorter would follow the vibration itself."""
+"""Time over which the strength of the motion is averaged, in fundamental periods. A shorter average would follow the
+vibration itself."""
 
 QUIETEST = 1 / 16
-"""Least envelope, relative to the record's rms: what a model misses does not vanish where little moves."""
+"""Least envelope, relative to the record's rms. The model's error does not vanish when the motion is weak."""
 
 MOST_LEFT_GAPS = 8
-"""Gaps of a run, the longest, that are left out of the fit of the frame; others are filled in by what it makes of the
-rest. After each gap the state of the frame is unknown, which costs information."""
+"""Largest number of gaps of a run that the frame's fit leaves out; the longest are left out. The fit fills the others
+from its prediction. After each left-out gap the state of the frame is unknown, which costs information."""
 
 AT_REST = 0.05
-"""Acceleration of the first period, relative to the whole record's, up to which a run counts as beginning at rest: what
-sensors of usual noise show of a frame that does not move."""
+"""Largest rms acceleration of the first period, relative to the whole record's, of a run that begins at rest. Sensors
+with usual noise show this level on a frame that does not move."""
 
 AMID_MOTION = 0.5
-"""Strength of the excitation at its first sample, relative to its rms over the record, from which on a run begins amid
-it: a record that was triggered by the motion begins with its weaker part."""
+"""Least strength of the excitation at its first sample, relative to its rms over the record, of a run that begins
+during the motion. A record that was triggered by the motion begins with a weaker part."""
 
 BY_CHANCE = 4.0
-"""Standard deviations of the mean of a motion up to which a line in it is one by chance: two, and twice that at its
-ends."""
+"""Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
+deviations, doubled because a line is largest at its ends."""
 
 LINE_LEFT = 1e-12
-"""What rounding leaves of a straight line once it is taken off, relative to its largest value, is far less."""
+"""Largest remainder, relative to the largest value, of a signal that was only a straight line. Rounding leaves far
+less."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """One uninterrupted stretch.
+    """One uninterrupted run of a recording.
 
     Parameters
     ----------
     measured : ndarray, shape (samples, m)
         Total accelerations, m/s2; nan where a piece is missing.
     excitation : ndarray, shape (samples,)
-        m/s2 or N; zeros where nobody measured it.
+        m/s2 or N; zeros if it was not measured.
     floor : int, optional
-        Where a measured force acts.
+        Floor on which a measured force acts.
     between : ndarray, shape (samples,), optional
-        Samples whose straight lines act between the samples; those of the excitation where not given.
+        Samples whose straight lines are the excitation between the samples; by default, the samples of `excitation`.
     """
 
     measured: Floats
@@ -74,11 +76,11 @@ class RecordedRun:
 
     @property
     def drive(self) -> Floats:
-        """What acts between the samples and at them, as in `Dynamics`, shape (samples, 2)."""
+        """Excitation between the samples and at the samples, as in `Dynamics`, shape (samples, 2)."""
         return np.column_stack([self.excitation if self.between is None else self.between, self.excitation])
 
     def pieces(self, least: int) -> list[tuple[slice, Bools]]:
-        """Part the run where a sensor misses so many samples or more; say which record in each part, shape (m,)."""
+        """Split the run at gaps of `least` samples or more; return the parts and their recording channels, (m,)."""
         recorded, gaps = np.ones(self.measured.shape, dtype=bool), []
         for column, there in enumerate(np.isfinite(self.measured).T):
             ends = np.flatnonzero(np.diff(np.concatenate([[True], there, [True]]).astype(np.int8)))
@@ -92,7 +94,7 @@ class RecordedRun:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Accelerations of some floors, and what drove the frame where that was measured.
+    """Accelerations of some floors, and the excitation if it was measured.
 
     Parameters
     ----------
@@ -101,15 +103,15 @@ class Recording:
     floors : ndarray of int, shape (m,)
         Ascending.
     input : str
-        "base", "force", or "none" where the ground was not measured.
+        "base", "force", or "none" if the base motion was not measured.
     added_mass : ndarray, shape (N,), optional
         kg.
     remarks : tuple of str
-        What was found wrong with the sensors, and what was done about it.
+        Sensor faults, and their corrections.
     late : ndarray, shape (m, 2), optional
-        Delay (s) and its growth (s/s) that were taken out of each floor's motion.
+        Delay (s) and its growth (s/s) that were removed from each floor's motion.
     late_remarks : tuple of str, optional
-        What was said of it, for each floor.
+        Remark on this delay, for each floor.
     """
 
     runs: tuple[RecordedRun, ...]
@@ -141,7 +143,7 @@ class Recording:
 
     @property
     def force_floor(self) -> int:
-        """Where a measured force acts; 0 but for a force."""
+        """Floor on which a measured force acts; 0 for other excitations."""
         return self.runs[0].floor
 
     @property
@@ -160,13 +162,13 @@ class Recording:
         return np.sqrt(square)
 
     def replaced(self, **arrays: Iterable[Floats]) -> Recording:
-        """Return the recording with other arrays in its runs, those of each field one a run."""
+        """Return the recording with other arrays in its runs; each field takes one array per run."""
         every = [dict(zip(arrays, values, strict=True)) for values in zip(*arrays.values(), strict=True)]
         runs = (dataclasses.replace(run, **each) for run, each in zip(self.runs, every, strict=True))
         return dataclasses.replace(self, runs=tuple(runs))
 
     def without_base_line(self) -> Recording:
-        """Take the straight line off a measured base acceleration; where nothing else is left, refuse it."""
+        """Subtract the straight line from a measured base acceleration; raise InputError if no motion remains."""
         if self.input != "base":
             return self
         found = self.replaced(excitation=(run.excitation - sensor_line(run.excitation) for run in self.runs))
@@ -179,15 +181,14 @@ class Recording:
         return found
 
     def band_limited(self) -> Recording:
-        """Take a measured excitation as band-limited between its samples, not as straight lines."""
+        """Return the recording with an excitation that is band-limited between its samples, instead of linear."""
         return self.replaced(between=(band_limited(run.excitation) for run in self.runs))
 
     def lines(self, expected: Sequence[Floats]) -> list[Floats]:
-        """Find the straight line of each channel, one array (samples, m) a run.
+        """Fit the straight line of each channel, one array (samples, m) per run.
 
-        It is that through what a model does not show, whose accelerations at the sensors are expected. The vibration
-        itself is not without one over a finite time: a cycle that the end of the record cuts off would pass for the
-        sensor's.
+        The line is fitted to the difference between the record and the accelerations `expected` by a model. A fit to
+        the record itself would also find a line in the vibration: the last, incomplete cycle has a nonzero mean.
         """
         found = []
         for run, own in zip(self.runs, expected, strict=True):
@@ -198,7 +199,7 @@ class Recording:
         return found
 
     def less(self, lines: Sequence[Floats]) -> Recording:
-        """Take straight lines off the measured accelerations, one array (samples, m) a run."""
+        """Subtract straight lines from the measured accelerations, one array (samples, m) per run."""
         return self.replaced(measured=(run.measured - line for run, line in zip(self.runs, lines, strict=True)))
 
     def without(self, channel: int) -> Recording:
@@ -207,7 +208,7 @@ class Recording:
         return dataclasses.replace(self, runs=runs, floors=np.delete(self.floors, channel))
 
     def cut(self, parts: Sequence[slice]) -> Recording:
-        """Return the recording with one part of each run."""
+        """Return the recording with one part of each run; `parts` has one slice per run."""
         pairs = list(zip(self.runs, parts, strict=True))
         return self.replaced(
             measured=(run.measured[part] for run, part in pairs),
@@ -216,21 +217,22 @@ class Recording:
         )
 
     def envelopes(self, period: float) -> list[Floats]:
-        """Strength of the motion over time in powers of two, relative to its rms; one array a run.
+        """Compute the strength of the motion over time, relative to its rms; one array per run.
 
-        It is averaged over `ENVELOPE_PERIODS` of the period of the first mode, s.
+        The strength is averaged over `ENVELOPE_PERIODS` times `period` (of the first mode, s) and rounded to a power of
+        two.
         """
         width = max(1, round(ENVELOPE_PERIODS * period * self.sampling_rate))
         powers = []
         for run in self.runs:
             there = np.isfinite(run.measured)
             total = np.sum(np.nan_to_num(run.measured / self.rms()) ** 2, axis=1)
-            # Averaged separately, so that a gap in every channel takes its strength from around it.
+            # Power and count are averaged separately: a gap in every channel takes the strength of its neighborhood.
             power, count = (
                 ndimage.uniform_filter1d(each.astype(np.float64), width, mode="nearest")
                 for each in (total, there.sum(axis=1))
             )
-            # A running sum leaves rounding where nothing was measured.
+            # The running sum leaves rounding errors in places without samples.
             powers.append(np.maximum(power, 0.0) / np.maximum(count, 1e-3))
         mean = float(np.mean(np.concatenate(powers)))
         strengths = [np.maximum(np.sqrt(power / mean), QUIETEST) for power in powers]
@@ -238,11 +240,11 @@ class Recording:
 
 
 def sensor_line(excitation: Floats) -> Floats:
-    """Straight line through an excitation by least squares; where it begins amid the motion, through its quiet part.
+    """Fit a straight line to an excitation by least squares; weight the quiet part if the record begins during motion.
 
-    A motion that the beginning of the record cuts off is not without a line: with equal weights it came to 6 % of the
-    rms. Then each sample counts by the inverse of the variance around it, over `ENVELOPE_PERIODS` of the excitation,
-    and a line that such a motion leaves by chance is none.
+    A motion that the beginning of the record cuts off leaves a line in an unweighted fit. In that case each sample is
+    weighted by the inverse of the variance around it, averaged over `ENVELOPE_PERIODS` of the excitation. A line that
+    such a motion leaves by chance is replaced by zeros.
     """
     line = trend(excitation)
     moved = excitation - line
@@ -256,16 +258,19 @@ def sensor_line(excitation: Floats) -> Floats:
 
 
 def _width(moved: Floats) -> int:
-    """Count the samples of `ENVELOPE_PERIODS` of a motion: a harmonic changes by 2 pi over its period of its rms."""
+    """Count the samples in `ENVELOPE_PERIODS` periods of a motion.
+
+    A harmonic has the period 2 pi (rms of the motion) / (rms of its derivative).
+    """
     level = rms(moved)
     step = max(rms(np.diff(moved)), level / len(moved))
     return max(1, round(ENVELOPE_PERIODS * 2 * np.pi * level / step)) if level else 1
 
 
 def _unless_by_chance(line: Floats, values: Floats, weights: Floats) -> Floats:
-    """Return a line through values, or zeros where it is no more than what a motion of their periods leaves by chance.
+    """Return a line through values, or zeros if a motion of the values' period may leave this line by chance.
 
-    The mean's variance is that of sums over blocks of `ENVELOPE_PERIODS`.
+    The variance of the mean is estimated from sums over blocks of `ENVELOPE_PERIODS` periods.
     """
     left = values - line
     blocks = np.arange(0, len(left), _width(left))
@@ -276,25 +281,25 @@ def _unless_by_chance(line: Floats, values: Floats, weights: Floats) -> Floats:
 
 
 def rms(values: Floats) -> float:
-    """Return the root mean square of what was measured; 0 where nothing was."""
+    """Return the root mean square of the finite values; 0 without such values."""
     there = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 
 
 def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
-    """Read what sensors recorded, and set right what is surely wrong with them (`sensor_faults`).
+    """Read a recording, and correct the certain faults of its sensors (`sensor_faults`).
 
     Parameters
     ----------
     source : str, Path, TimeRecord or DrivenRecord
         A file is a record file; cells of its floors' columns may be nan or empty.
     stories : int, optional
-        Of the frame; as many as the highest floor with a sensor where not given.
+        Number of stories of the frame; by default, the highest floor with a sensor.
 
     Raises
     ------
     InputError
-        Where the file cannot be read, or no floor's acceleration was recorded.
+        If the file cannot be read, or no floor's acceleration was recorded.
     """
     match source:
         case DrivenRecord():
@@ -321,7 +326,7 @@ def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
 def _recording(
     channels: Sequence[Channel], rate: float, driven: str, runs: Sequence[RecordedRun], stories: int, **described: Any
 ) -> Recording:
-    """Set sensors right, and make those of one floor one; runs come with a column a channel."""
+    """Correct the sensors and combine the sensors of each floor; the runs have one column per channel."""
     driven = driven if driven in DRIVEN else "none"
     forces = {run.floor for run in runs} if driven == "force" else {0}
     if len(forces) > 1:
@@ -359,13 +364,13 @@ def _refuse_other_quantity(quantity: str, name: str) -> None:
 
 
 def _of_file(path: Path, stories: int) -> Recording:
-    """Read the recording that a record file names."""
+    """Read the recording that a record file declares."""
     tables = RecordTables(path)
     with placed(path):
         checks.choice(tables.kind, ("time",), "record: kind, for a reconstruction,")
         for item in tables.responses:
             _refuse_other_quantity(item.quantity, f'channel "{item.name}"')
-        # Jumps of the clock and the ends asked for part the file; what a floor misses does not.
+        # Clock jumps and declared ends split the file; gaps of a floor do not.
         pieces, rate = tables.pieces([])
         runs = []
         for piece in pieces:
@@ -381,7 +386,7 @@ def _of_file(path: Path, stories: int) -> Recording:
 
 
 def _with_gaps(columns: Columns, item: ChannelDeclaration, path: Path) -> Floats:
-    """Return what a sensor recorded; nan where a sample is missing."""
+    """Return the samples of a sensor in SI units; nan for missing samples."""
     columns.check(item.name, item.place or path.name)
     values = columns.values[:, columns.names.index(item.name)]
     if np.isinf(values).any() or np.any(np.abs(values[np.isfinite(values)]) > checks.LARGEST):

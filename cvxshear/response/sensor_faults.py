@@ -1,7 +1,7 @@
-"""Faults of sensors that the record itself shows: set right, or left out, before the frame is fitted to it.
+"""Correction of sensor faults that the record itself shows, before the frame is fitted.
 
-The checks are those of `cvxshear modes`. They look at the stretches in which every sensor recorded; what they are sure
-of is done to the whole record, gaps and all.
+The checks are the same as in `cvxshear modes`. They use the segments that every sensor recorded. Corrections of certain
+faults apply to the whole record, including the parts with gaps.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ SAID = (
     "dead channel", "stuck channel", "clipped channel", "held samples", "aliasing", "mains hum", "direction", "sign",
     "unit", "swapped channels", "clock offset", "clock drift",
 )  # fmt: skip
-"""Kinds of findings that concern the sensors. Spikes and straight lines are left to the smoother, which weighs them."""
+"""Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
 LEAST_DELAY = 0.25
-"""Samples; a delay of less is said and left in. The phases of the modes tell it, of which there may be three: with
-noise of 10 % on the ground they say 0.08 samples of one sound record in eight."""
+"""Least delay that is removed, in samples; a shorter delay is only reported. The delay is estimated from the phases of
+the modes, and there may be only three. With 10 % noise on the base motion, a sound record may show a delay of 0.08
+samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class SensorRecord:
-    """What every sensor recorded, with gaps.
+    """Samples of every sensor, with gaps.
 
     Parameters
     ----------
@@ -47,19 +48,19 @@ class SensorRecord:
     measured : tuple of ndarray, shape (samples, channels)
         Accelerations of each run, m/s2; nan where a piece is missing.
     excitations : tuple of ndarray, shape (samples,)
-        Of each run, m/s2 or N; zeros where nobody measured it.
+        Excitation of each run, m/s2 or N; zeros if it was not measured.
     sampling_rate : float
         Hz.
     input : str
         "base", "force" or "none".
     force_floor : int, optional
-        Where a measured force acts.
+        Floor on which a measured force acts.
     remarks : tuple of str, optional
-        What was found wrong with the sensors.
+        Sensor faults that were found.
     late : ndarray, shape (channels, 2), optional
-        Delay (s) and its growth (s/s) that were taken out of each channel.
+        Delay (s) and its growth (s/s) that were removed from each channel.
     late_remarks : tuple of str, optional
-        What was said of it, for each channel.
+        Remark on this delay, for each channel.
     """
 
     channels: tuple[Channel, ...]
@@ -73,15 +74,15 @@ class SensorRecord:
     late_remarks: tuple[str, ...] = ()
 
     def set_right(self, stories: int) -> SensorRecord:
-        """Return the record without the faults that are sure, each said in a remark.
+        """Return the record without its certain faults; a remark reports each.
 
-        Reversed channels are turned round, units converted, delays taken out, dead channels and the pieces in which a
-        channel sticks left out. What is less sure is said.
+        Reversed channels are inverted, units converted and delays removed. Dead channels and the samples of stuck
+        channels are left out. Uncertain faults are only reported.
 
         Raises
         ------
         InputError
-            Where every channel is dead, or two on one floor contradict each other.
+            If every channel is dead, or two channels on one floor contradict each other.
         """
         order = np.argsort([each.floor for each in self.channels], kind="stable")
         whole = dataclasses.replace(
@@ -98,7 +99,7 @@ class SensorRecord:
         return whole._less(whole._findings(pieces, stories), pieces)
 
     def _pieces(self) -> list[tuple[int, slice]]:
-        """List the stretches in which every sensor recorded, each with the place of its run."""
+        """List the segments that every sensor recorded, each with the index of its run."""
         found = []
         for place, (values, excitation) in enumerate(zip(self.measured, self.excitations, strict=True)):
             there = np.isfinite(values).all(axis=1) & np.isfinite(excitation)
@@ -109,7 +110,7 @@ class SensorRecord:
         return found
 
     def _findings(self, pieces: Sequence[tuple[int, slice]], stories: int) -> list[Finding]:
-        """Look at the sensors as `cvxshear modes` does."""
+        """Check the sensors with the methods of `cvxshear modes`."""
         runs = tuple(
             Run(
                 self.measured[place][piece],
@@ -124,12 +125,12 @@ class SensorRecord:
         try:
             findings = identify_modes(record, accept_swapped=True).findings
         except (NoSolutionError, InputError):
-            # A motion whose modes cannot be found, a short one say, is judged without them.
+            # A motion without identifiable modes, such as a short one, is checked without modes.
             findings = examined(record).findings
         return [each for each in findings if each.kind in (*SAID, "spikes")]
 
     def _less(self, findings: Sequence[Finding], pieces: Sequence[tuple[int, slice]]) -> SensorRecord:
-        """Take out what was found for sure."""
+        """Correct the certain faults."""
         factors, late, out = np.ones(len(self.channels) + 1), np.zeros((len(self.channels) + 1, 2)), set()
         measured, said = [values.copy() for values in self.measured], list(self.remarks)
         of_clocks: dict[int, str] = {}
@@ -158,12 +159,12 @@ class SensorRecord:
             else:
                 said.append(message)
         kept = [column for column in range(len(self.channels)) if column not in out]
-        # An input that is late is every sensor that is early.
+        # A delayed input is equivalent to sensors that are all early.
         late = late[:-1] - late[-1]
         started = 0
         for values, spiked in zip(measured, spikes, strict=True):
             for column in np.flatnonzero(late.any(axis=1)):
-                # What is made of samples on both sides would carry a spike to all of them.
+                # Interpolation over the neighboring samples would spread a spike to all of them.
                 values[spiked[:, column], column] = np.nan
                 values[:, column] = earlier(values[:, column], late[column], self.sampling_rate, started)
             started += len(values)
@@ -178,17 +179,16 @@ class SensorRecord:
         )
 
     def _columns(self, names: Sequence[str | None]) -> list[int]:
-        """List the channels of these names, several sensors of a floor under one name among them; -1 is the input."""
+        """List the columns of the named channels; "a + b" names several sensors of a floor, and -1 is the input."""
         single = {part for name in names if name is not None for part in (name, *name.split(" + "))}
         found = [column for column, channel in enumerate(self.channels) if channel.name in single]
         return [*found, -1] if "input" in single and not found else found
 
     def by_floor(self) -> tuple[Ints, list[Floats], Floats, tuple[str, ...]]:
-        """Return the floors, ascending, their motions in each run, the delays taken out of them, and what was said.
+        """Return the floors (ascending), their motions in each run, the removed delays, and the remarks on them.
 
-        A motion is nan where a sample of one sensor is missing.
-
-        Sensors across the direction of test are left out; of several on a floor the motion of its center is taken.
+        A motion is nan if a sample of one of its sensors is missing. Sensors across the direction of the test are left
+        out. Several sensors on a floor give the motion of the floor's center.
         """
         cosines = np.cos(np.radians([each.direction or 0.0 for each in self.channels]))
         along = np.abs(cosines) >= np.cos(np.radians(ACROSS))
@@ -212,13 +212,13 @@ class SensorRecord:
 
 
 def earlier(values: Floats, late: Floats, rate: float, started: int) -> Floats:
-    """Move a channel of a run that begins so many samples after the first to where it would be without its delay."""
+    """Remove the delay of a channel; the run begins `started` samples after the first run's beginning."""
     time = (started + np.arange(len(values))) / rate
     return _moved(values, rate * (late[0] + late[1] * time))
 
 
 def _moved(values: Floats, samples: Floats) -> Floats:
-    """Return a channel at times so many samples later; nan where a sample that this needs is missing."""
+    """Interpolate a channel at times `samples` later; nan if a required sample is missing."""
     index, there = np.arange(len(values)), np.isfinite(values)
     if not there.any():
         return values

@@ -1,6 +1,6 @@
-"""The model of a prediction: what it needs of a fit, its JSON, and where it comes from.
+"""Model of a prediction: the required parts of a fit, their JSON, and their sources.
 
-That is a measurement, a record, a closed loop, or the JSON of one.
+A source is a measurement, a record, a closed loop, or the JSON of a closed loop.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Json
 
 NO_VARIANCE = 1e-12
-"""Eigenvalue of a correlation matrix, relative to the largest, below which it is rounding."""
+"""Largest eigenvalue of a correlation matrix, relative to its maximum, that counts as rounding."""
 
 IMPROBABLE = 0.01
-"""p-value of the fit's residual below which the modes speak against the model."""
+"""Largest p-value of the fit's residual for which the modes contradict the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +51,15 @@ class Fitted(InJson):
     experiment : Experiment
     effects : tuple of Placed
     theta : ndarray, shape (P,)
-        Floor masses (N), story stiffnesses (N), the effects' parameters.
+        Floor masses (N), story stiffnesses (N), parameters of the effects.
     covariance : ndarray, shape (P, P), optional
-        Of the part that the data determine; None where nothing tells the noise.
+        Covariance of the part that the data determine; None if the noise is unknown.
     undetermined : tuple of tuple of str
-        For each direction that the data leave open, the parameters that take part.
+        For each direction that the data do not determine, the parameters that take part.
     misfit : float, optional
-        Chi-square a degree of freedom where the modes speak against the model; 1 where they do not.
+        Chi-square per degree of freedom if the modes contradict the model; otherwise 1.
     lacking : float, optional
-        Largest error of a mode shape, of its largest entry, where the modes speak against the model; else 0.
+        Largest error of a mode shape, relative to its largest entry, if the modes contradict the model; otherwise 0.
     """
 
     experiment: Experiment
@@ -74,7 +74,7 @@ class Fitted(InJson):
 
     @staticmethod
     def of(estimate: Estimate) -> Fitted:
-        """Take over an estimate."""
+        """Return the fitted model of an estimate."""
         return Fitted(
             estimate.experiment,
             estimate.effects,
@@ -86,7 +86,7 @@ class Fitted(InJson):
 
     @staticmethod
     def of_identification(result: Identification) -> Fitted | None:
-        """Take over a joint identification; None for other methods, and where values were left open."""
+        """Return the fitted model of a joint identification; None for other methods and for undetermined values."""
         if not result.joint or result.correlation is None:
             return None
         frame = result.frame
@@ -99,11 +99,11 @@ class Fitted(InJson):
 
     @property
     def mass_known(self) -> bool:
-        """Whether the masses have a scale; not where a total of 1 kg stands for one that nobody gave."""
+        """Whether the mass scale is known; False if a total mass of 1 kg replaces an unknown one."""
         return not self.experiment.frame.total_mass_placeholder
 
     def label_in(self, configuration: Configuration) -> str:
-        """Name the model and its effects that act in this configuration."""
+        """Name the model with the effects that act in this configuration."""
         names = listed([placed.label for placed in self.effects if placed.acts_on(configuration)])
         if names:
             return f"shear model with {names}"
@@ -111,7 +111,7 @@ class Fitted(InJson):
 
     @cached_property
     def root(self) -> Floats:
-        """L with L L' = covariance, shape (P, r); of no columns where the covariance is unknown."""
+        """Factor L with L L' = covariance, shape (P, r); r is 0 if the covariance is unknown."""
         size = len(self.theta)
         if self.covariance is None:
             return np.zeros((size, 0))
@@ -123,7 +123,7 @@ class Fitted(InJson):
         return root
 
     def to_dict(self) -> Json:
-        """Parameters, covariance and effects; the experiment is written once for several models of it."""
+        """Return parameters, covariance and effects as JSON; `Models` writes the experiment once for both models."""
         effects = [{**placed.to_dict(), "fixed": list(placed.fixed)} for placed in self.effects]
         return super().to_dict() | {"effects": effects}
 
@@ -134,7 +134,7 @@ class Fitted(InJson):
         Raises
         ------
         InputError
-            Naming what is missing or of the wrong size.
+            If a key is missing or an array has the wrong size.
         """
         keys = ["effects", "theta", "covariance", "undetermined"]
         table = checks.keys(declared, [*keys, "misfit", "lacking"], keys, where)
@@ -152,14 +152,14 @@ class Fitted(InJson):
 
 
 def _misfit(estimate: Estimate) -> tuple[float, float]:
-    """Chi-square a degree of freedom and largest error of a shape where that is improbable, else 1 and 0."""
+    """Return chi-square per degree of freedom and the largest shape error if the fit is improbable, else 1 and 0."""
     if estimate.p_value is None or estimate.p_value > IMPROBABLE or not estimate.dof:
         return 1.0, 0.0
     return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 
 
 def _placed(item: object, where: str, experiment: Experiment) -> Placed:
-    """Read an effect at its place, its parameters those that it has there."""
+    """Read an effect and its place; at this place the effect gets its parameters."""
     table = checks.keys(item, ["name", "fixed", "floor", "to", "story", "configuration", "prior"], ["name"], where)
     known = {effect.name: effect for effect in (*catalogue(), *open_classes())}
     effect = known[checks.choice(table["name"], list(known), "effect")].bound(experiment)
@@ -177,12 +177,12 @@ def _placed(item: object, where: str, experiment: Experiment) -> Placed:
 
 @dataclass(frozen=True, eq=False)
 class Models(InJson):
-    """The model that closing the loop began with and the one that it ended with.
+    """The models before and after closing the loop.
 
     Parameters
     ----------
     before : Fitted or None
-        None where there is but one model.
+        None if there is only one model.
     after : Fitted
     """
 
@@ -190,7 +190,7 @@ class Models(InJson):
     after: Fitted
 
     def to_dict(self) -> Json:
-        """Return the documented JSON; null for what was not measured in a shape."""
+        """Return the documented JSON; null for shape entries that were not measured."""
         return dict(as_json(super().to_dict()))
 
     json_keys = "experiment=after.experiment name=after.experiment.name mass_known=after.mass_known before after"
@@ -209,7 +209,7 @@ class Models(InJson):
 
 
 def _with_nan(value: object) -> object:
-    """Put nan again where null stands for it in a list: what was not measured."""
+    """Replace null in lists by nan, for quantities that were not measured."""
     if isinstance(value, Mapping):
         return {key: _with_nan(each) for key, each in value.items()}
     if isinstance(value, list):
@@ -225,20 +225,20 @@ MotionSource = str | Path | Record | DrivenRecord
 
 
 def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Placed] = ()) -> Models:
-    """Return the models before and after closing the loop, which is closed here where it was not before.
+    """Return the models before and after closing the loop; close the loop first if the source is not a loop's result.
 
     Parameters
     ----------
     source : str, Path, Experiment, Closure, Estimate or Models
-        A file is a measurement file, a record file, or what `loop --json` wrote.
+        A file is a measurement file, a record file, or the output of `loop --json`.
     backend : Backend
     assume : sequence of str or Placed, optional
-        Effects that are in the model from the start, where the loop is closed here.
+        Effects that are in the model from the start of a loop that is closed here.
 
     Raises
     ------
     InputError
-        Where a file cannot be read or is none of these, or effects are assumed for a model that is already there.
+        If a file cannot be read or has another format, or if effects are assumed for a model that already exists.
     """
     if assume and (not isinstance(source, Experiment | str | Path) or Path(str(source)).suffix.lower() == ".json"):
         raise InputError("assume needs a measurement; for a model that is already there, give it to close_loop")
@@ -262,7 +262,7 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Plac
 
 
 def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Placed]) -> Models:
-    """Read the models of a measurement file, a record file, or what `loop --json` wrote."""
+    """Read the models of a measurement file, a record file, or the output of `loop --json`."""
     if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
     recorded = is_record_file(source)
@@ -272,14 +272,14 @@ def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Placed
 
 
 def load_unscaled(path: str | Path) -> Experiment:
-    """Read a measurement file that need not tell how heavy the frame is: a total of 1 kg stands in then."""
+    """Read a measurement file; if it has no mass scale, use a total mass of 1 kg."""
     try:
         return load(path)
     except NoScaleError:
         path = Path(path)
         declared = dict(with_modes_read(read_tables(path), path.parent))
         frame = declared.get("frame") or {}
-        # A remark of the result says it; doubts about masses that nobody wrote down would puzzle.
+        # A remark of the result reports the missing scale; warnings about the replaced masses would confuse the user.
         accepted = {*frame.get("accept", ()), "total_mass", "masses"}
         declared["frame"] = {
             **frame, "total_mass": 1.0, "total_mass_placeholder": True, "accept": sorted(accepted)
@@ -293,7 +293,7 @@ def models_of_loop(closure: Closure) -> Models:
 
 
 def _of_json(path: Path) -> Models:
-    """Read the models from what `loop --json` wrote."""
+    """Read the models from the output of `loop --json`."""
     declared = read_result(path)
     if not isinstance(declared.get("model"), dict):
         raise InputError(f"{path} has no key 'model'; write it anew by: cvxshear loop FILE --json {path}")
@@ -301,12 +301,12 @@ def _of_json(path: Path) -> Models:
 
 
 def motion_of(source: MotionSource) -> DrivenRecord:
-    """Read what drives the frame, from a record file or a record.
+    """Read the excitation of the frame from a record file or a record.
 
     Raises
     ------
     InputError
-        Where nothing says what drove the frame.
+        If the source does not describe the excitation.
     """
     if isinstance(source, DrivenRecord):
         return source
@@ -320,18 +320,18 @@ def motion_of(source: MotionSource) -> DrivenRecord:
 
 
 def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str | None = None) -> Configuration:
-    """Find the configuration that the frame was in while it moved.
+    """Find the configuration of the frame during the record.
 
     Parameters
     ----------
     name : str, optional
-        Of a configuration, or of a state: its configuration with the record's added mass then. Where none is given:
-        that of the record's state; without such, the only configuration, or the one with the record's added mass.
+        Name of a configuration or of a state; for a state, its configuration with the record's added mass. By default:
+        the record's state. If the record has none, the only configuration, or the one with the record's added mass.
 
     Raises
     ------
     InputError
-        Where there is no such configuration or state, or floors or added mass are of another frame.
+        If there is no such configuration or state, or if floors or added mass do not fit the frame.
     """
     driven = [record.force_floor] if isinstance(record, Recording) else [run.floor for run in record.runs]
     highest = max([*record.floors.tolist(), *driven])
@@ -366,7 +366,7 @@ def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str
 def state_remarks(
     experiment: Experiment, record: DrivenRecord | Recording, configuration: Configuration, *, named: bool
 ) -> list[str]:
-    """Say what was assumed of the state, as `state_of` found it, while the frame was recorded: nothing where named."""
+    """Report assumptions of `state_of` about the state of the frame; no assumption is needed if the user named it."""
     if record.state is not None and record.state != configuration.state:
         if named:
             return [f'the record is of state "{record.state}", the model that of "{configuration.state}", as asked']
@@ -383,12 +383,12 @@ def state_remarks(
 
 
 WORTH_A_WORD = 0.01
-"""Size of a line taken off, relative to the rms of its channel, from which on it is said: less moves no figure that
-anybody reads."""
+"""Least size of a removed line, relative to the rms of its channel, that is reported. A smaller line does not change
+printed figures."""
 
 
 def line_remarks(size: float, where: str) -> list[str]:
-    """Say how large the sensors' straight lines were, relative to the rms of some channel, if worth a word."""
+    """Report the size of the sensors' straight lines, relative to the rms of a channel, if it is large enough."""
     if size < WORTH_A_WORD:
         return []
     return [
@@ -398,7 +398,7 @@ def line_remarks(size: float, where: str) -> list[str]:
 
 
 def _unused(experiment: Experiment, added: Floats) -> str:
-    """Make a name for a state that was not tested, which no effect of a tested one acts on."""
+    """Make a name for a configuration that was not tested; no effect of a tested configuration acts on this name."""
     taken = {each.name for each in experiment.configurations}
     name = f"{added.sum():g} kg added" if np.any(added) else "nothing added"
     while name in taken:
