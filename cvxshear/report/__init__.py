@@ -1,1 +1,1 @@
-"""Results for people: tables on a terminal."""
+"""Present results: terminal tables, figures, HTML reports and files for other programs."""

@@ -1,4 +1,4 @@
-"""Results into files for other programs: the frame as matrices, a script or a spreadsheet; time series as columns."""
+"""Write files for other programs: the frame as matrices, a script or a spreadsheet; time series as columns."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -26,22 +26,22 @@ from cvxshear.util.writing import ending_of, write_file
 
 
 def write_model(path: str | Path, result: RecordPrediction) -> None:
-    """Write the final model of a prediction, in the state that was predicted.
+    """Write the final model of a prediction, in the predicted state.
 
     Parameters
     ----------
     path : str or Path
         Ending in .npz, .mat or .json: matrices, modes and state-space form by the names of
         `matrices`; .py: a script for OpenSeesPy; .xlsx: masses, stiffnesses, their standard
-        deviations, effects and residuals. A device is written JSON to.
+        deviations, effects and residuals. A device receives JSON.
     result : RecordPrediction
 
     Raises
     ------
     InputError
-        Where the ending is another, openpyxl is missing for .xlsx, or the file cannot be written.
+        If the ending is unknown, openpyxl is missing for .xlsx, or the file cannot be written.
     UnsuitableError
-        Where OpenSees cannot have such a frame.
+        If OpenSees cannot represent the frame.
     """
     write_file(path, MODEL_WRITERS[model_kind(path)](result))
 
@@ -84,7 +84,7 @@ def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
 
 
 def _std(fitted: Fitted) -> Floats:
-    """Return the standard deviations of all parameters; nan where unknown or open."""
+    """Return the standard deviations of all parameters; nan if unknown or undetermined."""
     if fitted.covariance is None:
         return np.full(len(fitted.theta), np.nan)
     return np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
@@ -123,7 +123,7 @@ def _residuals(result: RecordPrediction) -> Sheet:
 
 
 def _parts(fitted: Fitted) -> list[Deviation]:
-    """Describe what a fit leaves of each part of every datum."""
+    """Describe the residual of each part of every datum."""
     misfit = Misfit(fitted.experiment, fitted.effects)
     models = {id(model.state.tested): model for model in misfit.evaluate(fitted.theta, derivatives=False).models}
     return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
@@ -142,14 +142,14 @@ MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
 
 
 def matrices(damped: Damped) -> dict[str, Floats]:
-    """Everything that another program needs of a frame, SI units.
+    """Collect the matrices and modes of a frame for other programs, SI units.
 
     Returns
     -------
     dict of str to ndarray
         `M`, `C`, `K`, shape (N, N); `frequencies` (Hz), `damping_ratios`, shape (N,); `mode_shapes`, one row a
-        mode, mass-normalized; `story_dashpots`, `rayleigh`, `story_heights` where there are such; and the state-space
-        form `state_A`, `state_B`, `state_C`, `state_D`, of
+        mode, mass-normalized; `story_dashpots`, `rayleigh`, `story_heights` if they exist; and the state-space form
+        `state_A`, `state_B`, `state_C`, `state_D`:
 
             x' = A x + B w,   y = C x + D w
 
@@ -185,7 +185,7 @@ def state_space(model: DampedModel) -> dict[str, Floats]:
 def opensees_script(damped: Damped, title: str) -> str:
     """Write a script that makes the frame in OpenSeesPy, with its damping.
 
-    Any symmetric stiffness matrix is that of springs -K_ij between floors i and j and of sum_j K_ij to the ground.
+    Any symmetric stiffness matrix belongs to springs -K_ij between floors i and j and springs sum_j K_ij to the ground.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def opensees_script(damped: Damped, title: str) -> str:
     Raises
     ------
     UnsuitableError
-        Where the mass matrix is not diagonal: nodes have masses of their own only.
+        If the mass matrix is not diagonal: OpenSees has masses at nodes only.
     """
     M = damped.model.M
     if np.any(np.abs(M - np.diag(np.diag(M))) > 1e-12 * np.abs(M).max()):
@@ -216,11 +216,11 @@ def opensees_script(damped: Damped, title: str) -> str:
 
 
 def _links(matrix: Floats) -> list[tuple[int, int, float]]:
-    """Links between nodes, the ground being 0, whose matrix this is."""
+    """List the springs between nodes that give this stiffness matrix; node 0 is the ground."""
     n = len(matrix)
     ground = [(0, i + 1, float(matrix[i].sum())) for i in range(n)]
     between = [(i + 1, j + 1, float(-matrix[i, j])) for i in range(n) for j in range(i + 1, n)]
-    # Rounding of the row sums is no spring to the ground.
+    # A row sum that only rounding makes different from zero is not a spring to the ground.
     return [link for link in (*ground, *between) if abs(link[2]) > 1e-12 * np.abs(matrix).max()]
 
 
@@ -230,16 +230,16 @@ ACCELERATION, DISPLACEMENT, EXCITATION_FORCE = 12, 8, 13
 
 
 COLUMN_NAMES = {name: quantity.word.replace(" ", "_") for name, quantity in RESPONSES.items()}
-"""Names of the columns by quantity; those of floor or story 1 end in `_1`."""
+"""Names of the columns by quantity; the columns of floor or story 1 end in `_1`."""
 
 SERIES_UNITS = {"time": "s"} | {COLUMN_NAMES[name]: each.unit.replace("²", "2") for name, each in RESPONSES.items()}
-"""Units of the columns, which the header of a CSV file has in brackets; a drift ratio has none."""
+"""Units of the columns; the header of a CSV file shows them in brackets. A drift ratio has no unit."""
 
 Moved = RecordPrediction | Reconstruction
 
 
 def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
-    """List each run's excitation (m/s2 or N), its response, and the deviations that are known, by quantity."""
+    """List each run's excitation (m/s2 or N), its response, and the known standard deviations by quantity."""
     if isinstance(result, Reconstruction):
         return [(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
     return [
@@ -249,13 +249,13 @@ def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
 
 
 def series(result: Moved) -> dict[str, Floats]:
-    """Every quantity at every floor or story, a column each.
+    """Collect every quantity at every floor or story, one column each.
 
     Returns
     -------
     dict of str to ndarray, shape (samples,)
         `run` (from 1, several one after the other), `time` (s, from the start of each), `excitation` (m/s2 or N), then
-        those of `COLUMN_NAMES` that apply, each followed by its standard deviations (`drift_std_1`) where known.
+        the applicable columns of `COLUMN_NAMES`, each followed by its known standard deviations (`drift_std_1`).
     """
     runs = []
     for place, (excitation, response, std) in enumerate(_runs(result), 1):
@@ -281,13 +281,13 @@ def write_series(path: str | Path, result: Moved) -> None:
     Parameters
     ----------
     path : str or Path
-        Ending in .csv, .mat, .npz or .uff; a device is written CSV to.
+        Ending in .csv, .mat, .npz or .uff; a device receives CSV.
     result : RecordPrediction or Reconstruction
 
     Raises
     ------
     InputError
-        Where the ending is another, pyuff is missing for .uff, or the file cannot be written.
+        If the ending is unknown, pyuff is missing for .uff, or the file cannot be written.
     """
     write_file(path, SERIES_WRITERS[series_kind(path)](result))
 
@@ -318,7 +318,8 @@ def _driven(result: Moved) -> str:
 
 
 def _uff(result: Moved) -> bytes:
-    """Excitation, accelerations, displacements, drifts and story shears as data sets 58, a node a floor."""
+    """Write excitation, accelerations, displacements, drifts and story shears as data sets 58, one node for each
+    floor."""
     pyuff = load_pyuff()
     sets: list[Json] = []
     forced = _driven(result) == "force"

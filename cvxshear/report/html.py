@@ -1,4 +1,5 @@
-"""Reports of a closed loop, of a response and of modes: one HTML file each that stands by itself, figures inside."""
+"""Write reports of a closed loop, of a response and of modes; each report is one HTML file that contains its
+figures."""
 
 import base64
 import dataclasses
@@ -25,10 +26,10 @@ from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
 
 PHOTOGRAPHS = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}
-"""How the files of pictures begin that a page may hold, and what they are called there."""
+"""First bytes of the allowed picture files, and the name of each file type in a page."""
 
 LARGEST_PHOTOGRAPH = 20_000_000
-"""Bytes; a picture of a camera has fewer, and the page holds it whole."""
+"""Largest size of a photograph in bytes. Camera pictures are smaller, and the page contains the whole file."""
 
 
 def render(
@@ -45,20 +46,20 @@ def render(
     ----------
     result : Closure
     command : str
-        What makes this report again, as it was typed.
+        Command line that writes this report.
     comparison : Comparison, optional
-        Of the backends; made where not given.
+        Comparison of the backends. Default: a new comparison.
     units : Units, optional
-        In which quantities are shown.
+        Units of the quantities.
     prediction : RecordPrediction, optional
-        Of a record by the models of the loop; a section of its own.
+        Prediction of a record by the models of the loop, for a separate section.
     heading : Heading, optional
-        Title, client, author, date and photograph; those of the measurement file where not given.
+        Title, client, author, date and photograph; by default from the measurement file.
 
     Returns
     -------
     str
-        One page that refers to nothing outside itself.
+        One page without references to other files.
     """
     if comparison is None:
         comparison = compare_backends(result.experiment, repeats=1)
@@ -89,12 +90,12 @@ def render(
 
 
 def photograph_of(heading: Heading) -> str:
-    """Encode the photograph as an address that holds it; empty where there is none.
+    """Encode the photograph as a data URL; empty without a photograph.
 
     Raises
     ------
     InputError
-        Where it cannot be read, is larger than `LARGEST_PHOTOGRAPH`, or is no PNG or JPEG.
+        If the file cannot be read, is larger than `LARGEST_PHOTOGRAPH`, or is neither PNG nor JPEG.
     """
     if heading.photograph is None:
         return ""
@@ -115,13 +116,13 @@ def render_response(result: RecordPrediction | Reconstruction, command: str) -> 
 
 
 def _response_contents(result: RecordPrediction | Reconstruction) -> Json:
-    """Collect what the templates put on a page of a response, or into the section that a loop's report has of it."""
+    """Collect the values that the templates need for a page or a section about a response."""
     drawn = {name: {**each, "section": f"predicted-{each['section']}"} for name, each in drawings(result).items()}
     return {"prediction": describe(result), "prediction_json": readable_json(result.to_dict()), "figure": drawn}
 
 
 MOST_SHAPES = 4
-"""Mode shapes beside each other on the page; more go below."""
+"""Number of mode shapes in one row of the page; the next rows show more."""
 
 
 def render_modes(results: Sequence[ModalResult], command: str, failed: Sequence[str] = ()) -> str:
@@ -132,7 +133,7 @@ def render_modes(results: Sequence[ModalResult], command: str, failed: Sequence[
     results : sequence of ModalResult
     command : str
     failed : sequence of str, optional
-        Why other records are not in it.
+        Reasons why other records are missing.
     """
     page = environment().get_template("modal_report.html")
     return page.render(
@@ -158,13 +159,13 @@ def _record(result: ModalResult, place: int) -> Json:
 
 
 MOST_MODES = 6
-"""Modes of a configuration that are drawn in motion, from the lowest."""
+"""Number of modes of a configuration that are animated, from the lowest."""
 
 ROOF_HEIGHT, GROUND_HEIGHT = 12.0, 158.0
-"""Heights of the roof and of the ground in the drawing of a mode, from its top; the template has its other measures."""
+"""Vertical positions of the roof and the ground in the drawing of a mode, from its top, as in the template."""
 
 MovingShape = tuple[str, list[tuple[float, float]]]
-"""Label of a mode; its sway, the largest 1, and the height in the drawing, of the ground and of each floor."""
+"""Label of a mode, and for the ground and each floor the sway (largest value 1) and the height in the drawing."""
 
 
 def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:

@@ -1,4 +1,4 @@
-"""What every page of HTML shares: the templates, figures as drawings in a page, versions, JSON for readers."""
+"""Provide the common parts of all HTML pages: templates, figures as SVG, versions, readable JSON."""
 
 import json
 import platform
@@ -18,13 +18,13 @@ PACKAGES = (
     "numpy", "scipy", "qpsolvers", "clarabel", "cvxpy", "osqp", "scs", "highspy", "piqp", "proxsuite", "quadprog",
     "daqp",
 )  # fmt: skip
-"""Packages whose versions a report names: what computed its numbers."""
+"""Packages that may compute the numbers of a report; the report lists their versions."""
 
 
 @cache
 def environment() -> Environment:
     """Load the templates of the reports."""
-    # Escapes every text, whatever the template is called: names and priors come from files.
+    # Every text is escaped in every template: names and priors come from files.
     found = Environment(
         loader=PackageLoader("cvxshear.report", "templates"),
         autoescape=True,
@@ -38,20 +38,20 @@ def environment() -> Environment:
 
 
 def drawings(*results: Any) -> dict[str, Json]:
-    """Every figure of the table that can be drawn of these results, by name.
+    """Draw all figures that apply to these results, by name.
 
     Parameters
     ----------
     *results : object
-        All of one type; most figures show one.
+        Results of one type; most figures show one result.
 
     Returns
     -------
     dict of str to dict
         `name`, `title`, `caption`, `alternative` and `section` as in the table of figures; `wide`, the drawing as SVG;
-        `narrow`, the same for a telephone, None where the wide one is moved sideways there.
+        `narrow`, the drawing for a telephone, or None if the telephone scrolls the wide drawing.
     """
-    # Not above: a notebook shows tables where matplotlib is not installed.
+    # Imported here, because a notebook shows tables without matplotlib.
     from cvxshear.report.figures import style  # noqa: PLC0415
     from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415
 
@@ -69,12 +69,12 @@ def drawings(*results: Any) -> dict[str, Json]:
 
 
 def readable_json(value: object) -> str:
-    """JSON that a person can read."""
+    """Write indented JSON for readers."""
     return json_text(value, indent=1)
 
 
 def versions() -> Iterator[tuple[str, str]]:
-    """Names and versions of what computed the result."""
+    """Yield names and versions of the packages that computed the result."""
     yield "cvxshear", __version__
     yield "Python", platform.python_version()
     for name in PACKAGES:

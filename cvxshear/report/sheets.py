@@ -1,4 +1,4 @@
-"""Results as plain tables for spreadsheet programs."""
+"""Convert results to plain tables for spreadsheet programs."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -19,12 +19,12 @@ FRAME = ("floor / story", "floor mass, kg", "floor mass std, kg", "story stiffne
 
 
 def sheets_of_modes(results: Sequence[ModalResult]) -> list[Sheet]:
-    """One sheet a record, as `csv` and `xlsx` of a configuration read it."""
+    """Make one sheet for each record, in the format that `csv` and `xlsx` of a configuration read."""
     return [_modes(result) for result in results]
 
 
 def sheets_of_identification(result: Identification) -> list[Sheet]:
-    """Tabulate the identified frame, or frames, and the modes that it has beside those measured."""
+    """Tabulate the identified frames, and their modes beside the measured ones."""
     said = result.to_dict()
     parts = [("", said)] if result.joint else [(part["name"], part) for part in said["configurations"]]
     several = len(parts) > 1
@@ -50,12 +50,12 @@ def sheets_of_closure(result: Closure) -> list[Sheet]:
 
 
 def sheets_of_response(said: Json) -> list[Sheet]:
-    """Peaks of a prediction or a reconstruction with their deviations, a row a floor or story; then what stands alone.
+    """Tabulate the peaks of a prediction or reconstruction with their deviations by floor or story, then single values.
 
     Parameters
     ----------
     said : dict
-        The result's own JSON.
+        JSON of the result.
     """
     peaks = {name: values for name, values in said["peaks"].items() if isinstance(values, list)}
     header = ("floor / story", *map(_with_unit, peaks))
@@ -76,7 +76,7 @@ def sheets_of_response(said: Json) -> list[Sheet]:
 
 def _modes(result: ModalResult) -> Sheet:
     floors = result.floors.tolist()
-    # The unit says that the shapes carry the scale of the masses; without it the largest entry is 1.
+    # The unit marks mass-normalized shapes; other shapes have the largest entry 1.
     unit = ", 1/sqrt(kg)" if result.mass_normalized else ""
     largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
     scale = np.ones_like(largest) if result.mass_normalized else 1.0 / largest
@@ -102,7 +102,7 @@ def _frame_rows(frame: Json) -> Iterator[tuple[Cell, ...]]:
 
 
 def _frequencies(experiment: Experiment, predictions: Sequence[Json]) -> Sheet:
-    """Every measured frequency beside the model's."""
+    """Tabulate every measured frequency beside the model's."""
     rows: list[tuple[Cell, ...]] = []
     for item in predictions:
         configuration = next(each for each in experiment.configurations if each.name == item["configuration"])

@@ -1,4 +1,4 @@
-"""Descriptions of results arranged for a terminal, for plain text, and for a notebook."""
+"""Arrange descriptions of results for a terminal, for plain text, and for a notebook."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from cvxshear.util.quantities import AUTOMATIC, Units
 from cvxshear.util.text import printable
 
 COLUMN_GAP = 2
-"""Spaces between columns."""
+"""Number of spaces between columns."""
 
 NARROWEST = 18
-"""What a column of words keeps of its width at least, where it has as much."""
+"""Smallest width of a wrapped column of words, in characters."""
 
 
 @dataclass(frozen=True)
 class HouseTable:
-    """A table without a box; where the terminal is too narrow for it, its columns go below each other in blocks.
+    """A table without a box; on a narrow terminal its columns are split into blocks below each other.
 
-    Columns of words may be wrapped, those of numbers not.
+    Columns of words may be wrapped; columns of numbers are not.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class HouseTable:
             yield self._grid({at: columns[at] for at in block}, least, options.max_width)
 
     def _blocks(self, least: Sequence[int], width: int) -> Iterator[list[int]]:
-        """Yield all columns, or as many as there is room for, each time with the leading words before them."""
+        """Split the columns into blocks that fit the width; each block starts with the leading columns of words."""
         lead = list(takewhile(lambda at: at in self.found.words, range(len(least))))
         block = list(lead)
         for at in range(len(lead), len(least)):
@@ -72,9 +72,10 @@ class HouseTable:
         yield block
 
     def _grid(self, columns: Mapping[int, Sequence[str]], least: Sequence[int], width: int) -> Grid:
-        """Lay out some of the columns, the numbers never narrower than they are."""
-        # Where the headers have to be wrapped, rich makes all columns alike, whatever their least width, and cuts what
-        # then is too wide: so the columns of numbers are given theirs, and the words have the rest.
+        """Lay out some of the columns; columns of numbers keep their full width."""
+        # If rich must wrap headers, it ignores least widths, makes all columns equal and cuts wide cells. The columns
+        # of
+        # numbers therefore get a fixed width, and the columns of words get the rest.
         tight = sum(max(map(cell_len, cells)) + COLUMN_GAP for cells in columns.values()) > width + COLUMN_GAP
         grid = Grid(box=None, pad_edge=False, padding=(0, COLUMN_GAP, 0, 0))
         for at, (head, *_) in columns.items():
@@ -87,7 +88,7 @@ class HouseTable:
 
 
 def _least(column: Sequence[str], wraps: bool) -> int:
-    """Measure the width that a column needs: its longest cell, and the longest word of its header."""
+    """Measure the least width of a column: its longest cell, and the longest word of its header."""
     cells = max(map(cell_len, column[1:]), default=0)
     header = max(map(cell_len, column[0].split()), default=0)
     return max(min(cells, NARROWEST), header) if wraps else max(cells, header)
@@ -96,25 +97,25 @@ def _least(column: Sequence[str], wraps: bool) -> int:
 def plain_table(
     title: str, *columns: str, words: tuple[int, ...] = (0,), rows: Iterable[Sequence[str]] = ()
 ) -> HouseTable:
-    """Lay out a table in the house style: words to the left, numbers to the right, no box around."""
+    """Lay out a table in the house style: words to the left, numbers to the right, no box."""
     return HouseTable(Table("", title, columns, plain_rows(rows), words))
 
 
 STYLES = {"strong": "bold", "warning": "yellow", "mistake": "bold red", "": ""}
 
 PAGE = 80
-"""Columns of plain text."""
+"""Width of plain text in characters."""
 
 
 def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
-    """Render a result for a terminal: its headline, and every section but those of a full report.
+    """Render a result for a terminal: its headline and the sections of the short report.
 
     Parameters
     ----------
     result : object
-        Of a type that `describe` knows.
+        Result of a type that `describe` supports.
     units : Units, optional
-        In which quantities are shown.
+        Units of the quantities.
     """
     document = describe(result, units)
     yield Text(printable(document.headline), style="bold")
@@ -135,7 +136,7 @@ def identification(
 
 
 def doubts(found: Sequence[FileFinding]) -> Iterator[RenderableType]:
-    """Doubts above a result that was computed all the same."""
+    """Render the warnings of a computed result."""
     yield from _section(doubts_section(found))
 
 
@@ -150,7 +151,7 @@ def damping(found: IdentifiedDamping) -> Iterator[RenderableType]:
 
 
 def listed_backends(listed: Sequence[Solver]) -> Iterator[RenderableType]:
-    """Which backends are installed, with the version of their solver, and how to get the others."""
+    """Tabulate the installed backends with the version of their solver, and the way to install the others."""
     there = [(x.name, x.package or "this library", x.version or "–", x.through or "–") for x in listed if x.installed]
     yield plain_table("installed", "backend", "solver", "version", "called by", rows=there)
     if missing := [(each.name, each.how_to_get) for each in listed if not each.installed]:
@@ -159,7 +160,7 @@ def listed_backends(listed: Sequence[Solver]) -> Iterator[RenderableType]:
 
 
 def catalogued() -> Iterator[RenderableType]:
-    """Tabulate the effects that are looked for, the kinds of data with their noise, and the verdicts."""
+    """Tabulate the catalogue of effects, the kinds of data with their noise, and the verdicts."""
     yield plain_table("Effects", "name", "what it is", words=(0, 1), rows=((x.name, x.summary) for x in catalogue()))
     kinds = []
     for kind in noise_kinds().values():
@@ -175,7 +176,7 @@ def catalogued() -> Iterator[RenderableType]:
 
 def text(result: object, width: int = PAGE) -> str:
     """Write a result as plain text, folded to a width."""
-    # A console that finds itself in a notebook would show an empty block of its own there.
+    # A rich console in a notebook would display an additional empty block.
     console = Console(
         file=io.StringIO(), width=width, color_system=None, highlight=False, markup=False, emoji=False,
         force_jupyter=False,
@@ -207,7 +208,7 @@ def _part(part: Sentence | Points | Facts | Table) -> RenderableType:
 
 
 def _grid(pairs: Iterator[tuple[str, str]] | list[tuple[str, str]] | tuple[tuple[str, str], ...], gap: int) -> Grid:
-    """Names, or marks, with texts beside them that hang where they are wrapped."""
+    """Lay out names or marks and their texts in two columns; wrapped texts stay in their column."""
     grid = Grid.grid(padding=(0, gap, 0, 0))
     grid.add_column(no_wrap=True)
     grid.add_column()
@@ -229,18 +230,18 @@ def line_of(result: object) -> str:
 
 
 FIRST_SECTION = "verdict"
-"""Section of a description whose figures a notebook shows with the tables."""
+"""Key of the section that a notebook illustrates with its figures."""
 
 
 def notebook_html(result: object) -> str:
-    """Write a result as a piece of HTML: its tables, and above them the picture of its verdict where it has one."""
+    """Write a result as a piece of HTML: the figure of its verdict, if any, and its tables."""
     from cvxshear.report.pages import environment  # noqa: PLC0415 - jinja2 is loaded where a page is made
 
     return environment().get_template("notebook.html").render(document=describe(result), pictures=_pictures(result))
 
 
 def _pictures(result: object) -> list[tuple[str, str]]:
-    """Draw a result's pictures, each with what it shows, as PNG: ids of several SVGs in a notebook would clash."""
+    """Draw a result's figures as PNG with their alternative texts: ids of several SVGs in a notebook would clash."""
     from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415 - loads matplotlib
     from cvxshear.report.figures.style import encoded  # noqa: PLC0415
 
@@ -252,7 +253,7 @@ def _pictures(result: object) -> list[tuple[str, str]]:
 
 
 def drawn(result: Any, name: str) -> Any:
-    """Draw a figure of a result by its name, the first one where it is empty."""
+    """Draw a figure of a result by its name; an empty name draws the first figure."""
     from cvxshear.report import figures  # noqa: PLC0415 - loads matplotlib
 
     first = next(iter(figures.figures_of(type(result))), "")
@@ -260,7 +261,7 @@ def drawn(result: Any, name: str) -> Any:
 
 
 def picked(result: Any, record_file: Any) -> Any:
-    """Open the diagram of modes in which poles are chosen by clicking."""
+    """Open the stabilization diagram, in which a click chooses a pole."""
     from cvxshear.report.figures import picked_poles  # noqa: PLC0415 - loads matplotlib
 
     return picked_poles.opened(result, record_file)

@@ -1,1 +1,1 @@
-"""What anything may use: errors, checks, quantities and units, text, writing, parallel. It knows nothing of frames."""
+"""Tools for every module: errors, checks, quantities and units, text, writing, parallel; independent of frames."""

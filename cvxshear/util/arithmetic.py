@@ -1,4 +1,4 @@
-"""The library's own floating-point settings, whatever those of the caller are."""
+"""Floating-point settings of the library, independent of the caller's settings."""
 
 from collections.abc import Callable
 from functools import wraps

@@ -1,7 +1,7 @@
-"""Checks of values that come from outside, each with a message that says what would be right.
+"""Check values that come from outside; each error message states what is allowed.
 
-Every function takes the value, and the place it was found as a person would name it, and returns the
-value in the type that the library works with, or raises `InputError`.
+Every function takes a value and the name of its place, as the message shows it. The function returns the value in
+the type that the library works with, or raises `InputError`.
 """
 
 import difflib
@@ -20,13 +20,13 @@ from cvxshear.util.typing import Floats, Ints
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 MOST_STORIES = 2000
-"""Largest number of stories; more are taken for a mistake, since the matrices alone would fill the memory."""
+"""Largest number of stories. A larger number is refused as a mistake: its matrices would fill the memory."""
 
 LARGEST = 1e30
-"""Largest size of a quantity in SI units: none of a structure is larger, and its square does not overflow."""
+"""Largest size of a quantity in SI units. Every structure stays below this size, and its square does not overflow."""
 
 SMALLEST = 1e-30
-"""Smallest positive quantity in SI units: none of a structure is smaller, and its square does not vanish."""
+"""Smallest positive quantity in SI units. Every structure stays above it, and its square does not underflow."""
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxdict = 3, 6, 6, 3
@@ -34,7 +34,7 @@ _short.maxstring = _short.maxlong = _short.maxother = 60
 
 
 def shown(value: object) -> str:
-    """`value` as an error message shows it: its repr, cut to a readable length."""
+    """Return `value` as an error message shows it: its repr, cut to a readable length."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     try:
@@ -47,7 +47,7 @@ def shown(value: object) -> str:
 
 @contextmanager
 def named(where: str) -> Iterator[None]:
-    """Begin the message of an error inside with where it was found."""
+    """Put the place before the message of each `InputError` raised inside."""
     try:
         yield
     except InputError as error:
@@ -55,18 +55,18 @@ def named(where: str) -> Iterator[None]:
 
 
 def put(target: object, name: str, check: Callable[..., object], where: str, **limits: object) -> None:
-    """Check a field of a frozen dataclass, and put what the check returns in its place; a default of None stays.
+    """Check a field of a frozen dataclass and store the checked value; a default of None stays.
 
     Parameters
     ----------
     target : dataclass
     name : str
-        Of the field.
+        Name of the field.
     check : callable
         One of the functions below.
     where : str
     **limits
-        Handed to the check.
+        Options of the check.
     """
     value = getattr(target, name)
     if value is not None or getattr(type(target), name, ...) is not None:
@@ -81,9 +81,9 @@ def keys(
     *,
     elsewhere: Mapping[str, str] | None = None,
 ) -> Mapping[str, Any]:
-    """Return the table itself, once no key is unknown and none is missing.
+    """Return the table after a check that each key is known and no required key is missing.
 
-    `elsewhere` names, for keys that another table has, that table: a key below the wrong header is the most
+    `elsewhere` maps keys of other tables to the names of these tables: a key below the wrong header is the most
     common slip in TOML.
     """
     if not isinstance(table, Mapping):
@@ -98,7 +98,7 @@ def keys(
 
 
 def tables(declared: Mapping[str, object], key: str) -> list[tuple[int, object]]:
-    """Return what stands below the headers `[[key]]`, each with its number."""
+    """Return the tables below the headers `[[key]]`, each with its number, which starts at 1."""
     value = declared.get(key)
     if value is None:
         return []
@@ -110,14 +110,14 @@ def tables(declared: Mapping[str, object], key: str) -> list[tuple[int, object]]
 
 
 def _hint(key: object, known: Collection[str], elsewhere: Mapping[str, str]) -> str:
-    """Say what to do about a key that nothing knows."""
+    """Suggest a correction for an unknown key."""
     if isinstance(key, str) and key in elsewhere:
         return f"it belongs in {elsewhere[key]}"
     return near(key, known, 0.5).removeprefix("; ") or f"known keys are {', '.join(sorted(known))}"
 
 
 def near(word: object, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """Guess which of the known names was meant, as the end of a message; empty where none is near."""
+    """Suggest the nearest known name, as the end of a message; empty if no name is near."""
     found = difflib.get_close_matches(str(word)[:60].lower(), list(known), n=1, cutoff=cutoff)
     return f"; did you mean {found[0]!r}?" if found else ""
 
@@ -170,7 +170,7 @@ def text(value: object, where: str) -> str:
 
 
 def choice(value: object, options: Sequence[str], where: str) -> str:
-    """One of the named options."""
+    """Check a text that must be one of the options."""
     if not isinstance(value, str) or value not in options:
         hint = near(value, options) if isinstance(value, str) else ""
         raise InputError(f"{where} must be one of {', '.join(options)}, not {shown(value)}{hint}")
@@ -178,7 +178,7 @@ def choice(value: object, options: Sequence[str], where: str) -> str:
 
 
 def _clean(value: object, axes: int, *, above: float, least: float, nan: bool) -> bool:
-    """Whether the value is an array of floats that all pass `number`: what is right needs no look entry by entry."""
+    """Return whether the value is an array of floats that all pass `number`, and needs no check entry by entry."""
     if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
         return False
     if value.dtype != np.float64 or value.ndim != axes or not value.size:
@@ -208,9 +208,9 @@ def vector(
     least: float = -math.inf,
     nan: bool = False,
 ) -> Floats:
-    """Check a list of numbers and return it as a read-only array; entries may be nan only where `nan` says so.
+    """Check a list of numbers and return it as a read-only array; entries may be nan only if `nan` is true.
 
-    `each` says what the entries stand for, for the message about a wrong `length`: ", one a mode".
+    `each` describes the entries in the message about a wrong `length`: ", one a mode".
     """
     if isinstance(value, np.ndarray) and _clean(value, 1, above=above, least=least, nan=nan) and length in (
         None, len(value),
@@ -231,7 +231,7 @@ def vector(
 
 
 def entries(count: int) -> str:
-    """Write a count as a message says it: 1 entry, 2 entries."""
+    """Write a count for a message: 1 entry, 2 entries."""
     return f"{count} {'entry' if count == 1 else 'entries'}"
 
 
@@ -244,7 +244,7 @@ class ReadOnlyArrays:
 
 
 def many(value: object) -> bool:
-    """Whether the value is a list or the like, and not a single one."""
+    """Return whether the value is a list, a tuple or an array with at least one axis."""
     return isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0)
 
 
@@ -252,14 +252,14 @@ def one_or_many(
     value: object, where: str, length: int, *, each: str = "", above: float = -math.inf, least: float = -math.inf,
     nan: bool = False,
 ) -> Floats:  # fmt: skip
-    """One number for all `length` places, or a list of that many; nan in a list only where `nan` says so."""
+    """Check one number for all places, or a list of `length` numbers; the list may hold nan if `nan` is true."""
     if many(value):
         return vector(value, where, length=length, each=each, above=above, least=least, nan=nan)
     return frozen(np.full(length, number(value, where, above=above, least=least)))
 
 
 def ascending_whole(value: object, where: str, *, most: int) -> Ints:
-    """Check a list of whole numbers from 1 to `most`, ascending, none twice."""
+    """Check a list of whole numbers from 1 to `most` that strictly ascend."""
     items = _items(value, where, "whole numbers")
     if not items:
         raise InputError(f"{where} must not be empty")
@@ -290,7 +290,7 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
 
 
 def real(value: object, where: str) -> Floats:
-    """Check what somebody else's code returned: an array of real numbers, of any shape, not all of them finite."""
+    """Check the result of a user's function: an array of real numbers of any shape; nan and infinity pass."""
     try:
         array = np.asarray(value)
     except ValueError:

@@ -1,8 +1,7 @@
 """The exceptions that cvxshear raises.
 
-Every one derives from `CvxshearError`, so a caller can catch them all at once. `InputError` means that
-the caller can mend it by changing what was handed in; `NoSolutionError` means that the input was sound
-and a solver did not deliver.
+Every exception derives from `CvxshearError`, so a caller can catch them all at once. `InputError` means that the
+caller must change the input. `NoSolutionError` means that the input was valid and a solver failed.
 """
 
 from __future__ import annotations
@@ -14,22 +13,22 @@ from cvxshear.util.text import printable
 
 
 class CvxshearError(Exception):
-    """Base of every exception raised by cvxshear; names of a file stand in its message as `printable` shows them."""
+    """Base of every exception raised by cvxshear; its message passes through `printable`."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(str(message)))
 
 
 class InputError(CvxshearError, ValueError):
-    """A measurement, an option or a prior is wrong; the message says what would be right."""
+    """A measurement, an option or a prior is wrong; the message states what is allowed."""
 
 
 class NoScaleError(InputError):
-    """Nothing tells how heavy the frame is; accelerations under base motion need not know."""
+    """The data do not fix the mass scale of the frame; accelerations under base motion do not need the scale."""
 
 
 class InfeasibleError(InputError):
-    """The declared constraints contradict each other; the message names a smallest set that does."""
+    """The declared constraints contradict each other; the message names a smallest contradictory set."""
 
 
 class UnsuitableError(InputError):
@@ -45,18 +44,18 @@ class FaultyEffectError(NoModesError):
 
 
 class LostProcessError(CvxshearError, RuntimeError):
-    """A process that worked for this one was ended from outside; the same call may well succeed again."""
+    """A worker process was killed from outside; the same call may succeed if repeated."""
 
 
 class NoSolutionError(CvxshearError, RuntimeError):
-    """A backend found no solution, or one whose certificate is not good enough.
+    """A backend found no solution, or its solution failed the certificate.
 
     Parameters
     ----------
     backend : str
         Registered name of the backend.
     reason : str
-        What the backend said, or which residual of the certificate is too large.
+        Message of the backend, or the residual of the certificate that is too large.
     """
 
     def __init__(self, backend: str, reason: str) -> None:
@@ -65,7 +64,7 @@ class NoSolutionError(CvxshearError, RuntimeError):
         self.reason = reason
 
     def __reduce__(self) -> tuple[type[NoSolutionError], tuple[str, str]]:
-        """Errors come back from other processes, where they are made again from both words."""
+        """Pickle the error by its two arguments, so that it can return from another process."""
         return type(self), (self.backend, self.reason)
 
 
@@ -76,12 +75,12 @@ def optional(module: str, needs: str) -> Any:
     ----------
     module : str
     needs : str
-        What needs it, as the message begins: "workbooks need".
+        Beginning of the message, such as "workbooks need".
 
     Raises
     ------
     InputError
-        Saying what to install.
+        If the package is not installed; the message names the package to install.
     """
     try:
         return importlib.import_module(module)

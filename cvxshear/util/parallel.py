@@ -1,10 +1,10 @@
-"""The same work on many things: one process, several, or a cluster.
+"""Apply one function to many items: in one process, in several, or on a cluster.
 
-joblib runs it. Inside `with joblib.parallel_config(backend="dask")`, with a `dask.distributed.Client` open, the same
-calls run on that cluster (the extra `dask`); a worker that is lost has its tasks done again by the others, since
-every task is a pure function of what it is handed.
+joblib runs the work. Inside `with joblib.parallel_config(backend="dask")`, with a `dask.distributed.Client` open, the
+same calls run on that cluster (the extra `dask`). If the cluster loses a worker, other workers repeat its tasks: every
+task is a pure function of its arguments.
 
-No process outlives the one that started it, however that ends: each looks after its parent.
+Every worker process watches its parent and ends soon after the parent has ended.
 """
 
 import importlib
@@ -32,36 +32,36 @@ Done = TypeVar("Done")
 
 MOST_JOBS = 4096
 TASKS_A_JOB = 8
-"""Chunks that each process gets: enough that none waits long for the last, few enough to send."""
+"""Number of chunks for each process: enough to balance the load, and few enough to keep the transfer cheap."""
 
 GLANCE = 0.5
-"""s between two looks of a process after its parent: well below the two seconds after which it must have ended."""
+"""Time in s between two checks of a worker for its parent. A worker must end within two seconds of its parent."""
 
 Progress = Callable[[int, int], None]
-"""Function that is called with the number of things done and to do."""
+"""Function that is called with the number of finished items and the number of all items."""
 
 
 def each(
     function: Callable[[Item], Done], items: Iterable[Item], *, jobs: int = 1, progress: Progress | None = None
 ) -> list[Done]:
-    """function(item) for every item, in their order.
+    """Return function(item) for every item, in the order of the items.
 
     Parameters
     ----------
     function : callable
-        Picklable where `jobs` is not 1: a function of a module, or a `functools.partial` of one.
+        If `jobs` is not 1, the function must be picklable: a function of a module, or a `functools.partial` of one.
     items : iterable
     jobs : int, optional
-        Processes; 1 stays in this one, -1 takes every core. On a Dask cluster, -1 takes every worker.
+        Number of processes; 1 uses this process alone, -1 every core. On a Dask cluster, -1 uses every worker.
     progress : callable, optional
         Called after every chunk.
 
     Raises
     ------
     LostProcessError
-        Where a process was killed.
+        If a process was killed.
     Exception
-        What `function` raises.
+        Any exception that `function` raises.
     """
     todo = list(items)
     if jobs != -1:
@@ -72,7 +72,7 @@ def each(
     parts: Any = ()
     try:
         with nullcontext() if jobs == 1 else _interruption_held():
-            # In the order of the chunks, as they become ready.
+            # joblib yields the results in the order of the chunks, while later chunks still run.
             parts = Parallel(n_jobs=jobs, return_as="generator", **options)(
                 delayed(_done)(function, chunk) for chunk in chunks
             )
@@ -95,7 +95,7 @@ def each(
 
 
 def _let_managers_end_in_silence() -> None:
-    """Print no traceback of loky's managing thread: it may still look for a task that was given up."""
+    """Print no traceback of loky's managing thread, which may still look for a cancelled task."""
     hook = threading.excepthook
 
     def said(args: Any) -> None:
@@ -106,7 +106,7 @@ def _let_managers_end_in_silence() -> None:
 
 
 def _drop(parts: Any) -> None:
-    """Cancel what is still under way. joblib warns of tasks that were begun for nothing: whoever stopped knows."""
+    """Cancel the unfinished tasks, and silence joblib's warning about cancelled tasks."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         if hasattr(parts, "close"):
@@ -114,7 +114,7 @@ def _drop(parts: Any) -> None:
 
 
 def _chunks(items: Sequence[Item], jobs: int, *, seen: bool) -> list[Sequence[Item]]:
-    """Consecutive parts of the items."""
+    """Split the items into consecutive chunks."""
     processes = cpu_count() if jobs == -1 else jobs
     alone = 100 if seen else 1
     count = alone if jobs == 1 else TASKS_A_JOB * processes
@@ -123,18 +123,18 @@ def _chunks(items: Sequence[Item], jobs: int, *, seen: bool) -> list[Sequence[It
 
 
 def _done(function: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
-    # The matrices are small: threads inside a process among several would only get in each other's way.
+    # The matrices are small. Threads inside one of several processes would compete for the same cores.
     with threadpool_limits(1):
         return [function(item) for item in items]
 
 
 def end_with(parent: int) -> None:
-    """End this process soon after its parent, whatever ends that, and whatever this one is doing.
+    """End this process soon after its parent has ended for any reason.
 
     Parameters
     ----------
     parent : int
-        The parent's number. Whoever loses its parent gets another one.
+        Process number of the parent. A process whose parent has ended gets another parent number.
     """
 
     def watch() -> None:
@@ -147,11 +147,11 @@ def end_with(parent: int) -> None:
 
 @contextmanager
 def _interruption_held() -> Iterator[None]:
-    """Let Ctrl-C wait while processes are started: they inherit that it is none of theirs, and print no traceback."""
+    """Block Ctrl-C while workers start: they inherit the blocked signal and print no traceback."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # What counts the shared memory of processes is started with the first of them, and lets Ctrl-C in once it is.
+    # The trackers of shared memory start with the first worker, and their start unblocks Ctrl-C. Start them before.
     for tracker in ("multiprocessing.resource_tracker", "joblib.externals.loky.backend.resource_tracker"):
         importlib.import_module(tracker).ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])

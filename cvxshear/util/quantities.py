@@ -1,4 +1,4 @@
-"""How numbers and quantities are written for people."""
+"""Write numbers and quantities for people."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ DISPLAY_UNITS = {
     "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "GN": 1e9},
     "length": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
 }
-"""What a unit is in kg, N or m."""
+"""Size of each display unit in kg, N or m."""
 
 SURE = 0.95
 """Probability of a certain conclusion, the usual level of confidence."""
 
 STANDARD_GRAVITY = 9.80665
-"""m/s2, by definition (CGPM 1901): what a sensor's "g" is."""
+"""Standard gravity in m/s2, by definition (CGPM 1901): the "g" of sensors."""
 
 IN_SI = {
     "acceleration": {
@@ -34,24 +34,25 @@ IN_SI = {
     "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
 }  # fmt: skip
 CHANNEL_UNITS = {unit: (kind, size) for kind, units in IN_SI.items() for unit, size in units.items()}
-"""Units of a channel: what is measured in it, and its size in m/s2, m/s, m or N (SI, international foot and pound)."""
+"""Units of a channel: the measured quantity and the unit's size in m/s2, m/s, m or N (SI, international foot and
+pound)."""
 
 TONNES = 1e4
-"""Mass from which masses are written in tonnes, kg."""
+"""Smallest mass in kg that is written in tonnes."""
 
 PLAIN = (1e-4, 1e6)
-"""Sizes from which and up to which a number is written without a power of ten."""
+"""Range of sizes that are written without a power of ten."""
 
 MOST_DECIMALS = 6
 
 LEAST_PER_FORCE = 0.1
-"""What a flexibility is at least where a larger unit of force makes it so."""
+"""Smallest displayed value of a flexibility; a larger unit of force raises a smaller value above this."""
 
 LONG_ROW = 4
-"""Numbers in a row from which on the first and the last are enough."""
+"""Smallest count of consecutive numbers that is written as "first to last"."""
 
 NEGLIGIBLE_STD = 1e-9
-"""Relative standard deviation of which nobody needs to know."""
+"""Largest relative standard deviation that is not shown."""
 
 NORMAL_95 = 1.959963984540054
 """Half width of the interval that holds 95 % of a normal distribution, in standard deviations."""
@@ -61,15 +62,15 @@ UNKNOWN = "not determined"
 
 @dataclass(frozen=True)
 class Units:
-    """Units in which quantities are shown; None for whatever fits their size.
+    """Units for display; None chooses a unit by the size of the values.
 
     Parameters
     ----------
     mass, force, length : str or None
-        Of `DISPLAY_UNITS`. A stiffness has the unit force / length.
+        One of `DISPLAY_UNITS`. A stiffness has the unit force / length.
     relative : bool, optional
-        Whether a total mass of 1 stands for one that nobody gave; masses are then shown as parts of it, stiffnesses
-        per mass.
+        Whether the total mass is unknown and set to 1. Masses are then shown as fractions of the total, and stiffnesses
+        per total mass.
     """
 
     mass: str | None = None
@@ -84,7 +85,7 @@ class Units:
         Raises
         ------
         InputError
-            Where one is none of `DISPLAY_UNITS`, or two are of one quantity.
+            If a unit is not in `DISPLAY_UNITS`, or two units belong to one quantity.
         """
         found: dict[str, Any] = {}
         for name in [] if text is None else [part.strip() for part in text.split(",") if part.strip()]:
@@ -98,13 +99,13 @@ class Units:
         return Units(**found)
 
     def of_mass(self, values: Iterable[float]) -> tuple[float, str]:
-        """kg in the unit that masses are shown in, and its name."""
+        """Return the size of the display unit of masses in kg, and its name."""
         if self.relative:
             return 1.0, "of the total"
         return fitting(values, "kg") if self.mass is None else (DISPLAY_UNITS["mass"][self.mass], self.mass)
 
     def of_stiffness(self, values: Iterable[float]) -> tuple[float, str]:
-        """N/m in the unit that stiffnesses are shown in, and its name."""
+        """Return the size of the display unit of stiffnesses in N/m, and its name."""
         if self.relative:
             return 1.0, "1/s² per total mass"
         if self.force is None and self.length is None:
@@ -121,12 +122,12 @@ AUTOMATIC = Units()
 
 
 def exponential(value: float, digits: int = 2) -> str:
-    """Write a number as a power of ten, with so many significant digits; nothing at all is 0."""
+    """Write a number as a power of ten with `digits` significant digits; zero is written as 0."""
     return "0" if value == 0 else f"{value:.{digits - 1}e}"
 
 
 def significant(value: float | None, digits: int = 4) -> str:
-    """Write a number with so many significant digits; a dash for none."""
+    """Write a number with `digits` significant digits; None and nan become a dash."""
     if value is None or math.isnan(value):
         return "–"
     if value == 0:
@@ -139,7 +140,7 @@ def significant(value: float | None, digits: int = 4) -> str:
 
 
 def significants(values: Sequence[float | None], digits: int = 4) -> list[str]:
-    """Numbers in one format, with so many significant digits of the largest."""
+    """Write numbers in one format, with `digits` significant digits of the largest."""
     sizes = [abs(value) for value in values if value is not None and math.isfinite(value)]
     largest = max(sizes, default=0.0)
     if not PLAIN[0] <= largest < PLAIN[1]:
@@ -149,7 +150,7 @@ def significants(values: Sequence[float | None], digits: int = 4) -> list[str]:
 
 
 def percent(value: float | None, digits: int = 2) -> str:
-    """Write a ratio as percent; what is smaller than the digits can tell, but not nothing, is said to be so."""
+    """Write a ratio as percent; a value too small for the digits, but not zero, becomes "< 0.01 %"."""
     if value is None or math.isnan(value):
         return "–"
     least = 10.0**-digits
@@ -159,13 +160,13 @@ def percent(value: float | None, digits: int = 2) -> str:
 
 
 def signed(value: float, decimals: int) -> str:
-    """Write a number with its sign, and without one where it is written as nothing."""
+    """Write a number with its sign; a number that rounds to zero has no sign."""
     shown = f"{value:+.{decimals}f}"
     return shown[1:] if not shown.strip("+-0.") else shown
 
 
 def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]:
-    """Ratios as percent in one format, with decimals enough for two digits of the largest."""
+    """Write ratios as percent in one format, with at least two significant digits of the largest."""
     sizes = [abs(100 * value) for value in values if value is not None and math.isfinite(value)]
     largest = max(sizes, default=0.0)
     digits = 2 if largest == 0 else min(max(2, 1 - math.floor(math.log10(largest))), MOST_DECIMALS)
@@ -175,7 +176,7 @@ def percents(values: Sequence[float | None], *, sign: bool = False) -> list[str]
 
 
 def column_name(name: str, unit: str = "") -> str:
-    """Name a column of a table for programs, with its unit, such as story_stiffness_std_N_per_m.
+    """Name a column of a machine-readable table with its unit, such as story_stiffness_std_N_per_m.
 
     Parameters
     ----------
@@ -188,35 +189,34 @@ def column_name(name: str, unit: str = "") -> str:
 
 
 def probability(value: float | None) -> str:
-    """Write a p-value, short where it is tiny."""
+    """Write a p-value; a tiny one becomes "< 1e-9"."""
     if value is None:
         return "–"
     return "< 1e-9" if value < 1e-9 else f"{value:.2g}"
 
 
 def equals(value: float) -> str:
-    """Write a p-value as it stands in a sentence: "p = 0.012", "p < 1e-9"."""
+    """Write a p-value for a sentence: "p = 0.012", "p < 1e-9"."""
     shown = probability(value)
     return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
 
 
 def chance(value: float) -> str:
-    """How probable something is, in percent; never quite impossible or certain."""
+    """Write a probability in percent, limited to "< 0.1 %" and "> 99.9 %"."""
     if value < 0.0005:
         return "< 0.1 %"
     return "> 99.9 %" if value > 0.9995 else f"{100 * value:.1f} %"
 
 
 def with_std(value: float | None, std: float | None, unit: str = "", factor: float | None = None) -> str:
-    """value ± std, the value to the digits that the standard deviation leaves meaningful.
+    """Write value ± std, with two significant digits of the standard deviation.
 
     Parameters
     ----------
     value, std : float or None
     unit : str, optional
     factor : float, optional
-        What the shown unit is in that of the value; where not given, a prefix that fits the size is put before the
-        unit.
+        Size of the shown unit in the unit of the value. Default: choose a prefix by the size of the value.
     """
     if value is None or math.isnan(value):
         return UNKNOWN
@@ -234,19 +234,19 @@ def with_std(value: float | None, std: float | None, unit: str = "", factor: flo
 
 
 def quantity(value: float, unit: str, digits: int = 4) -> str:
-    """Write a value with so many significant digits, in the size of its unit that fits it."""
+    """Write a value with `digits` significant digits and a unit prefix that fits its size."""
     factor, unit = fitting([value], unit)
     return f"{significant(value / factor, digits)} {unit}"
 
 
 def per_force(value: float, std: float | None, unit: str) -> str:
-    """Write a flexibility ± its standard deviation, by as many newtons as make it easy to read: "1.4 rad/(MN m)".
+    """Write a flexibility ± its standard deviation with a readable unit of force: "1.4 rad/(MN m)".
 
     Parameters
     ----------
     value, std : float
     unit : str
-        With N below its line, such as "m/N" or "rad/(N m)".
+        Unit with N in the denominator, such as "m/N" or "rad/(N m)".
     """
     factor, prefix = next(
         ((factor, prefix) for factor, prefix in reversed(PREFIXES) if abs(value) * factor >= LEAST_PER_FORCE),
@@ -263,9 +263,9 @@ def _to_digits(value: float, std: float) -> str:
 
 
 def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
-    """value ± std, each, in one format; the values alone where none is.
+    """Write each value ± std in one format; a value may lack a standard deviation.
 
-    With two digits of the largest standard deviation, and one of the smallest.
+    The format shows at least two digits of the largest standard deviation and one of the smallest.
     """
     known = [std for std in stds if math.isfinite(std) and std > 0]
     if known:
@@ -280,7 +280,7 @@ def with_stds(values: Sequence[float], stds: Sequence[float]) -> list[str]:
 
 
 def fitting(values: Iterable[float], unit: str) -> tuple[float, str]:
-    """Choose the size of the unit that fits these values, and its name: tonnes for kg, prefixes for N and N/m."""
+    """Choose the size and name of a unit that fits the values: tonnes for kg, prefixes for N and N/m."""
     if unit == "kg":
         heavy = max((abs(value) for value in values if not math.isnan(value)), default=0.0) >= TONNES
         return (1e3, "t") if heavy else (1.0, "kg")
@@ -297,7 +297,7 @@ def scaled(values: Iterable[float], unit: str) -> tuple[float, str]:
 
 
 def counted(number: int, noun: str) -> str:
-    """Write a number of things, in the plural where they are not one."""
+    """Write a count and its noun, which is plural unless the count is 1."""
     return f"{number} {noun if number == 1 else _plural(noun)}"
 
 
@@ -311,7 +311,7 @@ def numbered(noun: str, numbers: Sequence[int]) -> str:
 
 
 def ranged(numbers: Sequence[int]) -> str:
-    """Ascending numbers in a row, those of a long row by its ends: "1, 11 to 20"."""
+    """Write ascending numbers; long runs of consecutive numbers are shortened: "1, 11 to 20"."""
     rows: list[list[int]] = []
     for number in numbers:
         if rows and number == rows[-1][-1] + 1:
@@ -322,10 +322,10 @@ def ranged(numbers: Sequence[int]) -> str:
 
 
 def capital(text: str) -> str:
-    """Write a text as a sentence begins."""
+    """Write the first letter as a capital."""
     return text[:1].upper() + text[1:]
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:
-    """Words in a row: "a", "a and b", "a, b and c"."""
+    """Join words: "a", "a and b", "a, b and c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""

@@ -1,4 +1,4 @@
-"""Orders and choices that rounding does not change: numbers that are equal but for rounding go by their position.
+"""Sort and choose independently of rounding: numbers that differ only by rounding keep their order.
 
 Kernels of different processors round differently. Two entries that are equal in exact arithmetic differ by some units
 in the last place, and a plain sort or argmax would follow these units.
@@ -15,10 +15,10 @@ from cvxshear.util.typing import Ints
 Item = TypeVar("Item")
 
 SAME_NUMBER = float(np.sqrt(np.finfo(np.float64).eps))
-"""Difference of two equal numbers, relative to the larger: half of the digits are lost at most."""
+"""Largest relative difference of two equal numbers: rounding destroys half of the digits at most."""
 
 SAME_ODDS = 1e-4
-"""Difference of the log evidence of two equal models: fits end within some such distance of their optimum."""
+"""Largest difference of the log evidence of two equal models: fits stop at about this distance from the optimum."""
 
 
 def order(values: ArrayLike, *, same: float | None = None) -> list[int]:
@@ -29,7 +29,7 @@ def order(values: ArrayLike, *, same: float | None = None) -> list[int]:
     values : array_like, shape (n,)
         Nan comes last.
     same : float, optional
-        Absolute difference up to which two values are equal. Default: `SAME_NUMBER` of the larger one.
+        Largest absolute difference of two equal values. Default: `SAME_NUMBER` of the larger one.
     """
     found = np.asarray(values, dtype=np.float64)
     result: list[int] = []
@@ -43,7 +43,7 @@ def order(values: ArrayLike, *, same: float | None = None) -> list[int]:
 
 
 def largest(values: ArrayLike, axis: int = -1) -> Ints:
-    """Find the first position of the largest value along an axis; values equal but for rounding count as equal.
+    """Find the first position of the largest value along an axis; values that differ only by rounding are equal.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def first_largest(values: ArrayLike) -> int:
 
 
 def ranked(items: Iterable[Item], value: Callable[[Item], float], *, same: float | None = None) -> list[Item]:
-    """Sort items by a value, the largest first, and items of equal value as they came.
+    """Sort items by a value, the largest first; items of equal value keep their order.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""What results share: they are plain values in JSON and in files, tables of pandas, and visible at a prompt.
+"""Shared behavior of results: conversion to JSON, to measurement files and to pandas, and display at a prompt.
 
-How a result is shown is asked of whoever has said how: a result itself knows nothing of it.
+Other modules register the functions that display a result, see `name_module`.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 
 
 def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
-    """Convert a value of a result to what JSON has.
+    """Convert a value of a result to types of JSON.
 
     Parameters
     ----------
     value : object
-        What has a method `to_dict` gives that, any other dataclass its fields by their names. Arrays become lists as
-        a whole, nan and infinity None, an Enum its text.
+        An object with a method `to_dict` is converted by this method, any other dataclass to a dict of its fields.
+        Arrays become lists, nan and infinity None, an Enum its text.
 
     Returns
     -------
     object
-        Of dict, list, str, int, float, bool and None alone.
+        Made of dict, list, str, int, float, bool and None only.
     """
     if value is None or isinstance(value, str | bool | int):
         return str(value) if isinstance(value, Enum) else value
@@ -52,8 +52,8 @@ def as_json(value: Any) -> Any:  # noqa: PLR0911 - a line a kind of value
 
 
 def _array_as_json(values: Any) -> Any:
-    """Convert an array, or a number of NumPy, to lists or a number; None in place of nan and infinity."""
-    import numpy as np  # noqa: PLC0415 - help and completion need none of it
+    """Convert an array or a number of NumPy to lists or a number; nan and infinity become None."""
+    import numpy as np  # noqa: PLC0415 - help and completion do not need NumPy
 
     if np.ndim(values) == 0:
         return as_json(values.item())
@@ -65,25 +65,25 @@ def _array_as_json(values: Any) -> Any:
 
 
 class InJson:
-    """A dataclass that JSON has as a dict.
+    """A dataclass that becomes a dict in JSON.
 
     Attributes
     ----------
     json_keys : str
-        Attributes with spaces between, in the order of the JSON; the fields, in theirs, where empty. `key=path.to.it`
-        gives an attribute, or that of an attribute, another key (None where one on the way is None); `*attribute` puts
-        in the keys of that attribute.
+        Names of attributes, separated by spaces, in the order of the JSON; if empty, all fields in their order.
+        `key=path.to.value` gives an attribute, or an attribute of an attribute, another key (the value is None if an
+        attribute on the path is None); `*attribute` inserts the keys of an attribute.
     """
 
     json_keys: ClassVar[str] = ""
 
     def to_dict(self) -> Json:
-        """Return the documented JSON, each value by `as_json`."""
+        """Return the documented JSON; `as_json` converts each value."""
         return fields_as_json(self)
 
 
 def fields_as_json(value: Any) -> Json:
-    """Collect what `json_keys` lists of a dataclass, or all of its fields where it lists none, each by `as_json`."""
+    """Collect the attributes that `json_keys` lists, or all fields if the list is empty; `as_json` converts each."""
     listed = getattr(value, "json_keys", "").split()
     found: Json = {}
     for each in listed or [field.name for field in dataclasses.fields(value)]:
@@ -97,15 +97,15 @@ def fields_as_json(value: Any) -> Json:
 
 
 def fields_as_table(value: Any, *, empty: bool = False, unsaid: Mapping[str, object] | None = None) -> Json:
-    """Write the fields of a dataclass as the table of a measurement file that declares it.
+    """Convert the fields of a dataclass to its table in a measurement file.
 
     Parameters
     ----------
     value : dataclass
     empty : bool, optional
-        Whether an empty list, or one of empty lists, says something.
+        Whether the table includes empty lists and lists of empty lists.
     unsaid : mapping of str to object, optional
-        Values of single fields that stand for "not given", besides None.
+        Values of single fields that mean "not given", in addition to None.
     """
     found = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
     unsaid = unsaid or {}
@@ -119,7 +119,7 @@ def fields_as_table(value: Any, *, empty: bool = False, unsaid: Mapping[str, obj
 
 
 def as_table(value: Any) -> Any:
-    """Convert a value to what TOML has, where an entry that was not measured is nan."""
+    """Convert a value to types of TOML; an entry that was not measured stays nan."""
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, tuple):
@@ -128,38 +128,38 @@ def as_table(value: Any) -> Any:
 
 
 def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
-    """Make a table with these columns.
+    """Make a pandas table with these columns.
 
     Raises
     ------
     InputError
-        Where pandas is not installed.
+        If pandas is not installed.
     """
     found: pd.DataFrame = optional("pandas", "to_dataframe needs").DataFrame(dict(columns))
     return found
 
 
 _modules: dict[str, str] = {}
-"""Modules above this room by their task: the public face names them, so that nothing imports upward."""
+"""Modules of higher layers by their task. `cvxshear/__init__.py` registers them, so no module imports upward."""
 
 
 def name_module(task: str, module: str) -> None:
-    """Name the module that does a task; it is imported when it is first asked.
+    """Register the module for a task; its first use imports the module.
 
     Parameters
     ----------
     task : str
-        "read", of a module with `experiment_from_file`, which takes a path or the name of a built-in example. "show",
-        of one with `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the same for a notebook,
-        or None), `drawn` (one of its figures, by name; the first where the name is empty) and `picked` (the diagram in
-        which poles are chosen).
+        "read" or "show". A module for "read" has `experiment_from_file`, which takes a path or the name of a built-in
+        example. A module for "show" has `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the
+        tables for a notebook, or None), `drawn` (one of its figures by name; the first if the name is empty) and
+        `picked` (the diagram for the choice of poles).
     module : str
     """
     _modules[task] = module
 
 
 def ask(task: str, function: str, *given: Any) -> Any:
-    """Call a function of the module that does a task, and return what it returns.
+    """Call a function of the module that is registered for a task, and return its result.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class Shown(InJson):
         Parameters
         ----------
         name : str, optional
-            As `--figure list` prints it; the first figure of such a result where not given.
+            Name that `--figure list` prints. Default: the first figure of the result.
 
         Returns
         -------

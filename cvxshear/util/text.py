@@ -1,8 +1,8 @@
-"""Texts from outside: a name is data, wherever it is written to.
+"""Write texts from outside safely to terminals, spreadsheets, files and shells.
 
-A person is shown `printable` names, which cannot steer a terminal. A cell of a spreadsheet holds a `cell_text`, which
-no program takes for a formula. A file of names, JSON or TOML, holds them `escaped`: the name itself comes back when it
-is read, and no control character stands in the file.
+Messages show `printable` names, which cannot control a terminal. A cell of a spreadsheet holds a `cell_text`, which
+no program reads as a formula. JSON and TOML files hold `escaped` names: the file contains no control character, and
+a reader of the file gets the original name.
 """
 
 import json
@@ -14,16 +14,16 @@ from collections.abc import Iterable
 from types import NoneType
 
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
-"""First letters of a formula in spreadsheet programs, the full-width ones among them (OWASP, "CSV injection")."""
+"""First characters of a formula in spreadsheet programs, including the full-width ones (OWASP, "CSV injection")."""
 
 STEERING = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
-"""Control characters but the line feed, marks that hide or turn text, separators of lines, halves of surrogates."""
+"""Control characters except the line feed, marks that hide or reverse text, line separators and lone surrogates."""
 
 
 def printable(text: str) -> str:
-    """Write a text in one line that a terminal takes for text: what would steer it stands as its escape.
+    """Write a text in one line without terminal control: each unprintable character becomes its escape.
 
-    Control characters, line breaks, marks that turn the direction of writing, and halves of surrogate pairs.
+    These are control characters, line breaks, marks that change the writing direction, and lone surrogates.
     """
     if text.isprintable():
         return text
@@ -31,21 +31,21 @@ def printable(text: str) -> str:
 
 
 def cell_text(text: str) -> str:
-    """Write a text as a cell of a spreadsheet: printable, led by an apostrophe where it would pass for a formula."""
+    """Write a text as a cell of a spreadsheet: printable, with an apostrophe before a possible formula."""
     shown = printable(text)
     return f"'{shown}" if shown.lstrip(" '").startswith(FORMULA) else shown
 
 
 def escaped(text: str, *, surrogates: bool = False) -> str:
-    r"""JSON or TOML whose strings hold what would steer a terminal as \uXXXX, which means the same there.
+    r"""Write terminal control characters in the strings of JSON or TOML as \uXXXX, which has the same meaning.
 
     Parameters
     ----------
     text : str
-        A whole file, as json or tomli_w write it: such characters stand inside double quotes only.
+        A whole file from json or tomli_w, in which these characters occur only inside double quotes.
     surrogates : bool, optional
-        Whether half a surrogate pair may be written, which JSON allows; elsewhere a replacement character stands for
-        it.
+        Whether a lone surrogate is kept as its escape, which JSON allows; otherwise it becomes the replacement
+        character.
     """
 
     def escape(found: re.Match[str]) -> str:
@@ -56,7 +56,7 @@ def escaped(text: str, *, surrogates: bool = False) -> str:
 
 
 def shell_line(arguments: Iterable[str]) -> str:
-    r"""Write a command as it is typed in a shell; what would steer a terminal is \xNN inside $'...' (bash, zsh)."""
+    r"""Write a command for a shell; unprintable characters become \xNN inside $'...' (bash, zsh)."""
     return " ".join(shlex.quote(each) if each.isprintable() else f"$'{_shell_escaped(each)}'" for each in arguments)
 
 
@@ -68,24 +68,24 @@ def _shell_escaped(text: str) -> str:
 
 
 class Inserted:
-    """Pieces of a text that are written beforehand; a mark stands for each until the rest is written."""
+    """Pieces of a text that are written first; a mark replaces each piece until the rest is written."""
 
     def __init__(self) -> None:
         self._mark = secrets.token_hex(8)
         self._pieces: list[str] = []
 
     def mark(self, piece: str) -> str:
-        """Take a piece, and return what stands for it: a text that is written in quotation marks."""
+        """Store a piece and return its mark, which the text must hold in quotation marks."""
         self._pieces.append(piece)
         return f"{self._mark}{len(self._pieces) - 1}"
 
     def put_into(self, text: str) -> str:
-        """Put every piece into its places."""
+        """Replace every mark by its piece."""
         return re.sub(rf'"{self._mark}(\d+)"', lambda found: self._pieces[int(found[1])], text)
 
 
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
-    """Write a value as JSON, each row of numbers in a line; nan cannot stand in JSON and has no place in a result."""
+    """Write a value as JSON, each row of numbers in one line; nan raises an error."""
     rows, marks = Inserted(), dict[int, str]()
 
     def marked(item: object) -> object:
@@ -94,7 +94,7 @@ def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> st
             return {key: marked(each) for key, each in item.items()}
         if not isinstance(item, list | tuple):
             return item
-        # A row that stands in several places is written once: the digits of its numbers are most of the time.
+        # A row that occurs several times is converted once: the conversion of numbers takes most of the time.
         if id(item) not in marks:
             if not item or not all(issubclass(kind, int | float | NoneType) for kind in set(map(type, item))):
                 return [marked(each) for each in item]

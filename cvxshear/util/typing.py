@@ -13,4 +13,4 @@ Json = dict[str, Any]
 """A result as plain Python values, ready for `json.dumps`."""
 
 T = TypeVar("T")
-"""Any type, the same wherever a signature has it."""
+"""Any type; the same type in all places of one signature."""

@@ -1,8 +1,8 @@
-"""The one way in which the package writes files: whole or not at all.
+"""Write files completely or not at all; every file of the package is written here.
 
-What is written goes to a new file of a random name beside its place, is flushed to the disk and then renamed, so that
-a reader, and a computer that fails in between, sees the old file or the new one. A link in that place is replaced and
-what it points to is left alone. A device or a pipe has no old content to keep and is written to directly.
+The content goes to a new file of a random name in the same folder. This file is flushed to the disk and then renamed.
+A reader therefore sees the old file or the new one, even after a crash. If the path is a link, the new file replaces
+the link and its target stays unchanged. A device or a pipe has no old content and is written directly.
 """
 
 import logging
@@ -20,10 +20,11 @@ from cvxshear.util.text import printable
 logger = logging.getLogger(__name__)
 
 OWN_DESCRIPTORS = "/proc/self/fd"
-"""Folder that /dev/stdout and /dev/fd/3 lead to under Linux; opened anew they would be written from their start."""
+"""Folder behind /dev/stdout and /dev/fd/3 under Linux. A file that is opened again there is overwritten from its
+start."""
 
 MOST_LINKS = 8
-"""A chain of links to an own descriptor is no longer; one that goes in a circle leads nowhere."""
+"""Largest number of links that are followed to a descriptor of this process; the limit ends circular chains."""
 
 PathLike = str | os.PathLike[str]
 
@@ -35,12 +36,12 @@ def write_file(path: PathLike, content: str | bytes) -> None:
     ----------
     path : str or Path
     content : str or bytes
-        A str is written as UTF-8; half a surrogate pair, which UTF-8 has no place for, as its escape.
+        A str is written as UTF-8. UTF-8 cannot hold a lone surrogate, which becomes its escape.
 
     Raises
     ------
     InputError
-        Where the file cannot be written; the old one is left as it was then, and nothing beside it.
+        If the file cannot be written. The old file then stays unchanged, and no temporary file remains.
     """
     check_output(path)
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
@@ -55,20 +56,20 @@ def write_file(path: PathLike, content: str | bytes) -> None:
 
 
 def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[PathLike] = ()) -> None:
-    """Refuse a place that nothing could be written to, before there is anything to write.
+    """Check in advance that a path can be written.
 
     Parameters
     ----------
     path : str or Path
     endings : iterable of str, optional
-        The endings, such as ".html", that a file of this kind has; any where empty. A device has none.
+        Allowed endings, such as ".html"; if empty, any ending is allowed. A device needs no ending.
     keep : iterable of str or Path, optional
-        Files that must not be written over.
+        Files that must not be overwritten.
 
     Raises
     ------
     InputError
-        Saying what is wrong with the place.
+        If the path cannot be written; the message gives the reason.
     """
     if not os.fspath(path).strip():
         raise InputError("the name of the file to write is empty")
@@ -91,21 +92,21 @@ def check_output(path: PathLike, *, endings: Iterable[str] = (), keep: Iterable[
 
 
 def ending_of(path: str | Path, endings: Iterable[str], what: str, *, device: str | None = None) -> str:
-    """Return the ending of a file's name, without its dot, once it is one that something is written as.
+    """Return the ending of a file's name, without its dot, after a check that this ending is allowed.
 
     Parameters
     ----------
     path : str or Path
     endings : iterable of str
     what : str
-        For the message: "a model is written as".
+        Beginning of the message: "a model is written as".
     device : str, optional
-        Which of them is meant by a device or a pipe, whose name tells none; the first where not given.
+        Ending for a device or a pipe: the name of a device has no ending. Default: the first of `endings`.
 
     Raises
     ------
     InputError
-        Where it ends in something else.
+        If the name has another ending.
     """
     known = list(endings)
     ending = Path(path).suffix.lower().removeprefix(".")
@@ -118,7 +119,7 @@ def ending_of(path: str | Path, endings: Iterable[str], what: str, *, device: st
 
 
 def same_file(one: PathLike, other: PathLike) -> bool:
-    """Whether two names stand for one file, by whatever links, whether or not it exists."""
+    """Return whether two names lead to the same file through any links; the file need not exist."""
     with suppress(OSError, ValueError):
         return os.path.samefile(one, other)
     return os.path.realpath(one) == os.path.realpath(other)
@@ -133,14 +134,14 @@ def _check_place(path: Path) -> None:
         raise InputError(f"{path} is read-only; name another file, or make it writable")
     if not path.parent.is_dir():
         raise InputError(f"{path} cannot be written: there is no folder {path.parent}")
-    # Rights, quotas and read-only disks show only by trying.
+    # Only an attempt to write reveals rights, quotas and read-only disks.
     descriptor, beside = _new_file(path)
     os.close(descriptor)
     beside.unlink()
 
 
 def _is_stream(path: PathLike) -> bool:
-    """Whether the place is a device or a pipe, or leads to an open file of this process."""
+    """Return whether the path is a device or a pipe, or leads to an open file of this process."""
     if _descriptor(path) is not None:
         return True
     try:
@@ -151,7 +152,7 @@ def _is_stream(path: PathLike) -> bool:
 
 
 def _descriptor(path: PathLike) -> int | None:
-    """Find the number of the process' own open file that a name like /dev/stdout leads to."""
+    """Find the number of the open file of this process behind a name like /dev/stdout."""
     place = os.fspath(path)
     own = os.path.realpath(OWN_DESCRIPTORS)
     with suppress(OSError, ValueError):
@@ -187,6 +188,6 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def _new_file(path: Path) -> tuple[int, Path]:
-    """Open a file beside `path` that did not exist, for writing, with the rights that the user's new files have."""
+    """Open a new file for writing in the folder of `path`, with the usual rights of the user's new files."""
     beside = path.with_name(f".{secrets.token_hex(8)}.part")
     return os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666), beside

@@ -1,4 +1,4 @@
-"""What closing the loop found: the verdict, how probable everything is, what is left open, what to test next."""
+"""Describe the result of the loop: verdict, probabilities of the effects, open questions, recommended next test."""
 
 from collections.abc import Iterator
 
@@ -46,27 +46,28 @@ from cvxshear.util.quantities import (
 )
 
 BRIEF_SETS = 6
-"""Sets of effects that a terminal shows."""
+"""Number of sets of effects that a terminal shows."""
 
 BRIEF_CANDIDATES = 8
-"""Candidates that a terminal shows."""
+"""Number of candidates that a terminal shows."""
 
 SPELLED_OUT = 3
-"""Effects of a set up to which all are named; of a larger one, in what it differs from the most probable set."""
+"""Largest number of effects of a set that are all named. A larger set is named by its differences from the most
+probable."""
 
 
 MOST_QUESTIONS = 4
-"""Open questions on the first screen of a report; all stand further below."""
+"""Number of open questions on the first screen of a report; a later section lists all."""
 
 GAIN = 1.0
-"""Fall in chi-square that one free number makes on average by chance alone."""
+"""Expected decrease of chi-square by chance for one additional parameter."""
 
 UNMOVED = 2.0
-"""Ratio of the probability with the data to that before up to which an effect counts as no more probable."""
+"""Largest ratio of the posterior to the prior probability for an effect that counts as no more probable."""
 
 
 def effects_section(result: Closure) -> Section:
-    """List what was added, most probable first, each with what may be there in its place."""
+    """List the added effects, the most probable first, each with its rivals."""
     if not result.effects:
         return Section("effects", "Effects added", (Sentence("None was added to the model."),))
     rows = tuple(row for item in result.effects for row in _with_rivals(item))
@@ -93,7 +94,7 @@ def _with_rivals(item: AddedEffect) -> Iterator[Row]:
 
 
 def effect_sections(result: Closure, units: Units) -> Iterator[Section]:
-    """Each effect in full: what it is, its formula, its parameters, what it does."""
+    """Describe each effect in full: its meaning, formula, parameters and consequences."""
     for place, item in enumerate(result.effects, 1):
         kind = item.placed.effect
         known = ("probability", chance(item.probability)), ("source of the formula", kind.source)
@@ -122,7 +123,7 @@ def sets_section(result: Closure) -> Section:
 
 
 def _label(item: EffectSet, result: Closure) -> str:
-    """Its effects, and how its modes are numbered where that is other than in the verdict's set."""
+    """Name the effects of a set, and its mode numbers if they differ from the verdict's."""
     label = _set_label(item, result.models[0])
     if item.changes == result.numberings[0].changes:
         return label
@@ -130,7 +131,7 @@ def _label(item: EffectSet, result: Closure) -> str:
 
 
 def _set_label(effects: EffectSet, first: EffectSet) -> str:
-    """Its effects, or what it has in place of some of the most probable set's."""
+    """Name the effects of a set, or its differences from the most probable set."""
     if not effects.effects:
         return "the shear model alone"
     if len(effects.effects) <= SPELLED_OUT or effects is first:
@@ -143,11 +144,11 @@ def _set_label(effects: EffectSet, first: EffectSet) -> str:
 
 
 def candidates_section(result: Closure) -> Section:
-    """All that was looked for, before the data and with them."""
+    """Tabulate all candidates with their prior and posterior probabilities."""
     if not result.candidates:
         return Section("candidates", "What was looked for", (), below=True)
     count = len(result.candidates)
-    # A linearised model may promise a fit better than perfect.
+    # The chi-square that a linearized model predicts may be negative.
     chi2 = significants([max(item.chi2, 0.0) for item in result.candidates])
     title = f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)"
     head = ("effect", "before", "with the data", "chi-square", "dof", "p of gain")
@@ -166,7 +167,7 @@ def candidates_section(result: Closure) -> Section:
 
 
 def _unmoved(result: Closure) -> Iterator[Sentence]:
-    """Why effects that improve chi-square may be no more probable than before."""
+    """Explain why some effects improve chi-square and are no more probable than before."""
     added = {item.placed for item in result.effects}
     final = result.estimate.chi2
     seen = [
@@ -216,7 +217,7 @@ def _line(result: Closure) -> str:
 
 
 def verdict_section(result: Closure) -> Section:
-    """Say what the verdict means, what it rests on, and which data carried it."""
+    """State the meaning of the verdict, its assumptions, and the data that decided it."""
     verdict = verdict_of(result)
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
     noise, *granted = result.rests_on
@@ -229,7 +230,7 @@ def verdict_section(result: Closure) -> Section:
 
 
 def frame_section(result: Closure, units: Units) -> Section:
-    """Tabulate the frame of the verdict's set, and the one averaged over all sets."""
+    """Tabulate the frame of the verdict's set and the average frame over all sets."""
     title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
     parts: tuple[Block, ...] = (frame_table(result.frame, title, units, averaged=result.averaged),)
     if not result.estimate.fit.converged:
@@ -238,7 +239,7 @@ def frame_section(result: Closure, units: Units) -> Section:
 
 
 def limits_section(result: Closure) -> Section:
-    """Where a residual is left, what the data leave open, what was not looked for."""
+    """List the remaining residuals, the undetermined quantities and the effects that were not examined."""
     parts: list[Block] = []
     if result.remains:
         parts += [Sentence("The residual sits in:", "warning"), Points("remains", result.remains)]
@@ -262,14 +263,14 @@ def _undetermined(result: Closure) -> Iterator[str]:
 
 
 def open_questions(result: Closure) -> tuple[str, ...]:
-    """List what the headline does not say and the data cannot decide, the most important first, some at most.
+    """List up to `MOST_QUESTIONS` open questions that the headline omits, the most important first.
 
     Parameters
     ----------
     result : Closure
     """
     said = []
-    # The headline names the rivals of few effects.
+    # The headline names the rivals if the effects are few.
     for item in result.effects if len(result.effects) > NAMED else ():
         if item.rivals:
             first = item.rivals[0]
@@ -283,7 +284,7 @@ def open_questions(result: Closure) -> tuple[str, ...]:
 
 
 def _next(result: Closure, units: Units) -> str:
-    """Describe the test that would distinguish the rivals, or say why there is none."""
+    """Describe the test that would distinguish the rivals, or give the reason why no test is proposed."""
     test = result.next_test
     if test is not None:
         factor, unit = units.of_mass([test.added_mass])
@@ -307,7 +308,7 @@ def _next(result: Closure, units: Units) -> str:
 
 
 def _reference(result: Closure) -> str:
-    """Say, where causes in several states rival each other, that the file may name the sound state."""
+    """Advise to declare the sound state if causes in several states are rivals."""
     experiment = result.estimate.experiment
     states = {rival.placed.place.state for item in result.effects for rival in item.rivals}
     states |= {item.placed.place.state for item in result.effects}
@@ -320,7 +321,7 @@ def _reference(result: Closure) -> str:
 
 
 def _besides(result: Closure) -> str:
-    """Say what else may be there where the verdict is certain, and which frame allows for it; empty where nothing."""
+    """Name the candidates that remain possible beside a certain verdict; empty if no candidate remains."""
     added = {item.placed for item in result.effects}
     left = [item for item in result.candidates if item.placed not in added and item.probability > DOUBT]
     if not left:
@@ -336,7 +337,7 @@ def _besides(result: Closure) -> str:
 
 
 def _with_sensors(result: Closure, test: NextTest) -> str:
-    """Which floors are to be measured too."""
+    """Name the additional floors that the next test measures."""
     if test.measured_floors is None:
         return ""
     first = next(each for each in result.experiment.configurations if each.state == test.state)

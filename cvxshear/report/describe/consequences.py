@@ -1,4 +1,4 @@
-"""What a closed loop changes: the errors before and after, and what follows for the frame."""
+"""Describe the changes by a closed loop: the errors before and after, and the consequences for the frame."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -37,16 +37,16 @@ def _each(written: Callable[[float | None], str]) -> Writer:
 
 
 MODELS = ("shear model", "with effects")
-"""The model that the loop began with and the one that it ended with; states may be named "before" and "after"."""
+"""Names of the first and the final model of the loop. The words "before" and "after" may be names of states."""
 
 
 def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
-    """Key in the JSON, label, and how the two values are written, of each error that is compared.
+    """Yield the JSON key, the label and the format of each compared error.
 
     Parameters
     ----------
     held_out : str
-        How the held-out frequencies were predicted.
+        Text that explains the prediction of the held-out frequencies.
     """
     for kind in noise_kinds().values():
         for figure in kind.figures:
@@ -59,7 +59,7 @@ def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
 
 
 def before_after(result: Closure) -> Section:
-    """Set the model that the loop began with beside the one that it ended with."""
+    """Compare the first and the final model of the loop."""
     first = capital(result.before.action)
     same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
     which = f"{first} beside the final model, in the same noise.{same}"
@@ -69,7 +69,7 @@ def before_after(result: Closure) -> Section:
 
 
 def errors_table(result: Closure) -> Table:
-    """Every error that either model has."""
+    """Tabulate all errors of both models."""
     before, after = result.before.to_dict(), result.after.to_dict()
     several = len(result.experiment.configurations) > 1
     held_out = "each test predicted from the others" if several else "each mode predicted from the others"
@@ -82,7 +82,7 @@ def errors_table(result: Closure) -> Table:
 
 
 def not_converged(result: Closure) -> Iterator[Sentence]:
-    """Warn of each fit whose numbers are shown though it did not converge."""
+    """Warn of each shown fit that did not converge."""
     for step in result.steps:
         fit = step.estimate.fit
         if not fit.converged:
@@ -92,7 +92,7 @@ def not_converged(result: Closure) -> Iterator[Sentence]:
 
 
 def residual_section(result: Closure) -> Section:
-    """Tabulate the residual of every part of the measurement; a table for each kind of data."""
+    """Tabulate the residual of every part of the measurement, one table for each kind of data."""
     before, after = by_part(result.before.estimate), by_part(result.estimate)
     pairs = list(zip(before, after, strict=True))
     kinds = dict.fromkeys(item.noise for item in after)
@@ -117,7 +117,7 @@ def _std(item: Deviation) -> str:
 
 
 def steps_section(result: Closure) -> Section:
-    """Each fit on the way; nothing that the errors do not say where there are two or fewer."""
+    """Tabulate each fit of the loop. With fewer than three fits, only the full report shows this table."""
     errors = percents([step.estimate.quality.max_frequency_error for step in result.steps])
     chi2 = significants([step.estimate.chi2 for step in result.steps])
     steps = table("steps-table", "How the model was arrived at, in the noise of the last step", {
@@ -131,30 +131,31 @@ def steps_section(result: Closure) -> Section:
 
 
 NOTHING = 1e-9
-"""Relative change below which nothing is said of it."""
+"""Smallest relative change that is mentioned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What one effect does in one configuration.
+    """Changes that one effect causes in one configuration.
 
     Parameters
     ----------
     configuration : str
     stiffness : ndarray, shape (N,)
-        Change of the sway stiffness of each story, N/m: that of the force at the top over the story's drift.
+        Change of the sway stiffness of each story, N/m. The sway stiffness is the force at the top over the story's
+        drift.
     stiffness_share : ndarray, shape (N,)
-        The same over what the stiffness is without the effect.
+        Change of the sway stiffness over the stiffness without the effect.
     mass : ndarray, shape (N,)
-        Change of the mass that goes with each floor, kg.
+        Change of the mass that moves with each floor, kg.
     mass_share : ndarray, shape (N,)
-        The same over what the floor carries without the effect.
+        Change of the floor's mass over the mass without the effect.
     gain : ndarray, shape (N,)
-        Relative change of what the sensors show.
+        Relative change of the sensor signals.
     frequencies : ndarray, shape (N,)
         Relative change of the natural frequencies.
     alone : bool
-        Whether the stories without the effect are those of a shear frame.
+        Whether the frame without the effect is a shear frame.
     """
 
     configuration: str
@@ -168,7 +169,7 @@ class Change:
 
 
 def changes(estimate: Estimate, placed: Placed) -> list[Change]:
-    """Say what an effect of a fit does in each configuration, everything else staying as it is.
+    """Compute the changes that one effect causes in each configuration; all other parameters stay fixed.
 
     Parameters
     ----------
@@ -193,10 +194,10 @@ def _change(configuration: Configuration, before: State, after: State) -> Change
     mass = before.system.M[:n, :n].sum(axis=1), after.system.M[:n, :n].sum(axis=1)
     diagonal = np.diag(after.system.M)[:n] - np.diag(before.system.M)[:n]
     heavier = mass[1] - mass[0]
-    # What couples floors moves mass between them and off the diagonal; what is heavier is seen in the row's sum.
+    # Coupling terms move mass between floors and off the diagonal. The row sum shows additional mass.
     added = np.where(np.abs(heavier) > NOTHING * mass[0], heavier, diagonal)
     found = [(modes(state.system.M, state.system.K), state.system.M) for state in (before, after)]
-    # Without those of masses attached to the frame.
+    # The modes of masses that are attached to the frame are left out.
     frequencies = [each.frequencies[frame_modes(each, M, n)] for each, M in found]
     stiffness = stiff[1] - stiff[0], stiff[1] / stiff[0] - 1.0
     gain, moved = after.gain / before.gain - 1.0, frequencies[1] / frequencies[0] - 1.0
@@ -213,7 +214,7 @@ def _sway_stiffness(state: State) -> Floats:
 
 
 def consequences(estimate: Estimate, placed: Placed, units: Units = AUTOMATIC) -> list[str]:
-    """Sentences that say what an effect of a fit does.
+    """Write the consequences of an effect of a fit in sentences.
 
     Parameters
     ----------
@@ -221,7 +222,7 @@ def consequences(estimate: Estimate, placed: Placed, units: Units = AUTOMATIC) -
     placed : Placed
         One of its effects.
     units : Units, optional
-        In which masses and stiffnesses are shown.
+        Units of masses and stiffnesses.
     """
     found = changes(estimate, placed)
     if not found:
@@ -230,7 +231,7 @@ def consequences(estimate: Estimate, placed: Placed, units: Units = AUTOMATIC) -
 
 
 def _largest(found: list[Change], name: str) -> Iterator[tuple[Change, int, float]]:
-    """Find the configuration and the place where a relative change is largest, and its size; nothing without one."""
+    """Yield the configuration, place and size of the largest relative change, if any."""
     item = ranking.ranked(found, lambda each: float(np.max(np.abs(getattr(each, name)))))[0]
     place = ranking.first_largest(np.abs(getattr(item, name)))
     if abs(getattr(item, name)[place]) >= NOTHING:

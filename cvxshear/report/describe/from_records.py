@@ -1,4 +1,4 @@
-"""The modes found in a record, and what looks wrong in a record or a measurement file."""
+"""Describe the modes of a record, and the doubtful entries of a record or a measurement file."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,11 +15,11 @@ METHOD_WORDS = {
     "subspace": "subspace identification (subspace)", "ssi": "stochastic subspace identification (ssi)",
     "given": "modes found elsewhere",
 }  # fmt: skip
-"""The methods of `identify_modes` in words; another library's name stands as it is."""
+"""Names of the methods of `identify_modes` in words; names from other libraries stay unchanged."""
 
 
 def method_in_words(result: ModalResult) -> str:
-    """How the modes were found."""
+    """Name the method of modal identification in words."""
     return METHOD_WORDS.get(result.method, result.method)
 
 
@@ -54,7 +54,7 @@ def _table(result: ModalResult) -> Table:
     return table("identified-modes", title, {
         "mode": [str(mode) for mode in result.modes],
         "frequency, Hz": [with_std(value, value * std, factor=1.0) for value, std in frequencies],
-        # A ratio of nothing at all is one that nobody gave.
+        # A damping ratio of zero means that the ratio is unknown.
         "damping, %": [with_std(value, std, factor=0.01) if value else "–" for value, std in damping],
         "MPC": [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
         "lost phase": [f"{value:.1f}°" for value in result.lost_phase],
@@ -62,17 +62,17 @@ def _table(result: ModalResult) -> Table:
 
 
 def poles_table(result: ModalResult) -> Table:
-    """Tabulate the clusters of stable poles of a record by number, which of them are modes, and why the others are not.
+    """Tabulate the clusters of stable poles of a record; name the modes, and the reason for each rejected cluster.
 
     Parameters
     ----------
     result : ModalResult
-        With the order sweep that it was identified by.
+        Result with its order sweep.
 
     Raises
     ------
     InputError
-        Where it holds none.
+        If the result has no order sweep.
     """
     if result.sweep is None:
         raise InputError(f"{result.name}: not identified from a record here, so there are no poles to choose from")
@@ -88,7 +88,7 @@ def poles_table(result: ModalResult) -> Table:
 
 
 def _shapes(result: ModalResult) -> Table:
-    """Set the shapes side by side, the top of the frame first."""
+    """Tabulate the shapes, the top of the frame first."""
     largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
     shapes, stds = result.mode_shapes.tolist(), (result.written_entry_std * largest).tolist()
     scale = "1/√kg" if result.mass_normalized else "the largest entry is 1"
@@ -115,7 +115,7 @@ def _screening_headline(result: Screening) -> str:
 
 
 def _finding(item: FileFinding) -> Iterator[Block]:
-    """Say a finding and what to change."""
+    """Describe a finding and the recommended change."""
     word, tone = ("MISTAKE", "mistake") if item.refuses else ("WARNING", "warning")
     where = f' in configuration "{item.configuration}"' if item.configuration else ""
     yield Sentence(f"{word}: {' or '.join((item.name, *item.rivals))}{where}", tone)
@@ -124,6 +124,6 @@ def _finding(item: FileFinding) -> Iterator[Block]:
 
 
 def doubts_section(found: Sequence[FileFinding]) -> Section:
-    """Doubts above a result that was computed all the same, a line each."""
+    """List the warnings of a computed result, one line each."""
     said = (f"WARNING: {item.found}; {item.change} ({item.how_to_accept} silences this)" for item in found)
     return Section("doubts", "", tuple(Sentence(each, "warning") for each in said))

@@ -1,4 +1,4 @@
-"""The verdict on a frame in a sentence that an engineer would say, with the noise and the numbering behind it."""
+"""Write the verdict on a frame in one sentence, and describe the noise and the mode numbering."""
 
 from collections.abc import Iterator
 
@@ -15,11 +15,11 @@ from cvxshear.util import ranking
 from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
 
 DOUBT = 0.05
-"""Probability of other mode numbers, or of an effect that is not in the model, above which a sentence names them."""
+"""Smallest probability of other mode numbers, or of an effect outside the model, that a sentence mentions."""
 
 
 def numbers_in_words(changes: Changes) -> str:
-    """Such as 'the modes of "ambient" are 1, 2 and 4 of the frame'.
+    """Write the mode numbers, such as 'the modes of "ambient" are 1, 2 and 4 of the frame'.
 
     Parameters
     ----------
@@ -33,18 +33,18 @@ def numbers_in_words(changes: Changes) -> str:
 
 
 def in_doubt(result: Closure) -> bool:
-    """Whether other numbers of the modes are more than hardly probable."""
+    """Return whether the second most probable numbering has a probability above `DOUBT`."""
     return len(result.numberings) > 1 and result.numberings[1].probability > DOUBT
 
 
 def other_numbers(result: Closure) -> str:
-    """Say the second most probable numbering."""
+    """Write the second most probable numbering."""
     other = result.numberings[1]
     return numbers_in_words(other.changes) if other.changes else "the modes are those given"
 
 
 def numbering_sections(result: Closure) -> Iterator[Section]:
-    """Tabulate the numberings that were weighed; nothing where the numbers were not in question."""
+    """Tabulate the probabilities of the numberings; yield no section if the mode numbers were certain."""
     if len(result.numberings) == 1 and not result.numberings[0].changes:
         return
     rows = []
@@ -56,7 +56,7 @@ def numbering_sections(result: Closure) -> Iterator[Section]:
 
 
 def noise_facts(result: Closure) -> Iterator[tuple[str, str]]:
-    """For each kind of data the noise that counts."""
+    """Yield the noise of each kind of data."""
     for kind in result.estimate.misfit.noises.values():
         name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
         if estimated is None:
@@ -70,10 +70,10 @@ def noise_facts(result: Closure) -> Iterator[tuple[str, str]]:
 
 
 def noise_in_words(result: Closure) -> str:
-    """Say the estimated noise in a few words; empty where all of it was declared."""
+    """Write the estimated noise in a few words; empty if all noise was declared."""
     said = []
     for name, factor in result.noise.noise.factors:
-        # Sizes of effects of many parameters are estimated with the noise, and are none.
+        # The estimate also scales effects with many parameters; these scales are not noise.
         if (kind := result.estimate.misfit.noises.get(name)) is not None:
             (size,), unit = kind.sized(factor)
             said.append(f"{significant(size, 2)} {unit} of {kind.plural}")
@@ -81,22 +81,22 @@ def noise_in_words(result: Closure) -> str:
 
 
 def plural_of(noise: str) -> str:
-    """Name the data of a noise in the plural, "mode shapes", or the declared statements."""
+    """Name the data of a noise in the plural, such as "mode shapes" or "priors"."""
     return "priors" if noise == "prior" else noise_kinds()[noise].plural
 
 
 NAMED = 2
-"""Effects up to which a sentence names them all; more are a matter for the table."""
+"""Largest number of effects that a sentence names; a table lists more."""
 
 CERTAINLY_THERE = 0.95
-"""Probability from which an effect counts as certainly there; a verdict "explained" needs it of each."""
+"""Smallest probability of a certain effect; a verdict "explained" requires it for each effect."""
 
 CARRIES = 0.6
-"""Share of the fall in chi-square from which one kind of data is said to have carried the verdict alone."""
+"""Smallest share of the decrease in chi-square for one kind of data that decided the verdict alone."""
 
 
 def verdict_of(result: Closure) -> Verdict:
-    """Look up the verdict with its words.
+    """Look up the verdict and its texts.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def verdict_of(result: Closure) -> Verdict:
 
 
 def headline(result: Closure) -> str:
-    """Say what was found, how probable it is, and what it does to the error that carried the verdict.
+    """State the finding, its probability, and its influence on the error that decided the verdict.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _within(result: Closure) -> str:
 
 
 def _doubt(result: Closure) -> str:
-    """Why the verdict is no surer than it is."""
+    """Explain the uncertainty of the verdict."""
     doubtful = [item for item in result.effects if item.rivals]
     said = ""
     raised = [each for each in result.candidates if each.probability and each.probability > each.prior]
@@ -171,9 +171,9 @@ def _model(result: Closure) -> str:
 
 
 def _effects(result: Closure) -> str:
-    """Name the effects with their sizes and probabilities, or say how many there are and name the first.
+    """Name the effects with their sizes and probabilities, or give their number and name the first.
 
-    Provisional ones stand without a probability: it is one among causes none of which explains the data.
+    Provisional effects have no probability here: it would compare causes that all fail to explain the data.
     """
     said = [
         item.size if verdict_of(result).provisional
@@ -189,7 +189,8 @@ def _effects(result: Closure) -> str:
 
 
 def _piled(result: Closure) -> bool:
-    """Whether so many kinds of effects stand in one state, or in the frame, that none of them is probable."""
+    """Return whether one state has too many kinds of uncertain effects, including the frame's: each is then
+    improbable."""
     kinds: dict[str | None, set[str]] = {}
     for item in result.effects:
         if item.probability < ADDED:
@@ -199,7 +200,7 @@ def _piled(result: Closure) -> bool:
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:
-    """Say what else it may be: what no datum can distinguish from it first, then what is less probable."""
+    """Name the rivals of an effect: first the indistinguishable ones, then the less probable ones."""
     twins = [rival.placed.label for rival in item.rivals if rival.twin]
     others = [f"{rival.placed.label} ({chance(rival.probability)})" for rival in item.rivals if not rival.twin]
     mine = item.placed.label if several else "it"
@@ -213,7 +214,7 @@ def _rivals(item: AddedEffect, *, several: bool) -> str:
 
 
 def chi2_by_kind(estimate: Estimate) -> dict[str, float]:
-    """Chi-square of the residual of each kind of data, in the noise of the fit.
+    """Compute chi-square of the residual of each kind of data, in the noise of the fit.
 
     Parameters
     ----------
@@ -226,7 +227,7 @@ def chi2_by_kind(estimate: Estimate) -> dict[str, float]:
 
 
 def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
-    """Divide the fall of chi-square among the kinds of data, the largest share first; empty where it does not fall.
+    """Divide the decrease of chi-square among the kinds of data, the largest share first; empty without a decrease.
 
     Parameters
     ----------
@@ -242,7 +243,7 @@ def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
 
 
 def evidence_in_words(result: Closure) -> str:
-    """Which kind of data speaks for the effects; empty where nothing was added.
+    """Name the kind of data that supports the effects; empty if the model has no effects.
 
     Parameters
     ----------
@@ -264,12 +265,12 @@ def evidence_in_words(result: Closure) -> str:
 
 
 def _only_accuracy(result: Closure) -> bool:
-    """Whether nothing was found but that some data are less accurate: no error of the model falls by that."""
+    """Return whether all effects only rescale noise; such effects reduce no error of the model."""
     return all(item.placed.effect.rescales for item in result.effects)
 
 
 def change_in_words(before: Estimate, after: Estimate) -> str:
-    """Say what became of the leading error of the kind that carries the change; frequencies' where none does.
+    """State the change of the leading error of the decisive kind of data, or else of the frequencies.
 
     Parameters
     ----------

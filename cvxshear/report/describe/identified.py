@@ -1,4 +1,4 @@
-"""An identified frame: its masses and stiffnesses, its damping, and how well each configuration fits."""
+"""Describe an identified frame: its masses, stiffnesses and damping, and the fit of each configuration."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator
@@ -45,16 +45,16 @@ from cvxshear.util.quantities import (
 from cvxshear.util.typing import Floats
 
 PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
-"""Plurals of the quantities that a frame has one of at each floor or story."""
+"""Plurals of the quantities with one value for each floor or story."""
 
 
 def in_words(names: Iterable[str]) -> str:
-    """Names of parameters as people say them: "story stiffnesses 1 to 4 and floor mass 2".
+    """Write names of parameters in words: "story stiffnesses 1 to 4 and floor mass 2".
 
     Parameters
     ----------
     names : iterable of str
-        Such as "story_stiffness 3"; others, such as "gravity: gamma", stand as they are.
+        Names such as "story_stiffness 3"; other names, such as "gravity: gamma", stay unchanged.
     """
     places: dict[str, list[int]] = {}
     for name in names:
@@ -76,7 +76,7 @@ def frame_table(
     key: str = "identified",
     averaged: IdentifiedFrame | None = None,
 ) -> Table:
-    """Floor masses with their sum and story stiffnesses, the top first, and beside them those averaged over models."""
+    """Tabulate floor masses, their sum and story stiffnesses, the top first, with optional averages over models."""
     mass_factor, mass_unit = units.of_mass(frame.floor_mass.tolist())
     factor, unit = units.of_stiffness(frame.story_stiffness.tolist())
     head = ["floor / story", f"mass, {mass_unit}", f"stiffness, {unit}"]
@@ -102,13 +102,13 @@ def frame_table(
 def in_one_unit(
     values: Floats, stds: Floats, unit_of: Callable[[Iterable[float]], tuple[float, str]]
 ) -> tuple[list[str], str]:
-    """Values, with their standard deviations where there are any, in one unit and, where there are none, one format.
+    """Write values and their standard deviations in one unit; values without any standard deviation have one format.
 
     Parameters
     ----------
     values, stds : ndarray, shape (N,)
     unit_of : callable
-        The size and the name of the unit that fits values, such as `Units.of_mass`.
+        Function that chooses the size and the name of a unit for values, such as `Units.of_mass`.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def _column(values: Floats, stds: Floats, factor: float) -> list[str]:
 
 
 def _short(written: list[str]) -> list[str]:
-    """Decimals of one number, without those that are 0 in all."""
+    """Remove trailing decimals that are 0 in all texts."""
     while written and all("." in text and text.endswith(("0", ".")) for text in written):
         written = [text[:-1] for text in written]
     return written
@@ -148,7 +148,7 @@ def _damping(result: IdentifiedDamping, units: Units = AUTOMATIC) -> Document:
 
 
 def damping_section(result: IdentifiedDamping) -> Section:
-    """Damping ratios of the modes, and the dashpots or Rayleigh's factors where there are such."""
+    """Tabulate the damping ratios of the modes, and the dashpots or Rayleigh factors if they exist."""
     return Section("damping", "Damping", tuple(_damping_parts(result)))
 
 
@@ -170,11 +170,11 @@ def _damping_parts(result: IdentifiedDamping) -> Iterator[Block]:
 
 
 RULED_OUT = 1e-3
-"""Probability of a chi-square so large below which the model is said to be ruled out; of one so small, the noise."""
+"""Smallest p-value of chi-square for a plausible model; 1 minus this value is the largest for a plausible noise."""
 
 
 def generous_noise(fit: Quality) -> Iterator[str]:
-    """Say where the residual is smaller than the stated noise lets expect.
+    """Warn if the residual is much smaller than the stated noise predicts.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _line(result: Identification) -> str:
 
 
 def _headline(result: Identification) -> str:
-    """Whose frame it is and how it was found; a warning before it where the stated noise rules the model out."""
+    """Name the frame and the method; put a warning first if the stated noise rules the model out."""
     how = f"method {result.method}, backend {result.backend}"
     fit = result.parts[0].fit
     if not result.joint or fit.p_value is None or fit.p_value >= RULED_OUT:
@@ -226,7 +226,7 @@ def _headline(result: Identification) -> str:
 
 
 def part_section(result: Identification, part: SingleIdentification, place: int, units: Units) -> Section:
-    """Tabulate the frame that one configuration, or all together, speak for, and how well it fits."""
+    """Tabulate the frame that one or all configurations give, and its fit."""
     title = "All configurations together" if result.joint else part.name
     parts = [
         frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
@@ -241,7 +241,7 @@ def part_section(result: Identification, part: SingleIdentification, place: int,
 
 
 def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
-    """Warn of what would have gone on but for a bound."""
+    """Warn of parameters that a bound holds."""
     at_bounds = part.frame.at_bounds
     if at_bounds:
         are, them = ("is", "it") if len(at_bounds) == 1 else ("are", "them")
@@ -254,7 +254,7 @@ def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
 
 
 def _prices(part: SingleIdentification, place: int, units: Units) -> Iterator[Block]:
-    """List the active bounds and exact priors, each with its price."""
+    """List the active bounds and exact priors, each with its dual value."""
     if part.active:
         misfit = "the objective of the program" if part.name else "chi-square with the noise of the fit"
         yield Sentence(f"Active bounds and exact priors with their prices (the misfit is {misfit}):", "strong")
@@ -262,7 +262,7 @@ def _prices(part: SingleIdentification, place: int, units: Units) -> Iterator[Bl
 
 
 def _price(held: ActiveConstraint, units: Units) -> str:
-    """Say how one more unit on the right side of a constraint changes the misfit."""
+    """State the change of the misfit for one more unit on the right side of a constraint."""
     about = f"{held.name} {held.source}"
     quantities = {} if units.relative else {"floor_mass": "kg", "story_stiffness": "N/m"}
     unit = next((unit for quantity, unit in quantities.items() if quantity in about), "unit")
@@ -276,7 +276,7 @@ def _price(held: ActiveConstraint, units: Units) -> str:
 
 
 def how_it_ended(part: SingleIdentification) -> Iterator[Sentence]:
-    """How many iterations there were and why they ended; a warning where they did not converge."""
+    """State the number of iterations and the reason of their end; warn if the fit did not converge."""
     said = f"{counted(part.iterations, 'iteration')}: {part.reason}."
     yield (
         Sentence(said)
@@ -302,7 +302,7 @@ def _matrix(matrix: Floats, place: int, units: Units) -> vocabulary.Block:
     factor, unit = units.of_mass(np.diag(matrix).tolist())
     head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
     largest = float(np.max(np.abs(matrix))) / factor
-    # Beside the largest entry, so that all have one format.
+    # The largest entry is appended to give all rows one format, then removed.
     written = [significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
     rows = tuple(Row((str(i), *cells)) for i, cells in enumerate(written, 1))
     return Table(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)

@@ -1,4 +1,4 @@
-"""What was measured and declared."""
+"""Describe the measured and declared data."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -11,7 +11,8 @@ from cvxshear.util.quantities import AUTOMATIC, Units, counted, numbered, percen
 from cvxshear.util.typing import Floats
 
 FLOOR_COLUMNS = 11
-"""Floors in one table of measured modes: what a page has room for; more go into tables below it."""
+"""Largest number of floors in one table of measured modes, by the width of a page; more tables hold the other
+floors."""
 
 
 @describe.register
@@ -33,14 +34,14 @@ def _headline(experiment: Experiment) -> str:
 
 
 def units_for(experiment: Experiment, units: Units) -> Units:
-    """Choose the units to show: relative ones where the total mass stands for one that nobody gave."""
+    """Choose the units: relative units if the total mass is unknown."""
     return dataclasses.replace(units, relative=True) if experiment.frame.total_mass_placeholder else units
 
 
 def declared(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
-    """List what was declared of the frame, and each test in a line."""
+    """List the declarations of the frame, and each test in a line."""
     facts = Facts(tuple(_facts(experiment, units)))
-    # One unit for all, that of the frame itself where its mass is known.
+    # All masses have one unit. A known mass of the frame determines this unit.
     sums = [float(each.added_mass.sum()) for each in experiment.configurations]
     mass = units.of_mass([*sums, experiment.frame.known_total or 0.0])
     head = ("configuration", "modes", "floors", "added mass", "noise")
@@ -82,7 +83,7 @@ def _test(each: Configuration, mass: tuple[float, str]) -> Row:
 
 
 def _noise(each: Configuration) -> str:
-    """Whether the standard deviations of what was measured are stated, by whoever wrote the file or by `modes`."""
+    """Return whether the file states the standard deviations of the measured quantities."""
     stated = [each.frequency_std is not None]
     if each.measured.any():
         stated.append(each.mode_shape_std is not None)
@@ -90,7 +91,7 @@ def _noise(each: Configuration) -> str:
 
 
 def _added(mass: Floats, factor: float, unit: str) -> str:
-    """How much, and where."""
+    """Write the added mass and its floors."""
     floors = [int(place) + 1 for place in np.flatnonzero(mass)]
     if not floors:
         return "none"
@@ -98,7 +99,7 @@ def _added(mass: Floats, factor: float, unit: str) -> str:
 
 
 def listed(values: Floats, unit: str, factor: float = 1.0) -> str:
-    """Write the values, or the one value that all have."""
+    """Write the values, or one value if all are equal."""
     shown = [f"{value / factor:g}" for value in values]
     same = len(set(shown)) == 1 and len(shown) > 1
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
@@ -114,7 +115,7 @@ def measured_modes(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
 
 def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
     factor, unit = units.of_mass(each.added_mass.tolist())
-    # Floor by floor, but where a single one says it.
+    # The masses are listed by floor unless only one floor has added mass.
     single = np.count_nonzero(each.added_mass) < 2
     added = _added(each.added_mass, factor, unit) if single else listed(each.added_mass, unit, factor)
     doubt = "" if _noise(each) == "stated" else " Standard deviations that are not stated are the default's."

@@ -1,4 +1,4 @@
-"""A planned test: where to put the sensors and the masses, what that will tell, and what one sensor more would."""
+"""Describe a planned test: the places of sensors and masses, the expected accuracy, and the gain of one more sensor."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from cvxshear.util.quantities import AUTOMATIC, Units, counted, percent, percent
 from cvxshear.util.typing import Floats
 
 PROVEN = 1e-9
-"""Gap below which a choice is the best there is."""
+"""Largest gap between the objective and its bound for a choice that counts as optimal."""
 
 
 @describe.register
@@ -30,7 +30,7 @@ def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
 
 
 def headline(result: Plan) -> str:
-    """Say the choice in a sentence."""
+    """Write the choice in a sentence."""
     floors = ", ".join(map(str, result.sensors))
     everywhere = len(result.sensors) == result.model.design.stories
     where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
@@ -38,7 +38,7 @@ def headline(result: Plan) -> str:
 
 
 def sure(result: Plan) -> str:
-    """State the objective, and how far from the best the choice can be."""
+    """State the objective and the largest possible distance of the choice from the optimum."""
     unit = "of the effects' sizes" if result.apart else "relative"
     said = f"{result.measure} ({result.criterion}): {percent(result.objective)} {unit}"
     if result.objective >= UNKNOWN_STD:
@@ -58,7 +58,7 @@ def sure(result: Plan) -> str:
 
 
 def cautions(result: Plan) -> list[Sentence]:
-    """Say what the promise is an average over, and where the frame of the plan is not the one that was measured."""
+    """State the limits of the predicted accuracy: averages over frames, and assumptions about the frame."""
     said = []
     if result.frames > 1:
         said.append(
@@ -79,7 +79,7 @@ def cautions(result: Plan) -> list[Sentence]:
 
 
 def grid(result: Plan) -> list[Sentence]:
-    """State what no tests of the grid of added masses can beat, where the masses were chosen."""
+    """State the bound on tests from the grid of added masses, if the masses were chosen."""
     if result.grid_bound is None:
         return []
     if result.arbitrary_masses:
@@ -92,7 +92,7 @@ def grid(result: Plan) -> list[Sentence]:
 
 
 def expected_modes(result: Plan) -> Table:
-    """Tabulate the modes of the first test, and how well they will be known where that differs from mode to mode."""
+    """Tabulate the modes of the first test, and their expected accuracy if it differs between modes."""
     modes = result.expected_modes
     given = {
         "mode": [str(each.mode) for each in modes],
@@ -101,14 +101,14 @@ def expected_modes(result: Plan) -> Table:
         "std of a shape's entry": percents([each.mode_shape_std for each in modes]),
         "std of damping": percents([each.damping_std for each in modes]),
     }
-    # What is one number for all modes stands in the sentence about the noise.
+    # The sentence about the noise gives every value that is equal for all modes.
     shown = {name: cells for name, cells in given.items() if name == "mode" or len(set(cells)) > 1}
     return table("expected-modes", f"expected modes ({result.names[0]})", shown)
 
 
 def added_masses(result: Plan, units: Units) -> Table:
     """Tabulate the added mass of each test, the top floor first."""
-    # They are laid on floors by hand, and asked for in kg, whatever their size.
+    # People place these masses by hand; the default unit is kg for every size.
     factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
     rows = []
     for floor in range(result.model.design.stories, 0, -1):
@@ -118,7 +118,7 @@ def added_masses(result: Plan, units: Units) -> Table:
 
 
 def verdicts(result: Plan) -> Table:
-    """For each effect, how far its data are from those without it and from those of the others."""
+    """Tabulate how clearly the data separate each effect from the case without effects and from other effects."""
     return table("verdicts", "probability of the right verdict", {
         "if it is": [each.label for each in result.apart],
         "expected size": [f"{significant(each.size, 3)} {each.unit or ''}".rstrip() for each in result.apart],
@@ -130,7 +130,7 @@ def verdicts(result: Plan) -> Table:
 
 
 def conclusions(result: Plan) -> list[Sentence]:
-    """Whether the tests suffice, in words, one sentence an effect."""
+    """State for each effect in one sentence whether the tests suffice."""
     return [
         Sentence(
             f"{each.label}: these tests {'can' if each.suffices else 'are not enough to'} show it; the right verdict "
@@ -142,7 +142,7 @@ def conclusions(result: Plan) -> list[Sentence]:
 
 
 def accuracy(result: Plan, units: Units) -> Table:
-    """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor less and more, all floors."""
+    """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor fewer or more, all floors."""
     design = result.model.design
     words = ("as planned", "one less", "one more", "all floors")
     options = zip(words, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)

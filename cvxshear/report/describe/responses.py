@@ -1,4 +1,4 @@
-"""A predicted response beside what was measured, and the motion of every floor from some sensors."""
+"""Describe a predicted response and its measurement, and the motion of all floors reconstructed from some sensors."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -26,13 +26,14 @@ from cvxshear.util.quantities import (
 )
 
 MODE_COLUMNS = 6
-"""Columns of the transfer functions' errors; the higher modes stand in the JSON."""
+"""Number of modes in the table of transfer-function errors; the JSON holds the higher modes."""
 
 SHOWN_MISSED = 0.0005
-"""Relative error of a record from which on it is told: what 0.1 % is written of."""
+"""Smallest relative error of a record that is reported: it is written as 0.1 %."""
 
 CERTAINLY_PASSED = 0.95
-"""Probability from which on a limit counts as passed, and below whose complement as not."""
+"""Smallest probability of an exceeded limit. A limit is not exceeded if the probability is at most 1 minus this
+value."""
 
 
 @describe.register
@@ -52,7 +53,7 @@ def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
 
 
 def _predicted(result: RecordPrediction) -> Iterator[str]:
-    """Say which story drifts most, and by how much the motion that was measured is missed."""
+    """Name the story with the largest drift, and give the error of the predicted motion."""
     yield _largest_drift(result.peaks)
     if (beside := result.after.comparison) is not None:
         least, most = (percent(float(each), 1) for each in (beside.nrmse.min(), beside.nrmse.max()))
@@ -62,7 +63,7 @@ def _predicted(result: RecordPrediction) -> Iterator[str]:
 
 
 def _largest_drift(found: Peaks) -> str:
-    """Say which story has the largest peak drift, and how large it is."""
+    """Name the story with the largest peak drift, and give this drift."""
     ratios = "story_drift_ratio" in found.values
     name, factor, unit = ("story_drift_ratio", 0.01, "% of its height") if ratios else ("story_drift", 1e-3, "mm")
     top = ranking.first_largest(found.values[name])
@@ -71,7 +72,7 @@ def _largest_drift(found: Peaks) -> str:
 
 
 def _driven(result: RecordPrediction) -> str:
-    """Which frame, in which state, under what."""
+    """Name the frame, its state and the excitation."""
     motion = result.motion
     seconds = sum(run.samples for run in motion.runs) / motion.sampling_rate
     driven = "base motion" if motion.input == "base" else "a force"
@@ -82,7 +83,7 @@ def _driven(result: RecordPrediction) -> str:
 
 
 def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
-    """Errors of each floor's acceleration, by both models where there are two, the top floor first."""
+    """Tabulate the errors of each floor's acceleration for one or both models, the top floor first."""
     modes = min(after.frf_error.shape[1], MODE_COLUMNS)
     sides: list[tuple[tuple[str, ...], RecordComparison]] = [((), after)]
     if before is not None:
@@ -106,7 +107,7 @@ def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
 
 
 def peaks(found: Peaks) -> Iterator[Sentence | Table]:
-    """Largest values at every floor and story, the top first, and the moment; drift ratios stand in another table."""
+    """Tabulate the peak values of every floor and story, the top first, and the base moment, without drift ratios."""
     values, std = found.values, found.std
     columns = {"floor / story": [str(floor) for floor in range(1, len(values["story_drift"]) + 1)]}
     for name, quantity in RESPONSES.items():
@@ -125,7 +126,7 @@ def _each_with_std(found: Peaks, name: str, factor: float) -> list[str]:
 
 
 def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
-    """Tables of the peaks, and what their deviations hold."""
+    """Yield the tables of the peaks, and explain their standard deviations."""
     yield from peaks(result.peaks)
     yield from _drift_ratios(result.peaks)
     if result.after.fitted.covariance is None:
@@ -149,7 +150,7 @@ def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
 
 
 def _drift_ratios(found: Peaks) -> Iterator[Table]:
-    """Drift ratios in a table of their own: beside the other peaks they would not fit on a page."""
+    """Yield a separate table of drift ratios: one table of all peaks would be too wide for a page."""
     if "story_drift_ratio" in found.values:
         cells = _each_with_std(found, "story_drift_ratio", 0.01)
         columns = {"story": [str(story) for story in range(1, len(cells) + 1)], "% of height": cells}
@@ -159,7 +160,7 @@ def _drift_ratios(found: Peaks) -> Iterator[Table]:
 @describe.register
 def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
     checks = (Section("checks", "Each sensor from the others", (left_out(result),)),) if result.checks else ()
-    # The headline has said what did not settle.
+    # The headline already contains the warning about a fit that did not settle.
     warnings = [Sentence(each, "warning") for each in result.warnings if each != UNSETTLED]
     sections = (
         Section("findings", "", (*warnings, Sentence(_reconstructed(result)))),
@@ -173,7 +174,7 @@ def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Documen
 
 
 def _reconstructed(result: Reconstruction) -> str:
-    """Which frame, from which floors, under what."""
+    """Name the frame, the measured floors and the excitation."""
     floors = numbered("floor", result.recording.floors.tolist())
     words = {"base": "base motion", "force": "a force", "none": "a base motion that nobody measured"}
     driven = words[result.recording.input]
@@ -184,7 +185,7 @@ def _reconstructed(result: Reconstruction) -> str:
 
 
 def _findings(result: Reconstruction) -> Iterator[str]:
-    """Say what an owner asks: which story drifted most, against which limit, and whether the building is the same."""
+    """Yield the findings for an owner: the largest drift, the exceeded limits, and changes of the building."""
     if result.frame_fitted and not result.frame.converged:
         yield UNSETTLED
     largest = _largest_drift(result.peaks).replace("drifts", "drifted")
@@ -233,7 +234,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
 
 
 def _limits(result: Reconstruction) -> Iterator[str]:
-    """Say in which stories each limit was passed."""
+    """Name the stories that exceeded each limit."""
     if result.limits is None or result.passed is None:
         return
     for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
@@ -250,7 +251,7 @@ def _limits(result: Reconstruction) -> Iterator[str]:
 
 
 def left_out(result: Reconstruction) -> Table:
-    """Each sensor from all others: what was left, and what was stated."""
+    """Tabulate the actual and the stated error of each sensor, predicted from all others."""
     alone = [None if each.prediction_error is None else each.prediction_error / each.measured for each in result.checks]
     return table("left-out-sensors", "each measured floor from the other sensors alone", {
         "floor": [str(each.floor) for each in result.checks],
@@ -263,7 +264,7 @@ def left_out(result: Reconstruction) -> Table:
 
 
 def stories(result: Reconstruction) -> Table:
-    """Peak drifts, their limits, and whether the story changed, the top first."""
+    """Tabulate the peak drifts, their limits and the changes of each story, the top first."""
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (0.01, "% of height") if name == "story_drift_ratio" else (1e-3, "mm")
     values, std = result.peaks.values[name], result.peaks.std[name]
@@ -304,7 +305,7 @@ def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
 
 
 def whiteness(result: Reconstruction) -> Table:
-    """Noise and innovations of each sensor."""
+    """Tabulate the noise and innovations of each sensor."""
     noise = result.frame.errors.noise_at(result.frame.p).sensors
     return table("whiteness", "innovations of the filter", {
         "floor": [str(each.floor) for each in result.whiteness],

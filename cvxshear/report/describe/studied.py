@@ -1,4 +1,4 @@
-"""Studies: the paper's figures beside recomputed ones, the noise study, all backends on the same programs."""
+"""Describe studies: printed and recomputed figures of the paper, the noise study, the comparison of backends."""
 
 import math
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from cvxshear.util.quantities import AUTOMATIC, Units, counted, exponential, sig
 from cvxshear.util.typing import Floats
 
 MORE_DIGITS = 2
-"""Decimals that a recomputed figure of the paper shows beyond the printed ones: enough to see how it was rounded."""
+"""Number of decimals of a recomputed figure beyond the printed ones: the reader can see the rounding."""
 
 Cells = tuple[str, ...]
 
@@ -43,7 +43,7 @@ def _reproduction(result: Reproduction, units: Units = AUTOMATIC) -> Document:
 
 
 def printed_beside_recomputed(section: printed.PaperSection) -> Table:
-    """One section of the paper as a table; a place in the paper is named once."""
+    """Tabulate one section of the paper; each place in the paper is named once."""
     random = any(row.std_error is not None for row in section.rows)
     errors = ("its standard error",) if random else ()
     head = ("where", "what", section.printed_in, "recomputed", *errors, "difference", "agreement")
@@ -88,7 +88,7 @@ def _headline(result: NoiseStudy) -> str:
 
 
 def noise_level(scatters: list[Scatter], place: int) -> Table:
-    """Every method at one noise level, the Cramer-Rao bound first."""
+    """Tabulate every method at one noise level, the Cramer-Rao bound first."""
     setup = scatters[0].setup
     numbers = range(1, setup.stories + 1)
     head = ("method", "figure", *(f"m{i}" for i in numbers), *(f"k{i}" for i in numbers))
@@ -116,12 +116,12 @@ def _lines(scatter: Scatter) -> Iterator[Cells]:
 
 
 def in_percent(values: Floats, digits: int = 2) -> Cells:
-    """Relative values in percent."""
+    """Write relative values in percent."""
     return tuple(f"{100 * value:.{digits}f}" for value in values)
 
 
 def note(result: NoiseStudy) -> str:
-    """Find the deviations that chance alone gives these figures."""
+    """State the random scatter of the study's figures."""
     ratio = 100 / np.sqrt(2 * result.samples)
     covered = 100 * np.sqrt(0.95 * 0.05 / result.samples)
     return (
@@ -170,7 +170,7 @@ def programs(kind: ProgramKind) -> str:
 
 
 def _rows(rows: list[BackendResult]) -> Iterator[Row]:
-    """One row a backend; the times in one format, fine enough for the fastest."""
+    """Yield one row for each backend; the format of the times resolves the fastest."""
     known = [1e3 * row.seconds for row in rows if row.seconds is not None]
     decimals = max(0, 1 - math.floor(math.log10(min(known)))) if known else 0
     for row in rows:
@@ -188,7 +188,7 @@ def _backend_cells(row: BackendResult) -> Iterator[str]:
 
 
 def worst(result: Comparison) -> Table:
-    """For each backend its worst figures over all programs that it takes."""
+    """Tabulate the worst figures of each backend over all programs that the backend accepts."""
     names = dict.fromkeys(row.backend for row in result.rows)
     head = (
         "backend", "programs solved", "as given", "polished", "replaced", "largest difference",
@@ -213,5 +213,5 @@ def _largest(values: list[float | None]) -> str:
 
 
 def short(failure: str) -> str:
-    """Name a failure that every reader of these tables knows, in a few words."""
+    """Shorten the message of a common failure."""
     return "takes no active bound" if "takes equalities only" in failure else failure

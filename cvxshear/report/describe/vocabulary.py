@@ -1,4 +1,4 @@
-"""The parts that the description of a result is made of, and the functions that describe a result of any type."""
+"""Define the parts of a description, and the functions that describe a result of any type."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Sentence:
 
 @dataclass(frozen=True)
 class Points:
-    """Sentences that stand each by itself.
+    """A list of independent sentences.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Facts:
-    """Names with what is known of them.
+    """Pairs of a name and a value.
 
     Parameters
     ----------
@@ -64,11 +64,11 @@ class Row:
     Parameters
     ----------
     cells : tuple of str
-        As people read them.
+        Texts of the cells.
     key : str
         Names it in a page.
     exact : tuple
-        The numbers behind the cells from the second on; empty where nobody asks for them.
+        Exact numbers of the cells after the first; empty if they are not needed.
     """
 
     cells: tuple[str, ...]
@@ -90,7 +90,7 @@ class Table:
     words : tuple of int
         Columns that hold words, zero-based; the others hold numbers.
     brief : int or None
-        How many rows suffice where there is little room; all where None.
+        Number of rows for a short display; None shows all.
     """
 
     kind: ClassVar[str] = "table"
@@ -102,7 +102,7 @@ class Table:
     brief: int | None = None
 
     def folded(self, most: int) -> tuple[Table, ...]:
-        """Several tables, each of the first column and as many of the others as a page has room for."""
+        """Split the table into tables of the first column and at most `most` other columns."""
         count = len(self.head)
         if count <= most + 1:
             return (self,)
@@ -119,19 +119,19 @@ Block = Sentence | Points | Facts | Table
 
 @dataclass(frozen=True)
 class Section:
-    """What belongs together.
+    """A section of a description.
 
     Parameters
     ----------
     key : str
         Names it in a page.
     title : str
-        Empty where its parts need none.
+        Empty if the parts need no title.
     parts : tuple
     detail : bool
-        Whether a full report alone has it.
+        Whether only a full report shows the section.
     below : bool
-        Whether it belongs to the section before it.
+        Whether the section belongs to the section before it.
     """
 
     key: str
@@ -148,9 +148,9 @@ class Document:
     Parameters
     ----------
     title : str
-        Whose result it is.
+        Name of the frame or record.
     headline : str
-        What came out, in a sentence.
+        Result in one sentence.
     sections : tuple of Section
     """
 
@@ -159,24 +159,24 @@ class Document:
     sections: tuple[Section, ...]
 
     def __getitem__(self, key: str) -> Section:
-        """Find the section of a key."""
+        """Return the section with a key."""
         return next(section for section in self.sections if section.key == key)
 
     @property
     def brief(self) -> Iterator[Section]:
-        """The sections without those of a full report."""
+        """Sections of the short report that are not empty."""
         return (section for section in self.sections if not section.detail and section.parts)
 
 
 def plain_rows(cells: Iterable[Sequence[str]]) -> tuple[Row, ...]:
-    """Rows of nothing but cells."""
+    """Make rows that have cells only."""
     return tuple(Row(tuple(row)) for row in cells)
 
 
 def table(
     key: str, title: str, cells: Mapping[str, Iterable[str]], *, words: tuple[int, ...] = (0,), top_first: bool = False
 ) -> Table:
-    """Make a table of whole columns, each below its header; with `top_first` their last entries are the first row."""
+    """Make a table from columns with their headers; with `top_first` the last entries form the first row."""
     rows = plain_rows(zip(*cells.values(), strict=True))
     return Table(key, title, tuple(cells), rows[::-1] if top_first else rows, words)
 
@@ -189,7 +189,7 @@ def describe(result: object, units: Units = AUTOMATIC) -> Document:
     ----------
     result : object
     units : Units, optional
-        In which quantities are shown; what fits their size where not given.
+        Units of the quantities. Default: units that fit the sizes.
 
     Returns
     -------
@@ -198,12 +198,12 @@ def describe(result: object, units: Units = AUTOMATIC) -> Document:
     Raises
     ------
     TypeError
-        Where nobody has said how a result of this type is described.
+        If no description is registered for this type.
     """
     raise TypeError(f"a {type(result).__name__} has no description; register one with describe.register")
 
 
 @singledispatch
 def line(result: object) -> str:
-    """Say a result in one short line, such as a prompt shows; by default its description's headline."""
+    """Write a result in one short line for a prompt. Default: the headline of its description."""
     return f"<{type(result).__name__} {describe(result).headline}>"
