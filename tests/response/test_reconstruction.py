@@ -757,7 +757,7 @@ def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():
 
 
 def test_a_heavier_floor_makes_no_story_softer():
-    """One of five floors is 15 % heavier. Base motion gives no mass scale; the shears and the mean factor include it."""
+    """One floor of five is 15 % heavier. Base motion gives no mass scale; shears and mean factor allow for it."""
     sound, _, _ = study.building(5, "sound", 2)
     heavier = sound.floor_mass * np.array([1.0, 1.0, 1.15, 1.0, 1.0])
     motion, total, _ = recorded(dataclasses.replace(sound, floor_mass=heavier), 2, (1, 3, 5))
