@@ -1,1 +1,1 @@
-"""Speed, as ratios measured in one run: `python -m tests.benchmarks` prints the tables of docs/speed.md."""
+"""Measure speed as ratios within one run: `python -m tests.benchmarks` prints the tables of docs/speed.md."""

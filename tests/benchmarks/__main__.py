@@ -1,10 +1,11 @@
 """Print the tables of docs/speed.md: `python -m tests.benchmarks [starting] [scaling] [many] [loops] ...`.
 
-`python -m tests.benchmarks backends` prints how the answers of each backend were accepted (docs/theory/backends.md).
+`python -m tests.benchmarks backends` prints how each backend's answers were accepted (docs/theory/backends.md).
 
-`python -m tests.benchmarks hard --programs 1000 --seed 1` prints that of docs/theory/backends.md,
-`python -m tests.benchmarks hard-frames --frames 100 --seed 1` that of docs/reliability.md,
-`python -m tests.benchmarks nested` that of docs/calibration.md.
+Three commands print the tables of other pages:
+`python -m tests.benchmarks hard --programs 1000 --seed 1` for docs/theory/backends.md,
+`python -m tests.benchmarks hard-frames --frames 100 --seed 1` for docs/reliability.md,
+`python -m tests.benchmarks nested` for docs/calibration.md.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""How the answers of each backend are accepted: as given, polished, replaced, or refused."""
+"""Count how each backend's answers are accepted: as given, polished, replaced, or refused."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def main():
 
 
 def bounded(seed):
-    """A random program of ten unknowns, half of them at a bound."""
+    """Return a random program with ten unknowns, half of them at a bound."""
     rng = np.random.default_rng(seed)
     R, s = rng.standard_normal((30, 10)), rng.standard_normal(30)
     free = np.linalg.lstsq(R, s, rcond=None)[0]
@@ -29,7 +29,7 @@ def bounded(seed):
 
 
 def _counts(name, programs):
-    """Numbers of answers in the order of the columns."""
+    """Return the numbers of answers, one per column of the table."""
     counts = dict.fromkeys([*Acceptance, "refused", "unsuitable"], 0)
     for program in programs:
         try:

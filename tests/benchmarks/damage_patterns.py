@@ -1,8 +1,8 @@
-"""What the loop finds in the IASC-ASCE benchmark: ``python -m tests.benchmarks.damage_patterns``.
+"""Apply the loop to the IASC-ASCE benchmark: ``python -m tests.benchmarks.damage_patterns``.
 
-For each direction, the floor masses declared or only their total: every pattern by itself beside the undamaged frame,
-and all seven states at once. Printed are the verdict, the changes at their story (named, or a rival of what is), what
-is named with 95 % or more and is not there, and the braces' stiffness that the all-brace patterns lost.
+The study runs for each direction, with declared floor masses or with only their total. One run takes each pattern
+with the undamaged frame; one run takes all seven states. The table has the verdict, the changes found at their story
+(named or rival), the false findings with 95 % or more, and the lost brace stiffness of the all-brace patterns.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import cvxshear
 from cvxshear.loop.close import search_for_effects
 
 BRACES = 48.23
-"""Stiffness of all braces of a story, MN/m."""
+"""Stiffness of all braces in a story, MN/m."""
 
 DAMAGED = {
     "x": {1: [1], 2: [1, 3], 3: [], 4: [3], 5: [3], 6: []},
     "y": {1: [1], 2: [1, 3], 3: [1], 4: [1], 5: [1], 6: [1]},
 }
-"""Stories that lost braces in one direction, by pattern."""
+"""Stories with removed braces in one direction, by pattern."""
 
 SURE = 0.95
 
 
 def experiment_of(direction: str, patterns: tuple[int, ...], masses: bool) -> cvxshear.Experiment:
-    """The undamaged frame and some patterns, its floor masses declared or their total alone."""
+    """Return the undamaged frame and some patterns, with declared floor masses or only their total."""
     whole = cvxshear.load(f"iasc-asce-{direction}")
     names = {"pattern 0", *(f"pattern {number}" for number in patterns)}
     kept = tuple(each for each in whole.configurations if each.name in names)
@@ -39,7 +39,7 @@ def experiment_of(direction: str, patterns: tuple[int, ...], masses: bool) -> cv
 
 
 def told(task: tuple[str, tuple[int, ...], bool]) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     direction, patterns, masses = task
     closure = search_for_effects(experiment_of(direction, patterns, masses))
     changes = {(number, story) for number in patterns for story in DAMAGED[direction][number]}
@@ -69,7 +69,7 @@ def told(task: tuple[str, tuple[int, ...], bool]) -> str:
 
 
 def lines() -> Iterator[str]:
-    """The whole table."""
+    """Yield the lines of the table."""
     yield f"direction, patterns, declared, verdict, named + rivals, false, braces lost (of {BRACES} MN/m)"
     tasks = [
         (direction, patterns, masses)

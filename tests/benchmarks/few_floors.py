@@ -1,9 +1,9 @@
-"""Softer stories seen by sensors at no floor or two: `python -m tests.benchmarks.few_floors [FRAMES [SEED]]`.
+"""Find softer stories with few or no sensors: `python -m tests.benchmarks.few_floors [FRAMES [SEED]]`.
 
-Frames of five to seven stories whose floors and stories scatter by a tenth, tested bare, then with one story that lost
-a fifth, bare and with a known mass on the top floor. Then frames of three to five stories, frequencies alone, without
-any load: of two states each has a story of its own that lost a fifth. Printed is in how many the softer story is found
-or a rival of what is found, and how many other things are named with 95 % or more.
+The first frames have five to seven stories; their masses and stiffnesses scatter by a tenth. They are tested bare, then
+with a story that lost a fifth, both bare and with a known mass on the top floor. Sensors are at two floors or none.
+The second frames have three to five stories, frequencies alone and no known mass. In each of two states, a different
+story lost a fifth. The table counts the softer stories found (named or rival) and the other findings with 95 % or more.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from cvxshear.loop.close import search_for_effects
 from tests.frames import modes_of
 
 LOSS, LOAD = 0.2, 0.15
-"""Part of its stiffness that the story lost, and the known mass over that of a floor."""
+"""Lost part of the story's stiffness, and the known mass relative to a floor's mass."""
 FREQUENCY_STD, SHAPE_STD = 0.001, 0.01
 SURE = 0.95
 
 
 def drawn(rng, stories):
-    """Floor masses and story stiffnesses."""
+    """Return random floor masses and story stiffnesses."""
     mass = 1e4 * np.exp(0.1 * rng.standard_normal(stories))
     return mass, 3e7 * np.linspace(1.0, 0.6, stories) * np.exp(0.1 * rng.standard_normal(stories))
 
 
 def softer(stiffness, story):
-    """These stiffnesses with a loss in one story, counted from 1."""
+    """Return the stiffnesses with a loss in one story, counted from 1."""
     return stiffness * np.where(np.arange(1, len(stiffness) + 1) == story, 1 - LOSS, 1.0)
 
 
 def table(rng, name, state, mass, stiffness, added, seen):
-    """A test as a dict, its shapes seen at these floors."""
+    """Return a test as a dict, with shapes at these floors."""
     frequencies, shapes = modes_of(mass + added, stiffness)
     noise = 1 + FREQUENCY_STD * rng.standard_normal(len(mass))
     result = {
@@ -52,7 +52,7 @@ def table(rng, name, state, mass, stiffness, added, seen):
 
 
 def loaded(rng, floors):
-    """A measurement file as a dict, and what changed in it: (story, state)."""
+    """Return a measurement file as a dict, and its changes as (story, state)."""
     stories = int(rng.integers(5, 8))
     mass, stiffness = drawn(rng, stories)
     soft = int(rng.integers(stories)) + 1
@@ -65,7 +65,7 @@ def loaded(rng, floors):
 
 
 def bare(rng):
-    """The same for frequencies alone, without a load, of a frame two of whose stories lost stiffness in turn."""
+    """Return a measurement file with frequencies alone and no known mass; two stories lose stiffness in turn."""
     stories = int(rng.integers(3, 6))
     mass, stiffness = drawn(rng, stories)
     first, second = (rng.choice(stories, 2, replace=False) + 1).tolist()
@@ -76,13 +76,13 @@ def bare(rng):
 
 
 def declared(mass, tables):
-    """A measurement file of these tests."""
+    """Return a measurement file of these tests."""
     frame = {"total_mass": float(mass.sum()), "story_heights": 3.0, "reference": "before"}
     return {"frame": frame, "configuration": tables}
 
 
 def trial(file, changed):
-    """How many of the softer stories are found or a rival, and how many other things are named for sure."""
+    """Count the softer stories that are found (named or rival), and the other findings with 95 % or more."""
     closure = search_for_effects(Experiment.from_dict(file))
     wanted = {f'story change at story {story} of "{state}"' for story, state in changed}
     named = {item.placed.label: item.probability for item in closure.effects}

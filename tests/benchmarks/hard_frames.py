@@ -1,9 +1,9 @@
-"""Badly conditioned frames, identified by the efficient method on every backend: equal within their bounds, or refused.
+"""Identify badly conditioned frames by the efficient method on every backend, and compare the answers.
 
-`python -m tests.benchmarks hard-frames --frames 100 --seed 1` draws frames of 2 to 5 stories whose stiffnesses differ
-by up to a factor of 1e6, half of them with floors of as different masses, some with a soft prior of down to 1e-12, and
-prints what each backend answers. Two answers are equal where no mass and no stiffness differs by more than `EQUAL` of
-its standard deviation, or by more than rounding leaves.
+`python -m tests.benchmarks hard-frames --frames 100 --seed 1` draws frames of 2 to 5 stories with stiffness ratios of
+up to 1e6. Half of the frames also have unequal masses; some have a soft prior of down to 1e-12. The table has the
+answers of each backend. Two answers are equal if all masses and stiffnesses agree within `EQUAL` standard deviations
+or within rounding.
 """
 
 from collections import Counter
@@ -15,14 +15,14 @@ from tests.benchmarks.hard_programs import frame_modes
 from tests.benchmarks.timing import table
 
 EQUAL = 0.3
-"""Of a standard deviation: what a fit leaves that ends once steps lower chi-square by less than 0.1, its square."""
+"""Largest difference of equal answers, in standard deviations: fits stop at a chi-square step of 0.1, its square."""
 
 ROUNDING = 1e-6
-"""Relative difference that counts as none: steps are solved to it."""
+"""Relative difference due to rounding: the tolerance of the solved steps."""
 
 
 def drawn(rng):
-    """The dict of a measurement file of a badly conditioned frame, tested twice, and its true values."""
+    """Return the dict of a measurement file of a badly conditioned frame, tested twice, and its true values."""
     n = int(rng.integers(2, 6))
     stiffness = 1e4 * 10.0 ** (rng.uniform(0, 6) * rng.permutation(np.linspace(0, 1, n)))
     mass = 10.0 * 10.0 ** (rng.choice([0.0, rng.uniform(0, 4)]) * rng.uniform(0, 1, n))
@@ -50,7 +50,7 @@ def drawn(rng):
 
 
 def answered(declared, backend):
-    """What a backend makes of a measurement: a result, or why it was refused."""
+    """Return a backend's result for a measurement, or the reason of its refusal."""
     try:
         return identify(Experiment.from_dict(declared), method="efficient", backend=backend)
     except CvxshearError as error:
@@ -58,12 +58,12 @@ def answered(declared, backend):
 
 
 def apart(a, b):
-    """Largest difference of two frames in standard deviations, rounding left out, and whether both leave the same open.
+    """Return the largest difference of two frames in standard deviations. Rounding is ignored.
 
     Returns
     -------
     difference : float
-        Infinite where one leaves a value undetermined that the other states.
+        Infinite if only one of the frames determines a value.
     """
     worst = 0.0
     for key in ("floor_mass", "story_stiffness"):
@@ -78,7 +78,7 @@ def apart(a, b):
 
 
 def study(frames, seed, names):
-    """Counts by backend, the pairs that differ, and the words of refusals."""
+    """Count answers by backend, pairs that differ, and messages of refusals."""
     counts = {name: Counter() for name in names}
     differing, refusals, largest = [], Counter(), 0.0
     for number in range(frames):

@@ -1,9 +1,9 @@
-"""Hard least-squares programs on every backend, against their exact minimizers by rational arithmetic.
+"""Solve hard least-squares programs with every backend; compare with exact minimizers in rational arithmetic.
 
 `python -m tests.benchmarks hard --programs 1000 --seed 1` draws programs of the kinds below and solves each with every
-backend. An answer must lie within its own bound of the exact minimizer, which is that of the floating-point numbers as
-they stand: every float is a rational number, so Gaussian elimination on the optimality conditions is exact. An answer
-that cannot be told is to be refused. So any two answers to one program are equal within their bounds.
+backend. An answer must lie within its own error bound of the exact minimizer of the floating-point program. Every float
+is a rational number, so Gaussian elimination on the optimality conditions is exact. A backend must refuse an
+undetermined answer. Any two answers to one program therefore agree within their bounds.
 """
 
 import itertools
@@ -21,7 +21,7 @@ from cvxshear.programs.pair_rows import one_shot_rows, stiffness_rows
 from tests.benchmarks.timing import table
 
 SUBSETS = 512
-"""Sets of active inequalities that are tried to find the exact minimizer; all of nine inequalities."""
+"""Number of sets of active inequalities tried for the exact minimizer: all sets of nine inequalities."""
 
 
 def main(programs=1000, seed=1):
@@ -52,7 +52,7 @@ def main(programs=1000, seed=1):
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one backend made of one program: a solution, or the error that it was refused with."""
+    """Outcome of one program on one backend: a solution, or the error of the refusal."""
 
     backend: str
     solution: object = None
@@ -114,7 +114,7 @@ class Tally:
 
 
 def study(programs, seed, names=None):
-    """A `Tally` a kind, over programs drawn from a seed."""
+    """Return one `Tally` per kind, over programs drawn from a seed."""
     tally = defaultdict(Tally)
     for number in range(programs):
         kind = list(KINDS)[number % len(KINDS)]
@@ -133,7 +133,7 @@ def solved(name, program):
 
 
 def exactly(program):
-    """The minimizer in rational numbers, None where there is none, and whether it is known to be the only one."""
+    """Return the minimizer in rational numbers (None if there is none), and whether it is known to be unique."""
     R, s = (rational(part) for part in program.weighted)
     A, b = (rational(part) for part in program.equalities)
     G, h = (rational(part) for part in program.inequalities)
@@ -156,9 +156,9 @@ def exactly(program):
 
 
 def stationary(N, c, B, sides):
-    """x and the multipliers of N x + B' y = c, B x = sides by elimination; None where the system is singular.
+    """Solve N x + B' y = c, B x = sides for x and y by elimination; return None if the system is singular.
 
-    Rows of B that follow from those before them are left out, their multipliers zero.
+    Rows of B that depend on earlier rows are omitted; their multipliers are zero.
     """
     n, kept = len(N), independent(B)
     rows = [B[i] for i in kept]
@@ -174,7 +174,7 @@ def stationary(N, c, B, sides):
 
 
 def independent(rows):
-    """Which rows do not follow from those before them."""
+    """Return which rows are independent of the earlier rows."""
     kept, reduced = [], []
     for i, row in enumerate(rows):
         left = list(row)
@@ -189,7 +189,7 @@ def independent(rows):
 
 
 def eliminated(system):
-    """The solution of a square system with its right side as last column; None where it is singular."""
+    """Solve a square system whose last column is the right side; return None if the system is singular."""
     system = [list(row) for row in system]
     size = len(system)
     for k in range(size):
@@ -216,7 +216,7 @@ def dot(row, x):
 
 
 def frame_modes(mass, stiffness):
-    """Eigenvalues and mode shapes (columns, largest entry 1) of a shear frame, from its dense matrices."""
+    """Return eigenvalues and mode shapes (columns, largest entry 1) of a shear frame from its dense matrices."""
     n = len(mass)
     T = np.eye(n) - np.eye(n, k=-1)
     eigenvalues, shapes = eigh(T.T @ np.diag(stiffness) @ T, np.diag(mass))
@@ -224,7 +224,7 @@ def frame_modes(mass, stiffness):
 
 
 def tight_prior(rng):
-    """All masses from one program, the total exact, and a soft prior on one of 1e-12 to 1e-4."""
+    """Draw the program of all masses with an exact total and a soft prior of 1e-12 to 1e-4 on one mass."""
     n = int(rng.integers(2, 5))
     mass = rng.uniform(5, 20, n)
     _, shapes = frame_modes(mass, rng.uniform(1e4, 3e4, n))
@@ -242,7 +242,7 @@ def tight_prior(rng):
 
 
 def stiffness_ratio(rng):
-    """Stiffnesses whose ratio is up to 1e8, from exact or noisy modes."""
+    """Draw a program of stiffnesses with ratios of up to 1e8, from exact or noisy modes."""
     n = int(rng.integers(2, 6))
     stiffness = 10.0 ** rng.uniform(0, rng.uniform(1, 8), n)
     mass = rng.uniform(1, 2, n)
@@ -253,7 +253,7 @@ def stiffness_ratio(rng):
 
 
 def repeated_modes(rng):
-    """Masses and stiffnesses from modes that are nearly repeated: stiff parts on soft joints."""
+    """Draw a program of masses and stiffnesses with nearly repeated modes: stiff parts on soft joints."""
     n = int(rng.integers(3, 6))
     soft = 10.0 ** rng.uniform(-9, -2)
     stiffness = 1000.0 * np.where(np.arange(n) % 2 == 1, soft, 1.0)
@@ -266,7 +266,7 @@ def repeated_modes(rng):
 
 
 def ill_conditioned(rng):
-    """Rows of a condition number up to 1e14, bounds close to the answer without them."""
+    """Draw rows with a condition number of up to 1e14, and bounds close to the unbounded answer."""
     n, rows = int(rng.integers(2, 6)), int(rng.integers(5, 9))
     left = np.linalg.qr(rng.standard_normal((rows, n)))[0]
     right = np.linalg.qr(rng.standard_normal((n, n)))[0]
@@ -279,7 +279,7 @@ def ill_conditioned(rng):
 
 
 def units(rng):
-    """Unknowns and rows of any units, an equality, and an inequality."""
+    """Draw unknowns and rows of arbitrary units, an equality, and an inequality."""
     n = int(rng.integers(2, 6))
     sizes, weights = 10.0 ** rng.uniform(-9, 9, n), 10.0 ** rng.uniform(-4, 4, 8)
     R, A, G = (rng.standard_normal((rows, n)) / sizes for rows in (8, 1, 2))
@@ -290,7 +290,7 @@ def units(rng):
 
 
 def degenerate(rng):
-    """Constraints that touch the minimizer without a pull, repeat each other, or follow from others."""
+    """Draw constraints that touch the minimizer with zero multipliers, repeat each other, or follow from others."""
     n = int(rng.integers(2, 5))
     R, x = rng.standard_normal((n + 3, n)), rng.integers(-4, 5, n).astype(float)
     residual = np.linalg.qr(R, mode="complete")[0][:, n:] @ rng.standard_normal(3) * rng.choice([0.0, 1.0])
@@ -302,7 +302,7 @@ def degenerate(rng):
 
 
 def open_direction(rng):
-    """Fewer rows than unknowns; sometimes bounds close what is left."""
+    """Draw fewer rows than unknowns; sometimes bounds determine the open directions."""
     n = int(rng.integers(2, 5))
     R = rng.standard_normal((n - 1, n))
     x = rng.uniform(1, 2, n)
@@ -311,7 +311,7 @@ def open_direction(rng):
 
 
 def last_step(rng):
-    """A step of an iteration that has converged: the residual is orthogonal to the rows, and bounds touch."""
+    """Draw a step of a converged iteration: the residual is orthogonal to the rows, and bounds are touched."""
     n = int(rng.integers(2, 6))
     R = rng.standard_normal((n + 4, n)) * 10.0 ** rng.uniform(-3, 3, n)
     s = np.linalg.qr(R, mode="complete")[0][:, n:] @ rng.standard_normal(4)
@@ -323,7 +323,7 @@ def last_step(rng):
 
 
 def contradictory(rng):
-    """Bounds that the exact sum misses by a part in a thousand to a part in 1e6: there is no minimizer."""
+    """Draw bounds that contradict the exact sum by 1e-3 to 1e-6: there is no minimizer."""
     n = int(rng.integers(2, 5))
     lower = rng.uniform(1, 2, n)
     gap = 10.0 ** rng.uniform(-6, -3)
@@ -344,4 +344,4 @@ KINDS = {
     "last step of an iteration": last_step,
     "contradictory bounds": contradictory,
 }
-"""A function of a random generator a kind."""
+"""Generators of programs, by kind; each takes a random generator."""

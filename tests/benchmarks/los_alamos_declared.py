@@ -1,8 +1,8 @@
-"""What Los Alamos' verdict owes to what its file declares: ``python -m tests.benchmarks.los_alamos_declared``.
+"""Vary the declarations of the Los Alamos file: ``python -m tests.benchmarks.los_alamos_declared``.
 
-The file as it is, then with its standard deviations of the frequencies multiplied, undeclared, without its four
-exclusions, and without its ratios of stories. Printed are the verdict, how many of the eight changes come first at
-their place, how many more are a rival there, and what is named with 95 % or more and is not there.
+The variants are the file itself, and files with scaled or undeclared frequency deviations, without the four exclusions,
+or without the story ratios. The table has the verdict, how many of the eight changes come first at their place, how
+many are rivals there, and the false findings with 95 % or more.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ CHANGED = {
     "state 6": ("story_change", 3), "state 7": ("story_change", 3),
     "state 8": ("story_change", 4), "state 9": ("story_change", 4),
 }  # fmt: skip
-"""What was done to the frame (LA-14393, Table 2): its kind, and its floor or story."""
+"""True changes of the frame (LA-14393, Table 2): kind, and floor or story."""
 
 FACTORS = (0.75, 1.25, 1.5)
 SURE = 0.95
 
 
 def variants() -> dict[str, cvxshear.Experiment]:
-    """The experiments, by what is declared otherwise."""
+    """Return the experiments by the changed declaration."""
     declared = cvxshear.load("los-alamos")
     found = {"as declared": declared}
     for factor in (*FACTORS, None):
@@ -44,7 +44,7 @@ def variants() -> dict[str, cvxshear.Experiment]:
 
 
 def line(task: tuple[str, cvxshear.Experiment]) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     words, experiment = task
     closure = search_for_effects(experiment)
 

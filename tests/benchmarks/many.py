@@ -1,4 +1,4 @@
-"""Few iterations, and many identifications at once."""
+"""Measure many identifications at once, and compare few iterations."""
 
 import time
 
@@ -40,13 +40,13 @@ def _processes():
     setup = three_story(0.05)
     frequencies, shapes = setup.draw(np.random.default_rng(1), 200)
     samples = [setup.experiment(*pair) for pair in zip(frequencies, shapes, strict=True)]
-    each(identify, samples[:4], jobs=2)  # the processes stay
+    each(identify, samples[:4], jobs=2)  # start the processes, which stay
     one, two = (fastest(lambda jobs=jobs: each(identify, samples, jobs=jobs), 2)[0] for jobs in (1, 2))
     return [[1, shown(one), "1"], [2, shown(two), f"{one / two:.1f}"]]
 
 
 def _fits():
-    """A tall frame, all modes of the lowest fifth at a quarter of the floors, with design values and without."""
+    """Time the fits of a tall frame: the lowest fifth of modes at a quarter of the floors, with and without priors."""
     rng = np.random.default_rng(3)
     n = 100
     mass, stiffness = np.linspace(3e4, 2e4, n), np.linspace(8e8, 3e8, n)
@@ -81,7 +81,7 @@ def _loop():
                 mass, stiffness, added, rng=rng, shape_noise=0.01, frequency_noise=0.001, modes=list(range(1, 9))
             )
         )
-    # The third test was done with a mass at floor 5 that nobody wrote down.
+    # The third test has an undeclared mass at floor 5.
     missed = np.asarray(tests[2]["added_mass"]) + 3e3 * np.eye(n)[4]
     frequencies, shapes = modes_of(mass + missed, stiffness)
     tests[2]["frequencies"] = (frequencies[:8] * (1 + 0.001 * rng.standard_normal(8))).tolist()

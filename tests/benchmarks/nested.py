@@ -1,9 +1,9 @@
-"""Evidence against nested sampling: `python -m tests.benchmarks nested` prints the table of docs/calibration.md.
+"""Compare evidence with nested sampling: `python -m tests.benchmarks nested` prints the table of docs/calibration.md.
 
-Each problem is a frame of two or three stories, measured with noise; what is compared is the difference of log Z
-between the shear model and a set of effects. Likelihood and priors are written out here from docs/theory/loop.md, and
-dynesty (Speagle 2020) integrates them; from the library come only the fits, whose optimum and width bound the box in
-which the frame's parameters are sampled. A box that cuts anything off fails.
+Each problem is a frame of two or three stories with noise. The study compares the difference of log Z between the shear
+model and a set of effects. This module implements likelihood and priors from docs/theory/loop.md, and dynesty (Speagle
+2020) integrates them. The library supplies only the fits, whose optimum and width bound the sampled box of the frame's
+parameters. The study fails if a box truncates the posterior.
 """
 
 from __future__ import annotations
@@ -23,39 +23,39 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_evidence
 
 FLOOR_MASS, STORY_STIFFNESS, HEIGHT, GRAVITY = 10.0, 22e3, 0.4, 9.81
-"""A typical floor (kg) and story (N/m), story heights (m), m/s2."""
+"""Typical floor mass (kg), story stiffness (N/m), story height (m) and gravity (m/s2)."""
 
 FREQUENCY_STD, SHAPE_STD = 0.002, 0.01
 MASS_WIDTH, STIFFNESS_WIDTH, NOISE_WIDTH, SIZE_WIDTH, TAIL = 1.0, 2.0, 0.7, 1.5, 4
-"""The stated widths of the logarithms of a floor mass, a story stiffness, a noise, a common size; Student's degrees."""
+"""Stated widths of the logarithms of floor mass, story stiffness, noise and common size; degrees of Student's t."""
 
 REACH = 9.0
-"""Half of the sampled box, in standard deviations of the fit."""
+"""Half-width of the sampled box in standard deviations of the fit."""
 
 EDGE = 0.01
-"""Part of the box at either end in which no more than a thousandth of the posterior may lie."""
+"""Fraction of the box at each end that must contain at most 0.001 of the posterior."""
 
 LIVE = 150
 DRAWS, DEGREES, WIDER = 8000, 5, 1.2
-"""Of importance sampling from Student's t about what nested sampling found: its error is a tenth of that one's."""
+"""Draws, degrees and width factor of Student's t in importance sampling; the error is a tenth of nested sampling's."""
 
 MANY = 8
 TOLERANCE = 0.05
-"""Of the remaining log evidence at which nested sampling ends."""
+"""Remaining log evidence at the end of nested sampling."""
 
 SIZES = {
     "ground_spring": 0.1 * STORY_STIFFNESS, "sensor_gain": 0.05, "total_mass": 0.1, "state_stiffness": 0.1,
     "state_mass": 0.1, "story_change": 0.25, "added_mass": 0.15 * FLOOR_MASS, "other_stiffness": 0.02 * STORY_STIFFNESS,
     "other_changes": 0.1,
 }  # fmt: skip
-"""The stated size of each effect."""
+"""Stated size of each effect."""
 
 OPEN = ("other_stiffness", "other_changes")
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A frame, what is truly in it, and the effect that is judged.
+    """Frame, its true effect, and the effect under test.
 
     Parameters
     ----------
@@ -64,10 +64,10 @@ class Problem:
     at : dict
         Floor, story or state of the effect.
     true : tuple of float
-        Its true parameters; a negative spring presses on its bound.
+        True parameters of the effect; a negative spring reaches its bound.
     stories, tests, seed : int
     undeclared : bool
-        Whether nobody declared the noise.
+        Whether the noise is undeclared.
     noise : float
         Factor on the true noise.
     """
@@ -100,12 +100,12 @@ PROBLEMS = (
 
 
 def parameters(problem):
-    """Number of them that the effect has."""
+    """Return the number of parameters of the effect."""
     return 3 if problem.effect in OPEN and problem.stories == 3 else 1
 
 
 def matrices(problem, number, mass, stiffness, added, x):
-    """M, K and gains of a test, numbered from 1, written out for one frame."""
+    """Return M, K and gains of test `number`, counted from 1, for one frame."""
     n = problem.stories
     m, k, gain = mass + added, stiffness.copy(), np.ones(n)
     changed = problem.at.get("state") == f"test {number}"
@@ -133,7 +133,7 @@ def matrices(problem, number, mass, stiffness, added, x):
 
 
 def modes(m, K, gain):
-    """Frequencies and shapes, one row a mode; None where the frame does not stand."""
+    """Return frequencies and shapes, one row per mode; None if the frame is unstable."""
     if not (m.min() > 0 and np.isfinite(K).all()):
         return None
     root = np.sqrt(m)
@@ -144,7 +144,7 @@ def modes(m, K, gain):
 
 
 def measured(problem):
-    """The experiment that the library reads."""
+    """Return the experiment for the library."""
     rng = np.random.default_rng(problem.seed)
     n = problem.stories
     mass, stiffness = np.array([11.0, 9.0, 10.0])[:n], np.array([24e3, 20e3, 18e3])[:n]
@@ -153,7 +153,7 @@ def measured(problem):
         added[number, (number - 1) % n] = 0.0 if problem.effect in ("state_stiffness", "state_mass") else 3.0
     tables = []
     x = np.array(problem.true)
-    if problem.effect == "state_mass":  # the data of its twin
+    if problem.effect == "state_mass":  # use the data of the equivalent problem
         stiffer = Problem("", "state_stiffness", problem.at, stories=n)
     for number, extra in enumerate(added, 1):
         own = matrices(problem, number, mass, stiffness, extra, x)
@@ -174,7 +174,7 @@ def measured(problem):
 
 
 class Integrand:
-    """Likelihood times prior of all that is free, on a unit cube."""
+    """Likelihood times prior of all free parameters, on a unit cube."""
 
     def __init__(self, problem, of, estimate, *, with_effect):
         self.problem, self.of, self.with_effect = problem, of, with_effect
@@ -190,7 +190,7 @@ class Integrand:
         self.dims = self.frame + self.own + self.open + 2 * problem.undeclared
 
     def transform(self, u):
-        """From the unit cube: the frame evenly within its box, the rest by its prior."""
+        """Map the unit cube to the frame (uniform in its box) and the other parameters (by their priors)."""
         z = np.empty(self.dims)
         z[: self.frame] = self.center + (2 * u[: self.frame] - 1) * self.half
         own = slice(self.frame, self.frame + self.own)
@@ -208,7 +208,7 @@ class Integrand:
         return z
 
     def value(self, z):
-        """Logarithm of likelihood times the frame's prior, the box's own density taken out."""
+        """Return the logarithm of likelihood times the frame's prior, divided by the density in the box."""
         n, problem = self.n, self.problem
         x = z[self.frame : self.frame + self.own] if self.with_effect else np.zeros(parameters(problem))
         total = self.of.frame.total_mass * (1 + (x[0] if problem.effect == "total_mass" else 0.0))
@@ -230,16 +230,16 @@ class Integrand:
             std = SHAPE_STD * np.max(np.abs(seen), axis=1)[:, None]
             chi2 = np.sum((np.log(f / each.frequencies) / FREQUENCY_STD) ** 2) * np.exp(-2 * u[0])
             chi2 += np.sum(((scale[:, None] * shapes - seen) / std) ** 2) * np.exp(-2 * u[1])
-            # A free scale takes one entry of each shape.
+            # A free scale uses one entry of each shape.
             result -= 0.5 * chi2 + n * u[0] + n * (n - 1) * u[1]
         return float(result) if np.isfinite(result) else -1e300
 
 
 def sampled(integrand, seed, live=LIVE, draws=DRAWS):
-    """log Z and its error by nested sampling, then by importance sampling about the points that it found."""
+    """Return log Z and its error by nested sampling, then by importance sampling around its points."""
     dynesty = import_module("dynesty")
     rng = np.random.default_rng(seed)
-    # In many dimensions few of the points drawn from a bound lie within it; a walk wastes none.
+    # In many dimensions, uniform draws from a bound are inefficient. A random walk is not.
     how = {"bound": "multi", "sample": "rwalk" if integrand.dims >= MANY else "unif"}
     sampler = dynesty.NestedSampler(integrand.value, integrand.transform, integrand.dims, nlive=live, rstate=rng, **how)
     sampler.run_nested(dlogz=TOLERANCE, print_progress=False)
@@ -254,7 +254,7 @@ def sampled(integrand, seed, live=LIVE, draws=DRAWS):
 
 
 def reweighted(integrand, points, weights, rng, draws=DRAWS):
-    """log Z by importance sampling from Student's t about weighted points, all in normal coordinates of the cube."""
+    """Return log Z by importance sampling from Student's t around weighted points, in normal coordinates."""
     center = weights @ points
     spread = WIDER * ((points - center).T * weights) @ (points - center)
     law = stats.multivariate_t(center, spread, df=DEGREES)
@@ -266,7 +266,7 @@ def reweighted(integrand, points, weights, rng, draws=DRAWS):
 
 
 def fits(problem, of):
-    """The library's fits of the shear model and of the set with the effect, and what it expects."""
+    """Return the library's fits of the shear model and of the set with the effect, and its prediction."""
     effects = {effect.name: effect for effect in open_classes()}
     effect = effects.get(problem.effect) or named([problem.effect])[0]
     place = Place(**problem.at)
@@ -281,7 +281,7 @@ def fits(problem, of):
 
 
 def compared(problem, live=LIVE, seed=1, draws=DRAWS):
-    """The difference of log Z by the library, and value and error of it by nested and by importance sampling."""
+    """Return the difference of log Z by the library, then value and error by nested and by importance sampling."""
     of = measured(problem)
     without, with_effect, expectation = fits(problem, of)
     found = log_evidence(with_effect, expectation) - log_evidence(without, expectation)

@@ -1,4 +1,4 @@
-"""What a user would otherwise write: the paper's masses by cvxpy, SciPy and dense numpy, in the same run."""
+"""Compare with alternatives in the same run: the paper's masses by cvxpy, SciPy and dense numpy."""
 
 import cvxpy as cp
 import numpy as np
@@ -47,7 +47,7 @@ def _error(found, mass):
 
 
 def iterated(shapes, mass, step):
-    """The paper's iteration with any solver of its step."""
+    """Run the paper's iteration with any solver for its step."""
     for _ in range(1000):
         dm = step(normalized(shapes, mass), mass)
         mass = mass + dm
@@ -61,7 +61,7 @@ def anew(shapes, start, total):
 
 
 def printed(shapes, start, total):
-    """Eqs. 8 to 14 as they stand: the matrix of pairs row by row, its square, and the inverse of the system."""
+    """Solve Eqs. 8 to 14 literally: the matrix of pairs row by row, its square, and the inverse of the system."""
 
     def step(phi, mass):
         n = len(mass)
@@ -76,7 +76,7 @@ def printed(shapes, start, total):
 
 
 def _residual(shapes, total):
-    """Orthogonality of unit shapes in parts of the mean mass, unknowns as parts of it too."""
+    """Return the orthogonality residual of unit shapes; residual and unknowns are relative to the mean mass."""
     unit = shapes / np.linalg.norm(shapes, axis=0)
     i, j = np.triu_indices(len(shapes), k=1)
     rows = (unit[:, i] * unit[:, j]).T

@@ -1,7 +1,7 @@
-"""Plans held against exhaustive search, other ways of placing sensors, simulated tests, and other frames.
+"""Compare plans with exhaustive search, other sensor placements, simulated tests and other frames.
 
-`python -m tests.benchmarks planning` prints the figures in docs/theory/planning.md, and `python -m
-tests.benchmarks.planning gap` a part of them.
+`python -m tests.benchmarks planning` prints the figures in docs/theory/planning.md;
+`python -m tests.benchmarks.planning gap` prints a part of them.
 """
 
 import argparse
@@ -33,7 +33,7 @@ OTHERS = ("QR pivoting (PySensors)", "effective independence", "equally spaced")
 
 
 def random_frame(rng, stories, *, mass_std=0.02, stiffness_std=0.1):
-    """A frame whose stories soften upwards by half, its values scattered by a quarter."""
+    """Return a frame with stories that soften upwards by half and values that scatter by a quarter."""
     height = np.arange(stories) / stories
     mass = 20e3 * rng.uniform(0.75, 1.25, stories)
     stiffness = 1e8 * (1 - height / 2) * rng.uniform(0.75, 1.25, stories)
@@ -41,7 +41,7 @@ def random_frame(rng, stories, *, mass_std=0.02, stiffness_std=0.1):
 
 
 def design_of(mass, stiffness, mass_std, stiffness_std, frame=None, name="design"):
-    """A frame with design values that are so sure, relative."""
+    """Return a frame with design values of these relative deviations."""
     priors = [
         {"kind": "nominal", "quantity": quantity, "values": list(values), "std": std}
         for quantity, values, std in (("floor_mass", mass, mass_std), ("story_stiffness", stiffness, stiffness_std))
@@ -51,23 +51,23 @@ def design_of(mass, stiffness, mass_std, stiffness_std, frame=None, name="design
 
 
 def paper_design(stiffness_std):
-    """The paper's frame of section 6 before any test: story stiffness 26.67 kN/m from its columns' dimensions."""
+    """Return the paper's frame (section 6) before any test: story stiffness 26.67 kN/m from column dimensions."""
     frame = {"story_heights": 0.39, "total_mass": 31.33}
     return design_of(None, np.full(2, 26.67e3), None, stiffness_std, frame, "paper, as designed")
 
 
 def floors_of(design, number, count=MODES, noise=NOISE):
-    """The floors of a bare frame as candidates for so many sensors, and its mode shapes, one column a mode."""
+    """Return the floors of a bare frame as sensor candidates, and its mode shapes, one column per mode."""
     model = TestModel(design, (), GOALS["all"], np.arange(count), noise)
     found = modes(mass_matrix(design.floor_mass), stiffness_matrix(design.story_stiffness))
     return model.sensors([model.expected(np.zeros(design.stories))], number), found.shapes.T
 
 
 def effective_independence(shapes, number):
-    """Floors that keep the modes independent (Kammer 1991): the least useful one is dropped, one after the other.
+    """Choose floors that keep the modes independent (Kammer 1991): repeatedly remove the least useful floor.
 
-    A floor's use is its diagonal entry of the projector on the shapes that are left, Phi (Phi'Phi)^-1 Phi'. With fewer
-    floors than modes the later modes are left out.
+    The use of a floor is its diagonal entry of the projector on the remaining shapes, Phi (Phi'Phi)^-1 Phi'. With fewer
+    floors than modes, the later modes are omitted.
     """
     shapes = shapes[:, : min(number, shapes.shape[1])]
     left = list(range(len(shapes)))
@@ -78,14 +78,14 @@ def effective_independence(shapes, number):
 
 
 def qr_pivots(shapes, number):
-    """Floors of the pivots of a QR factorization of the shapes, as PySensors takes them."""
+    """Return the pivot floors of a QR factorization of the shapes, like PySensors."""
     from pysensors.optimizers import QR  # noqa: PLC0415 - slow, and needed for the comparison alone
 
     return sorted(int(floor) for floor in QR().fit(shapes).get_sensors()[:number])
 
 
 def choices_of_others(shapes, number, count=MODES):
-    """The floors that `OTHERS` choose, zero-based; QR pivoting gets as many modes as it places sensors."""
+    """Return the floors chosen by `OTHERS`, zero-based; QR pivoting gets one mode per sensor."""
     return [
         qr_pivots(shapes[:, : max(count, number)], number),
         effective_independence(shapes[:, :count], number),
@@ -94,7 +94,7 @@ def choices_of_others(shapes, number, count=MODES):
 
 
 def beside_others(frames=100, seed=16, tallest=20):
-    """For each criterion, what the others' choices give over what the plan's gives, shape (frames, 3)."""
+    """Return the ratio of the others' criterion value to the plan's, for each criterion, shape (frames, 3)."""
     rng = np.random.default_rng(seed)
     ratios = {name: [] for name in CRITERIA}
     for _ in range(frames):
@@ -119,7 +119,7 @@ def _others():
 
 
 def gaps(frames=60, seed=16, shortest=3, tallest=40):
-    """What the bounds leave open on random frames: criterion, noise, gap of the program alone, gap, seconds."""
+    """Yield the gaps on random frames: criterion, noise, gap of the program alone, gap with all bounds, seconds."""
     rng = np.random.default_rng(seed)
     for _ in range(frames):
         stories = int(rng.integers(shortest, tallest + 1))
@@ -161,10 +161,10 @@ def _exhaustive():
 
 
 def scatter(planned, samples, seed, *, drawn=False):
-    """Errors of masses and stiffnesses over simulated tests, root mean square over planned standard deviation, (2N,).
+    """Return root mean square errors of masses and stiffnesses in simulated tests over planned deviations, (2N,).
 
-    Design values are drawn too: about the frame that is there, or, where `drawn`, they stay and the frame is drawn, as
-    is the case before a test. What is known exactly is nan.
+    Design values are drawn too, around the true frame. With `drawn`, the design values stay and the frame is drawn,
+    like before a test. The ratio of an exactly known value is nan.
     """
     rng, solver = np.random.default_rng(seed), backends.get("auto")
     design = planned.model.design
@@ -182,7 +182,7 @@ def scatter(planned, samples, seed, *, drawn=False):
 
 
 def redrawn(prior, rng):
-    """A prior as somebody else would state it who is as sure of it; itself where it is exact."""
+    """Return another draw of a prior with the same deviation; an exact prior stays."""
     if prior.std is None:
         return prior
     if isinstance(prior, Value):
@@ -191,7 +191,7 @@ def redrawn(prior, rng):
 
 
 def _on_another_frame(planned, rng):
-    """The plan on a frame whose masses and stiffnesses lie about the design values as these say."""
+    """Return the plan on a frame with masses and stiffnesses drawn around the design values."""
     design = planned.model.design
     sizes = design.sizes.copy()
     for prior in design.priors:
@@ -203,10 +203,10 @@ def _on_another_frame(planned, rng):
 
 
 def right_verdicts(planned, samples, seed):
-    """How often each effect of a plan, present in its expected size, is named with 95 % from simulated tests.
+    """Return how often simulated tests name each planned effect of expected size with 95 %.
 
-    Every model, none of the effects and each alone, is fitted to the same data. A model's evidence is that of the
-    linear model at the value found, the chi-square of the fit put in place of the linear one.
+    Each model (no effect, or one effect) is fitted to the same data. Its evidence is the evidence of the linear model
+    at the fitted value, with the chi-square of the fit in place of the linear chi-square.
     """
     rng, solver = np.random.default_rng(seed), backends.get("auto")
     targets, sizes = planned.model.targets, planned.model.design.sizes
@@ -244,7 +244,7 @@ def _noisy(test, rng):
 
 
 def _with_effect(exact, target, sizes):
-    """The planned tests on a frame that has the effect, in its expected size."""
+    """Return the planned tests on a frame with the effect in its expected size."""
     theta = np.append(sizes, target.null + target.size)
     tests = []
     for each in exact.configurations:
@@ -279,10 +279,10 @@ def _simulate():
 
 
 def vague_designs(frames=6, std=0.3, others=400, seed=7):
-    """What plans promise where stiffnesses are vague, over the average of many other frames that are possible.
+    """Compare the planned deviations for vague stiffnesses with an average over many other possible frames.
 
-    For each random frame the promise at the design values alone and that of the plan, over the root mean square of
-    what the same test tells on frames drawn from the prior: two arrays of shape (frames, 2N).
+    The actual deviation is the root mean square deviation of the same test over frames drawn from the prior. Return it
+    over the plan's value at the design values and over the plan's average: two arrays of shape (frames, 2N).
     """
     rng = np.random.default_rng(seed)
     promises = []

@@ -1,13 +1,13 @@
-"""Drifts of floors without sensors: `python -m tests.benchmarks.reconstruction [TRIALS [JOBS [FINER]]]` prints it.
+"""Reconstruct drifts of floors without sensors: `python -m tests.benchmarks.reconstruction [TRIALS [JOBS [FINER]]]`.
 
-Frames that the package did not make: finite-element frames (tests/fe) whose sway modes are damped one by one and
-driven by a filtered noise with an envelope through scipy's `lsim`. Each is tested when it is sound (noisy modes), then
-one story is 10 % softer, or nothing is, or its beams bend while the model is a plain shear frame, or a third of one
-story's stiffness yields at half of the drift that it would have; a third of the floors carry sensors with noise of 1 to
-5 % of their rms. Compared are the peak drifts by prediction, by smoothing with the identified frame, and by
-reconstruction, and how often the true peak and the true drift over time lie within 1.96 stated deviations. With
-FINER = 8 the ground moves as the band-limited motion through its samples, in steps eight times finer; without, in
-straight lines between them. No sensor is left out in turn, which could but widen the bands.
+The frames are independent of the package: finite-element frames (tests/fe) with damped sway modes, driven by filtered
+noise with an envelope through scipy's `lsim`. Each sound frame is tested first (noisy modes). In the record, one story
+is 10 % softer; or the frame is the same; or its beams bend but the model is a plain shear frame; or a third of one
+story's stiffness yields at half of its elastic peak drift. A third of the floors carry sensors with noise of 1 to 5 %
+of their rms. The study compares the peak drifts by prediction, by smoothing with the identified frame, and by
+reconstruction. The table also has the share of true peaks and of true drifts over time within 1.96 stated deviations.
+With FINER = 8, the ground moves like the band-limited motion through its samples, in steps eight times finer; without
+FINER, linearly between the samples. The study skips refits without single sensors: they can only widen the bands.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ RATE = 100.0
 SECONDS = 40.0
 RATIO = 0.02
 RECORDED_RATIO = 0.03
-"""Damping ratio of every mode when the modes were measured, and in the record: damping grows with the amplitude."""
+"""Damping ratio of every mode in the modal test, and in the record: damping grows with the amplitude."""
 YIELDING, YIELDS_AT = 0.3, 0.5
-"""Part of a story's stiffness that is elastic and perfectly plastic, and the drift at which, over the elastic peak."""
+"""Elastic-plastic part of a story's stiffness, and its yield drift relative to the elastic peak."""
 STEPS = 20
-"""Steps a sample of the frame that yields."""
+"""Steps per sample for the frame that yields."""
 FINER_PEAKS = 16
-"""Points a sample at which the true peaks are looked for."""
+"""Points per sample in the search for the true peaks."""
 NORMAL_95 = 1.959964
 
 
 def sensors(stories):
-    """A third of the floors, the top among them."""
+    """Return the sensor floors: a third of the floors, with the top."""
     return np.unique(np.linspace(stories, 1, max(2, round(stories / 3))).round().astype(int))
 
 
 def building(stories, case, seed):
-    """The sound frame, the frame in the record, and which story (from 1) is softer: 0 where none is."""
+    """Return the sound frame, the frame in the record, and the softer story (from 1; 0 if there is none)."""
     rng = np.random.default_rng([1, seed, stories])
     mass = 2e5 * np.exp(0.1 * rng.standard_normal(stories))
     shape = np.linspace(1.0, 0.4, stories) * np.exp(0.1 * rng.standard_normal(stories))
     heights = np.full(stories, 3.5)
-    # Of the order of ten stories a second, as buildings have it.
+    # Typical of buildings: a frequency of about ten stories per second.
     stiffness = shape * 2e5 * (2 * np.pi * 10 / stories) ** 2 * (stories * 0.6) ** 2
     bending = None
     if case == "beams":
@@ -68,7 +68,7 @@ def building(stories, case, seed):
 
 
 def ground(seed, samples):
-    """Base acceleration, m/s2: noise through a soil of 2 Hz, strong for ten seconds, without a drift."""
+    """Return a base acceleration, m/s2: noise through a soil of 2 Hz, strong for ten seconds, without drift."""
     rng = np.random.default_rng([2, seed])
     time = np.arange(samples) / RATE
     omega, zeta = 2 * np.pi * 2.0, 0.5
@@ -81,10 +81,10 @@ def ground(seed, samples):
 
 
 def shaken(frame, excitation, finer=1):
-    """Total accelerations and displacements against the ground, samples by floors, mode by mode.
+    """Return total accelerations and displacements relative to the ground, samples by floors, by modal superposition.
 
-    Between its samples the ground moves in straight lines, or in those between samples so many times finer of the
-    band-limited motion.
+    The ground moves linearly between its samples, or between samples `finer` times closer of the band-limited motion
+    through them.
     """
     if finer > 1:
         return tuple(each[::finer] for each in shaken(frame, signal.resample_poly(excitation, finer, 1), 1 / finer))
@@ -106,7 +106,7 @@ def shaken(frame, excitation, finer=1):
 
 
 def shaken_while_it_yields(frame, story, excitation):
-    """The same in straight lines, with a plastic part in one story, by steps of Euler's symplectic method."""
+    """Return the same for a linear ground motion with a plastic part in one story, by Euler's symplectic method."""
     _, elastic = shaken(frame, excitation)
     found, step = sway_modes(frame), 1 / RATE / STEPS
     omega, mass = 2 * np.pi * found.frequencies, frame.floor_mass
@@ -131,13 +131,13 @@ def shaken_while_it_yields(frame, story, excitation):
 
 
 def measurement(frame, seed):
-    """What a test of the sound frame says: noisy modes, damping of the first three."""
+    """Return a test of the sound frame: noisy modes, damping of the first three."""
     rng = np.random.default_rng([3, seed, frame.stories])
     found = sway_modes(frame)
     count = min(frame.stories, 8)
     shapes = found.shapes.T[:count]
     largest = np.abs(shapes).max(axis=1, keepdims=True)
-    # Values off a drawing are off by what their deviation says, each by itself.
+    # Design values err by independent errors of the stated deviation.
     off = np.exp(np.random.default_rng([5, seed, frame.stories]).standard_normal((2, frame.stories)) * [[0.05], [0.2]])
     mass, stiffness = (off * [frame.floor_mass, frame.story_stiffness]).tolist()
     return {
@@ -158,7 +158,7 @@ def measurement(frame, seed):
 
 
 def setting(stories, case, seed, finer=1, seconds=SECONDS):
-    """The model, the record, the true drifts, and the softer story."""
+    """Return the model, the record, the true drifts, and the softer story."""
     sound, there, soft = building(stories, case, seed)
     excitation = ground(seed, int(seconds * RATE))
     total, moved = (
@@ -176,12 +176,12 @@ def setting(stories, case, seed, finer=1, seconds=SECONDS):
 
 
 def largest(drift):
-    """Peaks between the samples, of the band-limited motion through them, shape (N,)."""
+    """Return the peaks of the band-limited motion through the samples, shape (N,)."""
     return np.abs(signal.resample_poly(drift, FINER_PEAKS, 1)).max(axis=0)
 
 
 def against(found, drift):
-    """Errors of the peak drifts, the same in stated deviations, and the part of each drift within its band."""
+    """Return peak drift errors, these errors in stated deviations, and the share of each drift within its band."""
     true, peaks = largest(drift), found.peaks
     off = peaks.values["story_drift"] - true
     within = np.abs(found.runs[0].response.drift - drift) <= NORMAL_95 * found.runs[0].std["story_drift"]
@@ -189,7 +189,7 @@ def against(found, drift):
 
 
 def trial(seed, stories, case, finer=1):
-    """Errors of the peak drifts by three ways, deviations in standard deviations, and what was named."""
+    """Return errors of the peak drifts by three methods, the same in standard deviations, and the named changes."""
     models, motion, drift, soft = setting(stories, case, seed, finer)
     alone = reconstruct(models, motion, fit=False, leave_out=False)
     found = reconstruct(models, motion, leave_out=False)

@@ -1,7 +1,7 @@
-"""Whether the deviations that `identify_modes` states hold: share of errors within 1.96 of them, by method and mode.
+"""Check the deviations stated by `identify_modes`: share of errors within 1.96 of them, by method and mode.
 
-Random frames of 3 to 8 stories, a third of the floors without sensors, 3 % of noise.
-`python -m tests.benchmarks.record_deviations --seeds 20` prints a row a method and quantity; 95 % is right.
+Random frames have 3 to 8 stories; a third of the floors have no sensor; the noise is 3 %.
+`python -m tests.benchmarks.record_deviations --seeds 20` prints a row per method and quantity; 95 % is right.
 """
 
 from __future__ import annotations
@@ -20,18 +20,21 @@ from tests.benchmarks.record_faults import only
 METHODS = {"subspace": "base", "okid": "base", "ssi": "none", "era": "force"}
 WITHIN = 1.96
 RATE = {"none": 4.0}
-"""Sampling rate over the highest frequency, 2.6 where nothing else is said: the load of `ambient_record` ends at 0.4 of
-the rate, and a load that falls through a mode's band is not white: damping of the highest mode comes out low."""
+"""Sampling rate over the highest frequency; the default is 2.6.
+
+The load of `ambient_record` ends at 0.4 of the rate. A load that falls within a mode's band is not white and biases the
+damping of the highest mode low.
+"""
 
 
 def frame_of(stories: int, random: np.random.Generator) -> KnownFrame:
-    """A frame with its lowest mode at 1.5 Hz and 1 % of damping."""
+    """Return a frame with its lowest mode at 1.5 Hz and 1 % of damping."""
     frame = KnownFrame(1000 * random.uniform(0.8, 1.2, stories), random.uniform(0.8, 1.2, stories), 0.01)
     return dataclasses.replace(frame, stiffnesses=frame.stiffnesses * (1.5 / frame.modes()[0][0]) ** 2)
 
 
 def record_of(frame: KnownFrame, kind: str, seed: int, rate: float) -> TimeRecord:
-    """A record of 3 % of noise."""
+    """Return a record with 3 % of noise."""
     if kind == "base":
         return base_record(frame, seed, noise=0.03, duration=300.0, sampling_rate=rate)
     if kind == "none":
@@ -41,7 +44,7 @@ def record_of(frame: KnownFrame, kind: str, seed: int, rate: float) -> TimeRecor
 
 
 def errors(method: str, stories: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors over stated deviations: of frequencies by mode, damping by mode, and the entries of all shapes."""
+    """Return errors over stated deviations: frequencies by mode, damping by mode, and the entries of all shapes."""
     random = np.random.default_rng([seed, stories])
     frame = frame_of(stories, random)
     frequencies, shapes = frame.modes()

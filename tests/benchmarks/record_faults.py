@@ -1,8 +1,8 @@
-"""What is said of records with one fault each: named rightly, refused, missed, or another channel accused.
+"""Count the findings for records with one fault: right, refused, missed, or another channel accused.
 
-Random shear frames of 4 to 8 stories with sensors at all floors but one or two; base motion, a shaker, ambient
-vibration and free decay; 1 to 3 % of noise on every sensor. `python -m tests.benchmarks.record_faults` prints the table
-in docs/modal.md.
+Random shear frames of 4 to 8 stories have sensors at all floors except one or two. The records are base motion, a
+shaker, ambient vibration and free decay, with 1 to 3 % of noise on every sensor.
+`python -m tests.benchmarks.record_faults` prints the table in docs/modal.md.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NAMED_BY = {
     "saturated": ("clipped channel",),
     "spikes": ("spikes",),
 }
-"""The kinds of finding that name each fault."""
+"""Kinds of finding that name each fault."""
 
 ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"held samples", "aliasing", "drift"}
 INPUTS = ("base", "force", "none", "free_decay")
@@ -39,7 +39,7 @@ INPUTS = ("base", "force", "none", "free_decay")
 
 @dataclass(frozen=True)
 class Case:
-    """One record and what was done to it.
+    """Record and its fault.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Case:
     fault : str
         "sound", or a key of `NAMED_BY`.
     channels : tuple of str
-        To whom it was done.
+        Faulty channels.
     size : float
         s for a delay, ppm for a drift, else 0.
     """
@@ -59,7 +59,7 @@ class Case:
 
 
 def random_frame(random: np.random.Generator) -> KnownFrame:
-    """A frame of 4 to 8 stories, somewhat tapered, its lowest mode at 1 to 2.5 Hz, its damping 0.5 to 2 %."""
+    """Return a tapered frame of 4 to 8 stories: lowest mode at 1 to 2.5 Hz, damping 0.5 to 2 %."""
     stories = int(random.integers(4, 9))
     masses = 1000.0 * random.uniform(0.7, 1.3, stories)
     stiffnesses = np.linspace(1.0, random.uniform(0.4, 1.0), stories) * random.uniform(0.75, 1.3, stories)
@@ -70,7 +70,7 @@ def random_frame(random: np.random.Generator) -> KnownFrame:
 
 @functools.lru_cache(maxsize=16)
 def sound_record(seed: int, kind: str) -> TimeRecord:
-    """A record of a random frame with nothing wrong, sensors at all floors but one or two."""
+    """Return a sound record of a random frame, with sensors at all floors except one or two."""
     random = np.random.default_rng([seed, INPUTS.index(kind)])
     frame = random_frame(random)
     stories = len(frame.masses)
@@ -91,7 +91,7 @@ def sound_record(seed: int, kind: str) -> TimeRecord:
 
 
 def decay_record(frame: KnownFrame, random: np.random.Generator, noise: float, rate: float) -> TimeRecord:
-    """Three releases from a pull at some floors, 3 s after the start, in closed form."""
+    """Return three releases from a pull at some floors, each starting after 3 s, in closed form."""
     frequencies, shapes = frame.modes()
     omega = 2 * np.pi * frequencies
     quiet = int(3 * rate)
@@ -114,13 +114,13 @@ def decay_record(frame: KnownFrame, random: np.random.Generator, noise: float, r
 
 
 def only(record: TimeRecord, columns: np.ndarray) -> TimeRecord:
-    """The record with these of its channels."""
+    """Return the record with these columns only."""
     runs = tuple(dataclasses.replace(run, responses=run.responses[:, columns]) for run in record.runs)
     return dataclasses.replace(record, channels=tuple(record.channels[c] for c in columns), runs=runs)
 
 
 def case_of(seed: int, kind: str, fault: str) -> Case:
-    """A sound record, and one fault put into it."""
+    """Return a sound record with one fault added."""
     record = sound_record(seed, kind)
     random = np.random.default_rng([seed, 7, sorted([*NAMED_BY, "sound"]).index(fault)])
     if fault == "sound":
@@ -171,7 +171,7 @@ def case_of(seed: int, kind: str, fault: str) -> Case:
 
 
 def _late(column: np.ndarray, late: np.ndarray | float, rate: float) -> np.ndarray:
-    """The column delayed by seconds that may differ from sample to sample, by a windowed sinc of 48 terms."""
+    """Delay a column by seconds that can vary between samples, with a windowed sinc of 48 terms."""
     place = np.arange(len(column)) - late * rate
     whole = np.floor(place).astype(int)
     offset = np.arange(-23, 25)
@@ -187,7 +187,7 @@ def _mapped(record: TimeRecord, change) -> TimeRecord:
 
 
 def judged(case: Case) -> tuple[str, str]:
-    """What became of the record: "named", "refused", "missed", "accused" or "lost" (no modes), and why."""
+    """Return the outcome ("named", "refused", "missed", "accused" or "lost" for no modes) and its reason."""
     try:
         findings = identify_modes(case.record, accept_swapped=True).findings
     except CvxshearError as error:

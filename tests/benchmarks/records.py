@@ -1,4 +1,4 @@
-"""How near the identified modes come to a known frame's, and whether the stated standard deviations hold.
+"""Compare identified modes with a known frame's, and the stated deviations with the observed scatter.
 
 Run `python -m tests.benchmarks.records` for the figures in docs/modal.md.
 """
@@ -28,13 +28,13 @@ class RecordScatter:
     Parameters
     ----------
     frequency_errors : array, shape (seeds, m)
-        Relative.
+        Relative errors.
     shape_errors : array, shape (seeds, m, n)
-        Of entries, each mode with a largest entry of 1.
+        Errors of the entries, with each mode's largest entry scaled to 1.
     frequency_stds : array, shape (seeds, m)
-        As stated, relative.
+        Stated relative deviations.
     shape_stds : array, shape (seeds, m, n)
-        As stated.
+        Stated deviations.
     results : list of ModalResult
     """
 
@@ -51,7 +51,7 @@ class RecordScatter:
         -------
         frequencies : array, shape (m,)
         entries : array, shape (m, n)
-            nan for those that are 1 by definition.
+            nan for entries that are 1 by definition.
         """
         frequency = np.sqrt(np.mean(self.frequency_stds**2, axis=0)) / self.frequency_errors.std(axis=0, ddof=1)
         seen = self.shape_errors.std(axis=0, ddof=1)
@@ -59,7 +59,7 @@ class RecordScatter:
         return frequency, np.where(seen > 1e-12, stated / np.where(seen > 1e-12, seen, 1.0), np.nan)
 
     def to_dict(self) -> Json:
-        """The largest and root mean square errors, and the ratios, as plain values."""
+        """Return the largest and root mean square errors, and the ratios, as plain values."""
         frequency, shape = self.stated_over_seen()
         return {
             "seeds": len(self.results),
@@ -75,20 +75,20 @@ class RecordScatter:
 def scatter(
     kind: str, *, noise: float, seeds: int, frame: KnownFrame = PAPER_FRAME, method: str | None = None, **options: float
 ) -> RecordScatter:
-    """Identify so many simulated records and compare them with the frame they came from.
+    """Identify simulated records and compare them with their frame.
 
     Parameters
     ----------
     kind : str
         "hammer", "base" or "ambient".
     noise : float
-        Sensor noise over each channel's standard deviation.
+        Sensor noise relative to each channel's standard deviation.
     seeds : int
-        Repetitions, seeded 0, 1, ....
+        Number of repetitions, with seeds 0, 1, ....
     frame : KnownFrame, optional
     method : str, optional
     **options
-        For the maker of the records: duration, sampling_rate, hits, ....
+        Options of the record maker: duration, sampling_rate, hits, ....
 
     Returns
     -------
@@ -113,9 +113,9 @@ def scatter(
 
 
 def _std_at_one(result: ModalResult) -> Floats:
-    """Standard deviations of the entries of shapes scaled to a largest entry of 1, shape (m, n).
+    """Return standard deviations of shape entries with the largest entry scaled to 1, shape (m, n).
 
-    From the joint covariance: d(phi_i / phi_p) = (d phi_i - phi_i / phi_p d phi_p) / phi_p.
+    The joint covariance gives d(phi_i / phi_p) = (d phi_i - phi_i / phi_p d phi_p) / phi_p.
     """
     modes, floors = result.mode_shapes.shape
     std = np.zeros((modes, floors))

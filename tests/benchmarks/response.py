@@ -1,4 +1,4 @@
-"""A 20-story frame under base motion: its response beside the usual means, and its reconstruction from four sensors."""
+"""Time a 20-story frame under base motion: its response beside common methods, reconstruction from four sensors."""
 
 import resource
 import time
@@ -19,18 +19,18 @@ from tests.response.common import damped_frame, declared, matrices
 
 STORIES, RATE, SECONDS = 20, 100.0, 60.0
 RECORD_RATE, RECORD_SECONDS, SENSORS, NOISE, RATIO = 200.0, 300.0, np.array([5, 10, 15, 20]), 0.02, 0.03
-"""Of the record that is reconstructed; its noise over the rms, and the damping ratio of all modes."""
+"""Settings of the reconstructed record: rate, duration, sensors, noise over rms, and damping ratio of all modes."""
 
 
 def earthquake(seconds=SECONDS, rate=RATE, seed=6):
-    """Filtered noise that rises within some seconds and decays over the rest of a minute."""
+    """Return filtered noise that rises within seconds and decays over a minute."""
     time = np.arange(0, seconds, 1 / rate)
     noise = np.convolve(np.random.default_rng(seed).standard_normal(len(time)), np.ones(6) / 6, mode="same")
     return noise * (time / 4) ** 2 * np.exp(2 - time / 2)
 
 
 def newmark(M, C, K, excitation, step):
-    """Average acceleration, one solve a step with a factor made once."""
+    """Integrate by average acceleration, with one solve per step and a single factorization."""
     n = len(M)
     inverse = np.linalg.inv(M + step / 2 * C + step**2 / 4 * K)
     load = -M.sum(axis=1)
@@ -77,7 +77,7 @@ def main():
 
 
 def reconstruction():
-    """Time of a reconstruction over that of one simulation of the same record, and what the process took by then."""
+    """Print the time of a reconstruction over the time of one simulation of the record, and the peak memory."""
     mass, stiffness, dashpots = damped_frame(STORIES)
     M, _, K = matrices(mass, stiffness, dashpots)
     ratios = np.full(STORIES, RATIO)

@@ -1,10 +1,10 @@
-"""How damping and frequency of the mini shake table's frames depend on amplitude.
+"""Measure the amplitude dependence of damping and frequency for the frames of the mini shake table.
 
 `python -m tests.benchmarks.response_amplitude` prints the tables.
 
-After each record the table stands still and the frame swings on: the first mode's envelope and phase tell damping and
-frequency at every amplitude, no model involved. Beside that, each record is predicted with the frequencies and shapes
-of one record and the damping of the other. Figures of docs/measured/mini-table-response.md.
+After each record the table stops and the frame vibrates freely. The envelope and phase of the first mode give damping
+and frequency at every amplitude without a model. The study also predicts each record with the frequencies and shapes
+from one record and the damping from the other. docs/measured/mini-table-response.md has the figures.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ LEVELS = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Amplitudes of the top floor's acceleration in the first mode, m/s2."""
 
 ENOUGH = 0.4
-"""Of the logarithm of 2, between an amplitude root 2 above a level and one root 2 below, that a record has to pass."""
+"""Log amplitude range that a record must cover near a level; the largest (level / root 2 to level root 2) is ln 2."""
 
 STILL = 4.0
-"""Seconds before anything moves, at the beginning of each record."""
+"""Initial rest of each record, s."""
 
 
 @functools.cache
@@ -39,7 +39,7 @@ def motion(name):
 
 
 def decay(name):
-    """Damping ratio and frequency (Hz) of the first mode at each level; nan where the record does not pass it."""
+    """Return damping ratio and frequency (Hz) of the first mode at each level; nan for unreached levels."""
     of = motion(name)
     (drive,), rate = of.runs, of.sampling_rate
     first = models(name).after.experiment.configurations[0].frequencies[0]
@@ -47,7 +47,7 @@ def decay(name):
     swing = signal.hilbert(signal.sosfiltfilt(band, drive.responses[:, -1]))
     noise = np.std(drive.excitation[: int(STILL * rate)])
     at_rest = int(np.flatnonzero(np.abs(drive.excitation) > 8 * noise)[-1] + rate)
-    # What the filter knows of the end of the record is not the frame's.
+    # The filter distorts the end of the record.
     free = swing[at_rest : -int(2 * rate)]
     size, phase, time = np.abs(free), np.unwrap(np.angle(free)), np.arange(len(free)) / rate
     found = []
@@ -63,14 +63,14 @@ def decay(name):
 
 
 def largest(name):
-    """Root mean square and peak of the top floor's acceleration in the whole record, m/s2."""
+    """Return root mean square and peak of the top floor's acceleration in the whole record, m/s2."""
     top = motion(name).runs[0].responses[:, -1]
     return np.std(top), np.max(np.abs(top))
 
 
 @functools.cache
 def crossed(frequencies, damping, record):
-    """The prediction of a record by the model of one record with the damping ratios of another."""
+    """Predict a record with the model of one record and the damping ratios of another."""
     fitted = models(frequencies).after
     of, other = fitted.experiment, models(damping).after.experiment.configurations[0]
     replaced = dataclasses.replace(
@@ -82,7 +82,7 @@ def crossed(frequencies, damping, record):
 
 
 def off(found):
-    """Mean over the floors of predicted rms over measured, less 1."""
+    """Return the mean over floors of the predicted rms over the measured rms, minus 1."""
     return float(np.mean(found.after.comparison.rms_ratio) - 1)
 
 

@@ -1,10 +1,10 @@
-"""Whether predicted peaks lie within their stated deviations.
+"""Measure the share of true peaks within the stated deviations of predictions.
 
 `python -m tests.benchmarks.response_coverage [TRIALS [JOBS]]` prints the table.
 
-Simulated frames with story dashpots are identified from noisy modes, and their peaks under a base motion predicted.
-Printed is the share of 95 % intervals that hold the true peak, by the kind of damping that the identification assumes,
-and beside it, from one trial, the linear deviations over those of samples.
+Frames with story dashpots are identified from simulated noisy modes. The models predict peaks under a base motion.
+The table has the share of 95 % intervals that contain the true peak, by assumed kind of damping. One trial also gives
+the ratio of linearized to sampled deviations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NORMAL_95 = 1.959964
 
 
 def uncertain(stories, kind, seed):
-    """A frame identified from noisy modes."""
+    """Return a frame identified from noisy modes."""
     mass, stiffness, dashpots = damped_frame(stories)
     ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
     rng = np.random.default_rng([stories, seed])
@@ -56,20 +56,20 @@ def true_peaks(stories, drive):
 
 
 def deviation(seed, stories, kind):
-    """Errors of the predicted peaks in stated standard deviations."""
+    """Return errors of the predicted peaks in stated standard deviations."""
     drive = DrivenRun(shaking(1000, STEP))
     centre, std = propagated(uncertain(stories, kind, seed), partial(peaks, drive=drive))
     return (peaks(centre, drive) - true_peaks(stories, drive)) / std
 
 
 def coverage(stories, kind, trials, jobs=1):
-    """Share of 95 % intervals that hold the truth, and the deviations themselves, trials by peaks."""
+    """Return the share of 95 % intervals with the true peak, and the errors in stated deviations, trials by peaks."""
     deviations = np.array(each(partial(deviation, stories=stories, kind=kind), range(trials), jobs=jobs))
     return float(np.mean(np.abs(deviations) <= NORMAL_95)), deviations
 
 
 def linear_over_sampled(stories, kind, samples=400):
-    """Stated deviations over those of samples, one a peak."""
+    """Return the ratio of stated to sampled deviations, one per peak."""
     function = partial(peaks, drive=DrivenRun(shaking(1000, STEP)))
     frame = uncertain(stories, kind, 0)
     _, std = propagated(frame, function)

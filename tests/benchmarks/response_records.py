@@ -1,7 +1,7 @@
-"""Prediction of measured records: `python -m tests.benchmarks.response_records` prints the table of docs/measured/.
+"""Predict measured records: `python -m tests.benchmarks.response_records` prints the table of docs/measured/.
 
-Modes from one record of the mini shake table, their cause, and the response to both records by the shear model and with
-joint rotation. The records are looked for in the folder that the environment variable CVXSHEAR_SHARED names.
+Modes come from one record of the mini shake table. The shear model and the model with joint rotation predict both
+records. The environment variable CVXSHEAR_SHARED names the folder of the records.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ RECORDS = ("northridge", "sine-2.0")
 
 @functools.cache
 def models(name):
-    """Shear model, and with joint rotation, of the modes in one record.
+    """Return the shear model and the model with joint rotation for the modes of one record.
 
-    Neither heights nor masses of the model are documented: equal stories of a metre, and one kilogram, stand for them,
-    neither of which moves an acceleration.
+    The heights and masses of the specimen are not documented. The models take equal stories of 1 m and a mass of 1 kg;
+    neither value affects accelerations.
     """
     with tempfile.TemporaryDirectory() as folder:
         _, declared = modes_from_file(mini_table(Path(folder), name))
@@ -38,13 +38,13 @@ def models(name):
 
 @functools.cache
 def predicted(source, record):
-    """The prediction of one record by the models of another."""
+    """Predict one record with the models of another."""
     with tempfile.TemporaryDirectory() as folder:
         return predict(models(source), mini_table(Path(folder), record))
 
 
 def row(side):
-    """Errors over all floors: largest of rms and peak, mean in time and of the transfer function around each mode."""
+    """Return errors over all floors: largest rms and peak errors, mean errors in time and around each mode."""
     of = side.comparison
     off = [np.max(np.abs(ratio - 1)) for ratio in (of.rms_ratio, of.peak_ratio)]
     return [*off, np.mean(of.nrmse), *np.mean(of.frf_error, axis=0)]
@@ -52,13 +52,13 @@ def row(side):
 
 @functools.cache
 def reconstructed(source, record):
-    """The reconstruction of one record by the models of another."""
+    """Reconstruct one record with the models of another."""
     with tempfile.TemporaryDirectory() as folder:
         return reconstruct(models(source), mini_table(Path(folder), record))
 
 
 def sensors():
-    """Each floor from the other two: error in time, stated deviation, and prediction alone."""
+    """Print each floor's reconstruction from the other two: error, stated deviation, and the prediction's error."""
     print("| frame | modes from | record | floor | error | stated | within 95 % band | prediction alone |")
     print("|---|---|---|---:|---:|---:|---:|---:|")
     for frame in FRAMES:

@@ -1,4 +1,4 @@
-"""How the cost of an identification grows with the number of stories: time, iterations, digits, peak memory."""
+"""Measure the growth of an identification's cost with the number of stories: time, iterations, digits, peak memory."""
 
 import os
 import subprocess
@@ -29,15 +29,15 @@ cost({stories}, repeats=1, **{keys})
 lines = Path("/proc/self/status").read_text().splitlines()
 print(next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")))
 """
-"""The high-water mark of Linux, which getrusage would carry over from the process that started this one."""
+"""Program that prints Linux's peak memory of a new process; getrusage would include the parent process."""
 
 SPREAD = 0.3
-"""Masses and stiffnesses lie within this part of their mean."""
+"""Largest relative deviation of masses and stiffnesses from their mean."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """One identification from exact modes.
+    """Cost of one identification from exact modes.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Cost:
 
 
 def exact_experiment(stories: int, seed: int = 0) -> tuple[Experiment, np.ndarray, np.ndarray]:
-    """A frame of uneven masses and stiffnesses with its exact modes, its floor masses and its story stiffnesses.
+    """Return a frame of uneven masses and stiffnesses with exact modes, its floor masses and its story stiffnesses.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def exact_experiment(stories: int, seed: int = 0) -> tuple[Experiment, np.ndarra
 
 
 def cost(stories: int, method: str, *, repeats: int = 3, rows: bool | None = None) -> Cost:
-    """Identify one exact frame of so many stories.
+    """Identify one exact frame of this height.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def cost(stories: int, method: str, *, repeats: int = 3, rows: bool | None = Non
         "two-stage" or "one-shot".
     repeats : int, optional
     rows : optional
-        As for `identify`.
+        Argument `rows` of `identify`.
     """
     experiment, mass, stiffness = exact_experiment(stories)
     seconds = []
@@ -100,7 +100,7 @@ def cost(stories: int, method: str, *, repeats: int = 3, rows: bool | None = Non
 
 
 def exponent(costs: list[Cost]) -> float:
-    """The p of seconds ~ stories^p, by least squares in logarithms."""
+    """Return p of seconds ~ stories^p, by least squares in logarithms."""
     stories, seconds = (np.log([getattr(each, name) for each in costs]) for name in ("stories", "seconds"))
     return float(np.polyfit(stories, seconds, 1)[0])
 
@@ -137,7 +137,7 @@ def main():
 
 
 def _beside(stories):
-    """Processor time of an identification and of its file over that of the generalized eigenproblem."""
+    """Return processor times of an identification and of its file over the time of the generalized eigenproblem."""
     experiment, mass, stiffness = exact_experiment(stories)
     M, K = mass_matrix(mass), stiffness_matrix(stiffness)
     eigenproblem, _ = fastest(lambda: eigh(K, M), 3, time.process_time)

@@ -1,8 +1,8 @@
-"""What each capability of the package costs in lines of code.
+"""Count the lines of code of each capability of the package.
 
 python -m tests.benchmarks.size prints the table; python -m tests.benchmarks.size records io
-lists the modules of these rooms. A line of code is one that holds neither a comment, a docstring nor nothing; the
-docstrings of constants are counted with the code, and by themselves.
+lists the modules of these rooms. A line of code is not blank, a comment or a docstring. Docstrings of constants count
+with the code, and also have a count of their own.
 """
 
 import ast
@@ -27,11 +27,11 @@ CAPABILITIES = {
     "terminal, page, notebook, figures, sheets, command line": ("report", "cli"),
     "what every room uses, and the public face": ("util", ""),
 }
-"""What the package can do, with the rooms that do it; the empty name stands for the top level."""
+"""Capabilities of the package with their rooms; the empty name is the top level."""
 
 
 def measured(path):
-    """Lines of a module, its lines of code, and how many of these are docstrings of constants."""
+    """Return a module's lines, its lines of code, and the lines of code that are docstrings of constants."""
     lines = path.read_text(encoding="utf-8").splitlines()
     documented, of_constants = set(), set()
     for node in ast.walk(ast.parse("\n".join(lines))):

@@ -1,4 +1,4 @@
-"""Every backend on the programs of frames of growing height, and cvxpy again against cvxpy anew; processor time."""
+"""Time every backend on programs of growing frames, and cvxpy with and without reuse; processor time."""
 
 import time
 from functools import partial
@@ -48,7 +48,7 @@ def main():
 
 
 def program(kind, stories):
-    """A program of a frame with noisy modes; the bounded ones hold their largest unknown below what it would be."""
+    """Return a program of a frame with noisy modes; bounded kinds limit the largest unknown to 0.9 of its value."""
     of, mass, _ = exact_experiment(stories)
     rng = np.random.default_rng(1)
     shapes = of.configurations[0].mode_shapes.T * (1 + NOISE * rng.standard_normal((stories, stories)))
@@ -105,7 +105,7 @@ def _started(name):
 
 
 def _iterated(backend, *, started):
-    """The solver's iterations over all steps of Eq. 14 to the masses of noisy modes, the largest held below itself."""
+    """Return the solver's iterations over all steps of Eq. 14 for noisy modes, with masses up to 0.9 of the largest."""
     of, mass, _ = exact_experiment(STORIES_OF_STARTS)
     rng = np.random.default_rng(1)
     shapes = of.configurations[0].mode_shapes.T * (1 + NOISE * rng.standard_normal((len(mass), len(mass))))
@@ -121,7 +121,7 @@ def _iterated(backend, *, started):
 
 
 def built_anew(of):
-    """What a user would write: the rows as they are, built and compiled for every solve."""
+    """Time a user's program: the plain rows, built and compiled for every solve."""
     x = cp.Variable(of.unknowns)
     stated = [] if of.A is None else [of.A @ x == of.b]
     if of.upper is not None:

@@ -1,4 +1,4 @@
-"""Starting: what importing the library and asking for help cost, beside `import numpy, scipy.linalg`."""
+"""Time the start: import of the library and its help command, compared with `import numpy, scipy.linalg`."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ import time
 from tests.benchmarks.timing import shown, table
 
 ROUNDS = 15
-"""Each is started so often, one after the other in turn; the fastest counts."""
+"""Number of alternating starts of each command; the fastest counts."""
 
 STARTED = {
     "`import numpy, scipy.linalg`": ["-c", "import numpy, scipy.linalg"],

@@ -1,4 +1,4 @@
-"""Times and tables."""
+"""Measure times and print tables."""
 
 import os
 import platform
@@ -10,9 +10,9 @@ import scipy
 
 
 def fastest(run, repeats=5, clock=time.perf_counter):
-    """Seconds of the fastest of a few runs, after one that is not counted, and what it returned.
+    """Return the seconds of the fastest run after one warm-up, and its result.
 
-    With `time.process_time` as clock what other processes take does not count: for single threads on a busy machine.
+    The clock `time.process_time` excludes other processes: use it for single threads on a busy machine.
     """
     result = run()
     seconds = []

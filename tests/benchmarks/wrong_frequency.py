@@ -1,9 +1,9 @@
-"""What `check` and the loop make of a file of which one frequency is 3 to 20 % off.
+"""Examine files with one frequency that is 3 to 20 % wrong, by `check` and by the loop.
 
-Random finite-element frames of 3 to 7 stories without an effect, in two or three tests under known loads.
-`python -m tests.benchmarks.wrong_frequency --frames 12 --seed 1` counts, of files with shapes and of files of
-frequencies alone, how many are named: alone, beside others, another one, none. `--loop` then prints what the loop
-concludes of those that are passed over, and counts the effects that it names with 95 % or more: none is there.
+Random finite-element frames have 3 to 7 stories without an effect, tested two or three times under known loads.
+`python -m tests.benchmarks.wrong_frequency --frames 12 --seed 1` counts outcomes for files with shapes and for files
+of frequencies alone: the wrong one is named alone, with others, another one is named, or none. `--loop` prints the
+loop's conclusions for missed files and counts effects with 95 % or more; the true number of effects is zero.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SURE = 0.95
 
 
 def file_of(number: int, seed: int, *, shapes: bool) -> tuple[dict, str]:
-    """The dict of a file with a wrong frequency, and the words that name it."""
+    """Return the dict of a file with a wrong frequency, and the words that name this frequency."""
     rng = np.random.default_rng([seed, number])
     declared, _ = simulated(None, stories=int(rng.integers(3, 8)), configurations=int(rng.integers(2, 4)), rng=rng)
     table = declared["configuration"][int(rng.integers(len(declared["configuration"])))]
@@ -63,7 +63,7 @@ def main() -> None:
 
 
 def concluded(number: int, experiment: Experiment) -> str:
-    """What the loop says of a file, in one word: it is wrong where it is sure of an effect."""
+    """Return the loop's conclusion for a file in a few words; a sure effect is wrong."""
     try:
         result = search_for_effects(experiment)
     except CvxshearError as error:

@@ -1,4 +1,4 @@
-"""Damped frames, and their motion by other means than those of the package: a dense pencil, a general ODE solver."""
+"""Make damped frames; integrate their motion independently of the package by a dense pencil and an ODE solver."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.frames import chain, modes_of
 
 
 def damped_frame(stories, seed=0, *, ratio=0.08):
-    """Masses, stiffnesses, and story dashpots that couple the modes; `ratio` is about that of the highest mode."""
+    """Return masses, stiffnesses and coupling story dashpots; `ratio` approximates the highest mode's ratio."""
     rng = np.random.default_rng(seed)
     mass = rng.uniform(5.0, 10.0, stories)
     stiffness = rng.uniform(2e4, 3e4, stories)
@@ -25,7 +25,7 @@ def matrices(mass, stiffness, dashpots):
 
 
 def pole_ratios(M, C, K):
-    """Damping ratios of the complex modes, ascending in frequency, from the companion pencil of (s2 M + s C + K)."""
+    """Return damping ratios of the complex modes of s2 M + s C + K by the companion pencil, in order of frequency."""
     n = len(M)
     zero, one = np.zeros((n, n)), np.eye(n)
     values = linalg.eigvals(np.block([[zero, one], [-K, -C]]), np.block([[one, zero], [zero, M]]))
@@ -35,9 +35,9 @@ def pole_ratios(M, C, K):
 
 
 def integrated(M, C, K, excitation, step, floor=0):
-    """Total accelerations and relative displacements, samples by floors, by an explicit Runge-Kutta method of order 8.
+    """Return total accelerations and relative displacements (samples by floors) by explicit Runge-Kutta of order 8.
 
-    It is started anew at each sample, since the excitation has a corner there.
+    The integration restarts at each sample, because the excitation has a corner there.
     """
     n = len(M)
     inverse = linalg.inv(M)
@@ -59,21 +59,21 @@ def integrated(M, C, K, excitation, step, floor=0):
 
 
 def shaking(samples=400, step=0.01, seed=4):
-    """A base acceleration with all the corners that a record has, m/s2."""
+    """Return a base acceleration with a corner at each sample, like a record, m/s2."""
     rng = np.random.default_rng(seed)
     envelope = np.sin(np.pi * np.arange(samples) / samples)
     return envelope * np.convolve(rng.standard_normal(samples + 4), np.ones(5) / 5, mode="valid")
 
 
 def straight(excitation):
-    """An excitation in straight lines between its samples, as `Dynamics` takes it, shape (samples, 2)."""
+    """Return an excitation that is linear between its samples, as input of `Dynamics`, shape (samples, 2)."""
     return np.column_stack([excitation, excitation])
 
 
 def declared(
     mass, stiffness, ratios, *, frequency_std=0.002, shape_std=0.01, ratio_std=0.1, rng=None, modes=None, **more
 ):
-    """The dict of a measurement file of all floors, exact or with noise of the deviations that it declares."""
+    """Return the dict of a measurement file of all floors: exact, or with noise of the declared deviations."""
     n = len(mass)
     chosen = np.arange(n) if modes is None else np.asarray(modes) - 1
     frequencies, shapes = modes_of(mass, stiffness)
@@ -96,6 +96,6 @@ def declared(
 
 
 def sampled(frame, function, samples, rng):
-    """Evaluate a function at random frames, shape (samples, ...): what linear deviations are checked by."""
+    """Evaluate a function at random frames, shape (samples, ...), to check linearized standard deviations."""
     centre = frame.at(np.zeros(frame.size))
     return np.array([function(frame.at(rng.standard_normal(frame.size), centre)) for _ in range(samples)])

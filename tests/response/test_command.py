@@ -1,4 +1,4 @@
-"""`cvxshear predict`, and what `identify` and `loop` say of damping."""
+"""Tests of `cvxshear predict`, and of the damping output of `identify` and `loop`."""
 
 import errno
 import json
@@ -41,7 +41,7 @@ def floor_channel(floor):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A measurement file, a record with its floors, and one of the ground alone."""
+    """Write a measurement file, a record with its floors, and a record of the ground alone."""
     monkeypatch.chdir(tmp_path)
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
@@ -94,7 +94,7 @@ def test_a_ground_motion_alone_is_enough(folder, capsys):
     _, whole, _ = run(capsys, "predict", "frame.toml", "--record", "shaken.toml", "--json", "-")
     compared = json.loads(whole)["peaks"]
     for name, values in said["peaks"].items():
-        # What the record shows of its errors can but widen the deviations; it moves no peak.
+        # The record's evidence of model errors only widens the deviations. The peaks stay.
         if name.endswith("_std"):
             assert np.all(np.array(compared[name]) >= np.array(values))
         else:
@@ -115,13 +115,13 @@ def test_loop_is_fitted_once(folder, capsys):
 
 
 def misread(table):
-    """The highest sensor reads a third too much."""
+    """Make the highest sensor read a third too much."""
     shapes = np.array(table["configuration"][0]["mode_shapes"])
     table["configuration"][0]["mode_shapes"] = (shapes * [1.0, 1.0, 1.3]).tolist()
 
 
 def misjudged(table):
-    """A statement of 2 % that is off by half."""
+    """Make a declared 2 % deviation wrong by half."""
     ratio = {"kind": "ratio", "quantity": "story_stiffness", "of": 2, "to": 1, "value": 2.0, "std": 0.02}
     table["prior"] = [ratio]
 
@@ -135,7 +135,7 @@ def misjudged(table):
     ],
 )
 def test_effects_of_a_loop_pass_through_its_json(folder, capsys, change, effect, prior):
-    """The model read back has the modes, and the parameters, of the closed loop."""
+    """Check that the model read back has the modes and parameters of the closed loop."""
     mass, stiffness, dashpots = damped_frame(3)
     table = declared(mass, stiffness, pole_ratios(*matrices(mass, stiffness, dashpots)))
     change(table)
@@ -153,7 +153,7 @@ def test_effects_of_a_loop_pass_through_its_json(folder, capsys, change, effect,
 
 
 def test_a_record_file_in_place_of_an_experiment(folder):
-    """Its modes are identified first."""
+    """The command identifies the modes of the record first."""
     given = cvxshear.identify("shaken.toml")
     modes = cvxshear.Experiment.from_dict(modes_from_file("shaken.toml")[1])
     np.testing.assert_array_equal(given.frame.floor_mass, cvxshear.identify(modes).frame.floor_mass)
@@ -249,7 +249,7 @@ def test_the_prediction_is_printed_where_a_file_cannot_be_written_after_all(fold
 
 
 def test_a_record_as_the_model_is_that_of_its_modes(folder, capsys):
-    """The command looks for mistakes on the way; the function does not, and both predict the same."""
+    """The command also examines the record for mistakes. The function does not; both give the same prediction."""
     status, out, _ = run(capsys, "predict", "shaken.toml", "--record", "shaken.toml", "--json", "-")
     assert status == 0
     said = json.loads(out)
@@ -274,7 +274,7 @@ def test_a_mistake_is_refused_before_anything_is_predicted(folder, capsys, monke
 
 
 def test_doubts_are_told_with_a_prediction(folder, capsys):
-    """Stories of 4 km are taken for millimetres."""
+    """Story heights of 4 km suggest millimetres."""
     path = folder / "frame.toml"
     declared = cvxshear.load(path).to_dict()
     declared["frame"]["story_heights"] = [4000.0] * 3
@@ -297,7 +297,7 @@ def test_a_device_is_written_to_whatever_it_is_called(folder, capsys, place):
 
 
 def test_reconstruct_writes_all_it_is_asked_for(folder, capsys):
-    """Floors 1 and 3 carry sensors, one of them with a gap."""
+    """Floors 1 and 3 carry sensors; one sensor has a gap."""
     text = (folder / "shaken.csv").read_text().splitlines()[:1001]
     cells = text[700].split(",")
     text[700] = ",".join([*cells[:2], "nan", *cells[3:]])
@@ -318,9 +318,9 @@ def test_reconstruct_writes_all_it_is_asked_for(folder, capsys):
     page = Path("two.html").read_text()
     assert "each measured floor from the other sensors alone" in page
     assert 'id="figure-drifts"' in page
-    # What an owner asks stands first, the record below it.
+    # The owner's questions come first. The record follows.
     assert re.search(r"Story \d drifted most: .*; limit 0.01 %: passed in .* under base motion", " ".join(out.split()))
-    # The frame has story dashpots, which modal damping lacks.
+    # The frame has story dashpots. Modal damping cannot represent them.
     assert re.search(
         r'id="headline">Story \d drifted most: [^<]*no single story changed; story 1 damps by itself[^<]*</p>'
         r"\s*<p>[^<]*under base motion", page,

@@ -1,4 +1,4 @@
-"""Comparison of a prediction with its record, limits, lines and delays: plain arrays in, expected values by hand."""
+"""Test the comparison of a prediction with its record: limits, lines and delays, with expected values by hand."""
 
 from types import SimpleNamespace
 
@@ -38,7 +38,7 @@ LINES = np.arange(0.0, 10.0, 0.1)
 
 
 def resonances(natural, height=1.0, width=0.5):
-    """Functions of two floors with a resonance at each frequency, wholly coherent."""
+    """Return functions of two floors with a resonance at each frequency and coherence 1."""
     size = sum(height / (1 + ((LINES - at) / width) ** 2) for at in natural)
     return Transfer(LINES, np.column_stack([size, 2.0j * size]), np.ones((len(LINES), 2)))
 
@@ -62,7 +62,7 @@ def test_errors_of_functions_are_rms_around_each_mode_where_something_drives_it(
 @pytest.mark.parametrize(("moved", "told"), [([0.25, 0.0], [1]), ([0.11, 0.0], []), ([0.15, 0.7], [1, 2]),
                                              ([0.13, 0.7], [2]), ([0.0, -0.7], [2])])  # fmt: skip
 def test_a_shift_is_told_where_the_peak_has_fallen_and_others_that_moved_as_much(moved, told):
-    """A resonance of half width 0.5 has fallen to 1 / (1 + (d / 0.5)^2)^2 of its power at a distance d."""
+    """At a distance d, a resonance of half width 0.5 has 1 / (1 + (d / 0.5)^2)^2 of its peak power."""
     natural = np.array([2.0, 5.0])
     made, seen = resonances(natural), resonances(natural + moved)
     found = comparing._shifts(seen, made, natural, None)
@@ -96,7 +96,7 @@ def test_two_channels_are_exchanged_where_each_is_nearer_to_the_other():
     floors = np.array([1, 2, 5])
     said = contradiction([p[:, [0, 2, 1]]], [p], floors)
     assert said == "floors 2 and 5 fit each other's prediction: are they exchanged?"
-    # As large as before their exchange, they are not told by their sizes.
+    # The sizes agree before and after the exchange. They cannot reveal it.
     sizes = np.sqrt(np.mean(p**2, axis=0))
     assert contradiction([p[:, [0, 2, 1]] / sizes[[0, 2, 1]] * sizes], [p], floors) == ""
 
@@ -110,7 +110,7 @@ def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_predi
 
 
 def test_lines_are_taken_off_that_chance_does_not_make():
-    """A motion of periods T over a time L leaves lines by chance; one much larger than that is the sensor's."""
+    """A motion of period T in a record of length L has a line by chance; a much larger line belongs to the sensor."""
     time = np.linspace(-1.0, 1.0, 4000)
     motion = np.sin(200 * time + 0.3)
     line = 0.3 + 0.2 * time
@@ -184,7 +184,7 @@ def test_directions_are_followed_half_of_a_mass_or_stiffness_at_most():
 
 @pytest.mark.parametrize(("off", "said"), [(1.9, False), (2.1, True), (-2.1, True)])
 def test_a_ratio_is_missed_beyond_two_deviations(off, said):
-    """The third is of a thousandth of critical, below which deviations are as of one."""
+    """The third ratio is 1e-4; any ratio below 0.001 has the deviation of 0.001, here 1e-4."""
     ratios = SimpleNamespace(values=np.array([0.02, 0.05, 1e-4]), std=np.full(3, 0.1))
     frame = SimpleNamespace(ratios=ratios, kind="rayleigh")
     own = np.array([0.02 * (1 + 0.1 * off), 0.09, 1e-4 + off * 1e-4])
@@ -216,7 +216,7 @@ def test_pieces_show_a_bandwidth_by_eight_lines_or_are_a_fifth_of_the_record_twi
 
 
 def welch(a, b, length):
-    """The mean over pieces, half overlapping, less their means, under a raised cosine, of conj(a) b."""
+    """Average conj(a) b over half-overlapping pieces, with means removed, under a raised cosine."""
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
     parts = [np.fft.rfft(window * (each[at : at + length] - each[at : at + length].mean())) for each in (a, b)
              for at in range(0, len(a) - length + 1, length // 2)]  # fmt: skip
@@ -242,7 +242,7 @@ def test_functions_are_of_all_runs_by_their_lengths():
 
 
 def test_resonances_peak_between_lines_where_the_floors_answer():
-    """The logarithm of a bell is a parabola."""
+    """The logarithm of a bell curve is a parabola."""
     natural = np.array([3.0, 7.0])
     bell = np.exp(-((LINES - 3.13) ** 2))[:, None] * [1.0, 2.0j]
 
@@ -260,7 +260,7 @@ def test_resonances_peak_between_lines_where_the_floors_answer():
 
 @pytest.mark.parametrize("samples", [400, 4000])
 def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode(samples):
-    """A record that reads a tenth more on one floor, and that has noise of a fifth of it on the other."""
+    """In the record, one floor reads 10 % too much and the other has noise of a fifth of its motion."""
     model = DampedModel(*matrices(*damped_frame(3)), np.array([1.0, 1.0, 0.9]))
     excitation = np.random.default_rng(9).standard_normal(samples)
     plain = response(model, DrivenRun(excitation), 0.01)
@@ -292,7 +292,7 @@ def test_each_unit_is_told_to_a_fifth(factor, said):
 
 
 def drifting(ratios):
-    """A response whose drift ratios peak at these values."""
+    """Return a response whose drift ratios peak at these values."""
     others = "acceleration", "displacement", "drift", "story_shear", "base_shear", "overturning_moment"
     return SimpleNamespace(**dict.fromkeys(others), drift_ratio=np.array([0.0, 1.0, 0.0])[:, None] * ratios)
 
@@ -314,12 +314,12 @@ def test_limits_are_passed_with_the_probability_of_a_normal_peak_and_of_yielding
 
 @pytest.mark.parametrize(("alike", "told"), [(0.92, True), (0.935, False)])
 def test_an_exchange_must_bring_a_tenth_of_squared_correlation(alike, told):
-    """A record's correlation is 0.6 with the other floor's prediction, and 0.6 of that of both with its own."""
+    """A record has correlation 0.6 with the other's prediction; `alike` is the correlation of both predictions."""
     e = np.linalg.qr(np.random.default_rng(0).standard_normal((60, 4)))[0].T
     p = np.column_stack([e[0], 2 * (alike * e[0] + np.sqrt(1 - alike**2) * e[1])])
     y = np.column_stack([0.6 * p[:, 1] + 2 * 0.8 * e[2], 0.6 * p[:, 0] + 0.8 * e[3]])
     assert bool(contradiction([y], [p], np.array([1, 2]))) is told
-    # Both must be like each other's prediction.
+    # Each record must resemble the other's prediction.
     y[:, 1] = 0.49 * p[:, 0] + np.sqrt(1 - 0.49**2) * e[3]
     assert contradiction([y], [p], np.array([1, 2])) == ""
 
@@ -327,7 +327,7 @@ def test_an_exchange_must_bring_a_tenth_of_squared_correlation(alike, told):
 @pytest.mark.parametrize(("late", "kept"), [(0.0, False), (0.03, True)])
 @pytest.mark.parametrize("shared", [False, True])
 def test_a_delay_is_put_back_without_which_a_sensor_is_farther_from_its_prediction(late, kept, shared):
-    """The delay of 0.03 s that was taken out of floor 3 is the prediction's own, or it is not."""
+    """The delay of 0.03 s removed from floor 3 belongs to the prediction in one case, and not in the other."""
     time = np.arange(500) / 100
 
     def at(shift):

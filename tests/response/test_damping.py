@@ -1,4 +1,4 @@
-"""Damping of identified frames: recovered from exact modes, its deviations against samples, what is left open."""
+"""Test the damping of identified frames: exact modes, deviations against samples, undetermined dashpots."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ def test_dashpots_are_recovered_from_exact_modes(stories, backend):
 
 
 def test_dashpots_in_proportion_are_recovered_whatever_the_deviations():
-    """Nothing couples then, so that the rows of the assumption are met as the measured ones are."""
+    """Proportional dashpots couple no modes, so the assumed rows are met exactly, like the measured rows."""
     mass, stiffness, _ = damped_frame(6)
     experiment, estimate = estimated(declared(mass, stiffness, 1e-3 * np.pi * modes_of(mass, stiffness)[0]))
     found = damping_of(experiment, estimate, kind="story")
@@ -76,7 +76,7 @@ def test_deviations_are_those_of_samples(kind):
 
     _, std = propagated(frame, numbers)
     drawn = sampled(frame, numbers, 150, np.random.default_rng(3)).std(axis=0)
-    # The deviation of 150 samples is itself known to 6 %.
+    # With 150 samples, the sampled deviation itself is known to 6 %.
     np.testing.assert_allclose(std, drawn, rtol=0.18)
 
 
@@ -119,7 +119,7 @@ def test_soft_priors_settle_what_the_modes_leave_open():
 
 
 def test_ratios_that_dashpots_cannot_give_are_told():
-    """Ratios that fall with frequency ask for negative dashpots."""
+    """Ratios that fall with frequency require negative dashpots."""
     mass, stiffness, _ = damped_frame(3)
     experiment, estimate = estimated(declared(mass, stiffness, [0.05, 0.01, 0.001]))
     found = damping_of(experiment, estimate, kind="story")
@@ -160,7 +160,7 @@ def test_rayleigh_needs_two_modes():
 
 
 def test_two_modes_are_enough_for_rayleigh():
-    """Two ratios and two factors: the mean of both shares at each frequency, solved by hand."""
+    """Two ratios determine both Rayleigh coefficients: alpha / (2 omega) + beta omega / 2 = zeta, solved by hand."""
     mass, stiffness, _ = damped_frame(3)
     experiment, estimate = estimated(declared(mass, stiffness, [0.02, 0.03], modes=[1, 2]))
     omega = 2 * np.pi * modes_of(mass, stiffness)[0][:2]
@@ -215,7 +215,7 @@ def test_ratios_of_poles_and_their_slopes_are_those_of_the_pencil():
 
 
 def test_what_is_assumed_of_dashpots_is_that_modes_do_not_couple_and_stories_are_alike():
-    """An entry is uniform up to the root of both ratios; a dashpot a stiffness is known to ten times the typical."""
+    """Couplings are uniform up to the root of both ratios; dashpot over stiffness scatters by 10 times its mean."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     real, zeta = modes(M, K), np.array([0.02, 0.03])
@@ -233,6 +233,6 @@ def test_dashpots_are_open_along_what_no_row_sees():
     assert sorted(said) == ["the dashpot of 4", "the dashpots of stories 1, 2"]
     assert determined.tolist() == [False, False, True, False]
     assert _left_open(np.eye(3))[0] == ()
-    # Of what one row of three leaves open two combinations are named, each with those that have a tenth of its largest.
+    # One row with three unknowns leaves two open combinations. Entries above a tenth of the largest name each.
     said, determined = _left_open(np.array([[1.0, 1.0, 0.0]]))
     assert (sorted(said), determined.tolist()) == (["the dashpot of 3", "the dashpots of stories 1, 2"], [False] * 3)

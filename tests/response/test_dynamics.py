@@ -1,4 +1,4 @@
-"""The discrete model of a frame and its noise, against the differential equations that it stands for."""
+"""Test the discrete model of a frame and its noise against the differential equations."""
 
 from types import SimpleNamespace
 
@@ -31,7 +31,7 @@ def setting(case):
 
 
 def slope(case, x, p):
-    """x' of displacements, velocities, relative story forces and the ground, written out; total accelerations."""
+    """Return x' of displacements, velocities, relative story forces and the ground, and the total accelerations."""
     model, (force_floor, measured) = frame(), CASES[case]
     u, v, f = x[:3], x[3:6], x[6:9]
     missed = INPUT * STORY_FORCE * f
@@ -47,7 +47,7 @@ def slope(case, x, p):
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_step_is_the_solution_of_the_differential_equations(case):
-    """From each state by itself, and from rest under an excitation that is a straight line over the step."""
+    """Check each state by itself, and a start from rest under an excitation that is linear over the step."""
     found = dynamics(frame(), NOISE, setting(case))
     n = setting(case).states
     assert found.A.shape == (n, n)
@@ -75,16 +75,16 @@ def test_sensors_and_outputs_show_what_the_equations_say(case):
     np.testing.assert_allclose(found.R, [0.01, 0.04])
     acting = INPUT * p * (np.arange(1, 4) == force_floor)
     story = [np.sum((acting - MASS * total)[i:]) for i in range(3)]
-    # The moment about the base where heights are known, and the ground's acceleration where it is estimated.
+    # The outputs include the base moment if heights are known, and the ground acceleration if it is estimated.
     expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story, HEIGHTS @ story, *x[9:]]
     np.testing.assert_allclose(found.outputs.of(x[None], np.array([[9.0, p]]))[0], expected)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_noise_has_the_deviations_that_were_asked_for(case):
-    """Stationary: a twenty-fifth of the rms story force, 0.7 m/s2 of the ground; over a step, the integral of e^At.
+    """The stationary noise is 1/25 of the rms story force and 0.7 m/s2 of the ground; a step adds the integral of e^At.
 
-    An error of 0.7 of the excitation's sensor lasts for the two steps that its sample ends and begins.
+    An error of 0.7 in the excitation's sensor acts in the two steps that share its sample.
     """
     found = dynamics(frame(), NOISE, setting(case))
     np.testing.assert_allclose(found.P0, linalg.solve_discrete_lyapunov(found.A, found.Q), rtol=1e-6, atol=1e-12)
@@ -105,7 +105,7 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
 
 
 def test_base_motion_does_not_tell_how_heavy_a_frame_is():
-    """Twice the masses, dashpots and stiffnesses move as before, and so must what is missed of them."""
+    """Twice the masses, dashpots and stiffnesses give the same motion and the same missed motion."""
     one, double = frame(), frame()
     double.M, double.C, double.K = 2 * one.M, 2 * one.C, 2 * one.K
     plain, heavy = (dynamics(each, NOISE, setting("base")) for each in (one, double))
@@ -128,7 +128,7 @@ def test_a_recursion_by_blocks_is_the_one_sample_by_sample(samples):
 
 @pytest.mark.parametrize("slower", [1.0, 1e3])
 def test_the_poles_add_up_to_the_flexibility(slower):
-    """At rest the transfer function is K^-1, in a frame of some Hz and in one that takes minutes for a period."""
+    """At rest the transfer function is K^-1, both for a frame of some Hz and for one with a period of minutes."""
     of = frame()
     found = poles(of.M, of.C / slower, of.K / slower**2)
     each = found.shapes[:, None, :] * found.shapes[None, :, :] / (-found.scales * found.values)
@@ -138,7 +138,7 @@ def test_the_poles_add_up_to_the_flexibility(slower):
 
 @pytest.mark.parametrize("fastest", [30.0, 3000.0, 3e5])
 def test_the_noise_of_a_step_in_which_a_mode_dies_away_is_what_is_missing_to_its_stationary_covariance(fastest):
-    """Q = P - A P A' of the stationary P, from scipy's Lyapunov equation: decays of up to 3,000 over a step."""
+    """Q = P - A P A' with the stationary P from scipy's Lyapunov equation, for decays of up to 3,000 over a step."""
     rates = np.array([[0.0, 1.0, 0.0], [-400.0, -fastest, 50.0], [0.0, 0.0, -8.0]])
     A, _, _, Q = (each[0] for each in _over_a_step(rates, np.zeros(3), np.array([0.0, 0.0, 3.0]), 0.01))
     np.testing.assert_allclose(A, linalg.expm(0.01 * rates), rtol=1e-9, atol=1e-14)

@@ -1,4 +1,4 @@
-"""Figures of a prediction can be read, and show what was predicted."""
+"""Test that figures of a prediction are readable and show the prediction."""
 
 import dataclasses
 import sys
@@ -44,7 +44,7 @@ def prediction(request):
     moved = response(DampedModel(M, C, K, np.ones(stories)), DrivenRun(excitation), 0.01).acceleration
     motion = DrivenRecord((DrivenRun(excitation, responses=moved),), 100.0, floors=floors)
     with pytest.MonkeyPatch.context() as patch:
-        # Sensors that are sound are not drawn otherwise than those that were looked at.
+        # Skip the sensor checks. The figures of sound sensors do not depend on them.
         patch.setattr(sys.modules[predict.__module__], "_set_right", lambda motion, _: (motion, ()))
         return predict(Models(fitted, fitted), motion)
 
@@ -95,7 +95,7 @@ def test_the_floor_of_the_largest_peak_is_drawn_and_those_left_out_are_counted(p
 
 
 def test_the_story_that_the_headline_names_is_drawn():
-    """Five stories, the third as soft as none of the others, so that four panels over the height would leave it out."""
+    """The third of five stories is the softest; four panels spread over the height would omit it."""
     mass, stiffness, dashpots = damped_frame(5)
     stiffness[2] *= 0.2
     M, C, K = matrices(mass, stiffness, dashpots)

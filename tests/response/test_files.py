@@ -1,4 +1,4 @@
-"""What predictions and models are handed on as: the same numbers in every kind of file, the same frame elsewhere."""
+"""Test exported predictions and models: equal numbers in every file format, and the same frame in other programs."""
 
 import ast
 import importlib.util
@@ -30,7 +30,7 @@ NEEDS_OPENSEES = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def three():
-    """The paper's three-story model with damping, the masses as they are known, and its prediction."""
+    """Return the paper's three-story model with damping and known masses, and its prediction."""
     of = ThreeStory("auto")
     table = of.experiment.to_dict()
     table["frame"]["story_heights"] = 3.0
@@ -93,7 +93,7 @@ def test_models_are_the_same_in_every_file(three, tmp_path):
 
 
 def opensees(path, call, tmp_path):
-    """The result of a call to the script, made in a process of its own: OpenSees prints, and ends, as it likes."""
+    """Call the script in a process of its own, because OpenSees prints and can exit, and return the result."""
     out = tmp_path / "out.json"
     code = (
         f"import json, runpy; module = runpy.run_path({str(path)!r}); result = {call}; "
@@ -116,7 +116,7 @@ def test_opensees_has_the_same_frequencies(three, tmp_path):
 
 @NEEDS_OPENSEES
 def test_opensees_has_the_same_frequencies_with_an_effect(three, tmp_path):
-    """Rocking fills the stiffness matrix: springs between all floors."""
+    """Rocking fills the stiffness matrix: springs connect all floors."""
     fitted, motion, _ = three
     rocking = Placed(effects.named(["base_rocking"])[0])
     theta = np.append(fitted.theta, 1e-3 / (fitted.theta[3:].sum() * 9.0))
@@ -130,7 +130,7 @@ def test_opensees_has_the_same_frequencies_with_an_effect(three, tmp_path):
 @NEEDS_OPENSEES
 @pytest.mark.parametrize("kind", ["modal", "story", "rayleigh"])
 def test_opensees_moves_alike(three, kind, tmp_path):
-    """Newmark's method at a small step comes near the exact answer, with each kind of damping."""
+    """With a small step, Newmark's method approaches the exact answer for each kind of damping."""
     fitted, _, _ = three
     step = 0.0005
     excitation = np.interp(np.arange(0, 1.0, step), np.arange(0, 1.01, 0.01), shaking(101))
@@ -175,7 +175,7 @@ def test_the_spreadsheet_holds_what_was_found(three, tmp_path):
 
 
 def test_the_spreadsheet_holds_the_errors_of_both_models(three, tmp_path):
-    """Of two frames that are off the truth, against a plain eigenvalue solver; shapes by least squares."""
+    """Both models differ from the truth; a plain eigenvalue solver gives the modes, least squares scales the shapes."""
     openpyxl = pytest.importorskip("openpyxl")
     fitted, motion, _ = three
     thetas = [fitted.theta * factors for factors in (np.linspace(0.9, 1.15, 6), np.linspace(1.02, 0.98, 6))]

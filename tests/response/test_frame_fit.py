@@ -1,4 +1,4 @@
-"""What a record says of changed stories, where the likelihood is linear: against normal distributions written out."""
+"""Test a record's evidence of changed stories with a linear likelihood, against explicit normal distributions."""
 
 import dataclasses
 import itertools
@@ -26,19 +26,19 @@ from cvxshear.response.varied_frame import GAIN_UNIT
 
 STORIES, CHANGE, PROBABILITY = 3, 0.5, 0.07
 SINGLE, OFF, PROBABILITY_OFF = np.array([0, 1, 2, 4]), 0.8, 0.04
-"""Three stories and one gain, the last of five unknowns."""
+"""Columns of single changes (three stories, one gain) among five unknowns; deviation and probability of the gain."""
 EITHER = np.zeros(3, dtype=bool)
-"""Unknowns that may have either sign."""
+"""Sign constraints: no unknown has one."""
 
 
 def drawn(seed, inflation=1.7):
-    """A likelihood of five unknowns, three stories and a gain among them, and where it was linearised."""
+    """Draw a likelihood of five unknowns, among them three stories and a gain, and its linearization point."""
     rng = np.random.default_rng(seed)
     return Likelihood(3.0 * rng.standard_normal((6, 5)), rng.standard_normal(6), inflation), rng.standard_normal(5)
 
 
 def gaussian(changed, form_std, scatter_std=0.003, mass_std=0.0, gain_std=0.001):
-    """A prior whose mean, covariance and evidence depend on how well its form is known."""
+    """Return a prior whose mean, covariance and evidence depend on the deviation of the form."""
     wide = (form_std + 20 * scatter_std + 5 * mass_std + 8 * gain_std) ** 2
     spread = np.diag([0.1, 0.2, 0.1, 0.5, 0.5]) ** 2 + 0.3 * form_std + wide * np.eye(5)
     at = SINGLE[list(changed)]
@@ -47,7 +47,7 @@ def gaussian(changed, form_std, scatter_std=0.003, mass_std=0.0, gain_std=0.001)
 
 
 def log_density(at, p, prior):
-    """log of the normal density of what was seen, U x + c of variance `inflation` about zero for the true x."""
+    """Return the log density of the normal data U x + c about zero, with variance `inflation`, at the true x."""
     seen = at.U @ (p - prior.mean) - at.c
     spread = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(seen))
     return stats.multivariate_normal.logpdf(seen, np.zeros(len(seen)), spread)
@@ -70,7 +70,7 @@ def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
 
 
 def test_what_is_positive_has_no_evidence_where_it_would_be_negative():
-    """One unknown of each sign, seen directly: along a column that must be positive the negative one is left out."""
+    """Two directly measured unknowns, one of each sign: the negative one is omitted if its column must be positive."""
     at = Likelihood(np.eye(2), np.array([-2.0, 2.0]), 1.0)
     linear = Linear(at, np.zeros(2), Gaussian(np.zeros(2), 0.01 * np.eye(2), 0.0))
     sets = [(), (0,), (1,), (0, 1)]
@@ -81,7 +81,7 @@ def test_what_is_positive_has_no_evidence_where_it_would_be_negative():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths(seed):
-    """Odds of 0.07 a changed story, 0.04 a gain; all sizes of form's errors, scatter, masses and gains as probable."""
+    """The odds are 0.07 for a changed story and 0.04 for a gain; all error widths are equally probable."""
     at, p = drawn(seed)
     chance = np.array([PROBABILITY] * STORIES + [PROBABILITY_OFF])
     log_odds = np.log(chance / (1 - chance))
@@ -108,8 +108,10 @@ def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths
 
 
 def fitted(**more):
-    """A frame of three stories with two ratios, three dashpots, two nuisances, three gains, an error of
-    form, and three noises; two sensors and the ground. Its factors are products of powers of two unknowns each."""
+    """Return a frame with 14 unknowns: damping, nuisances, gains, a form error and noises.
+
+    The frame has three stories, two sensors and a ground sensor. Each factor is a product of powers of two unknowns.
+    """
     rng = np.random.default_rng(8)
     root = 0.1 * rng.standard_normal((17, 17))
     powers = 0.3 * rng.standard_normal((3, 14))
@@ -141,7 +143,7 @@ def fitted(**more):
 
 
 def moved_by(function, at, covariance):
-    """Standard deviations of a function of normal numbers, by differences."""
+    """Return standard deviations of a function of normal numbers by differences."""
     steps = 1e-6 * np.eye(len(at))
     J = np.array([(function(at + step) - function(at - step)) / 2e-6 for step in steps]).T
     return np.sqrt(np.sum((J @ covariance) * J, axis=1))
@@ -166,13 +168,13 @@ def test_a_fitted_frame_says_what_its_unknowns_mean():
 
 
 def test_factors_of_stories_are_as_uncertain_as_all_that_moves_them():
-    """The identified stiffnesses, the masses and effects as identified, and the unknowns of the record."""
+    """The variance includes the identified stiffnesses, masses and effects, and the unknowns of the record."""
     frame = fitted()
     factors = frame.errors.varied.story_factors
     expected, J = factors(frame.p[:14])
     np.testing.assert_allclose(frame.factors, expected)
     spread = J @ frame.covariance[:14, :14] @ J.T + 0.002 + J[:, 8:13] @ J[:, 8:13].T
-    # Half of what may be is that floors changed; a total of three floors varies by the root of three less than one.
+    # Changed floors have probability 0.5. The total of three floors has one floor's deviation over the root of three.
     scale = 0.05 * np.sqrt(0.5 / 3)
     assert frame.scale_std == pytest.approx(scale)
     np.testing.assert_allclose(frame.factors_std, np.sqrt(np.diag(spread) + scale**2))
@@ -203,7 +205,7 @@ def test_a_frame_of_one_story_is_compared_with_itself_as_it_was():
 
 
 def test_masses_changed_by_what_a_normal_number_is_given_the_unknowns():
-    """Of the joint distribution of masses and unknowns under the best answer with masses, by its precision."""
+    """The expected values come from the joint precision of masses and unknowns under the best answer with masses."""
     frame = fitted()
     heavier = np.vstack([frame.prior.varied.heavier_floors, np.zeros((3, 3))])
     prior = frame.prior.gaussian((1, 4), 0.03, 0.003, 0.05, 0.001)
@@ -219,7 +221,7 @@ def test_masses_changed_by_what_a_normal_number_is_given_the_unknowns():
 
 
 def test_a_mixture_of_answers_has_their_mean_square_about_the_best():
-    """And the log evidence of the record is that of the best answer over its share."""
+    """The record's log evidence is the best answer's log evidence minus the log of its probability."""
     at, p = drawn(4, inflation=1.2)
     answers = [FrameChange((), 0.03, 0.003, 0.0, 0.001, 0.6), FrameChange((1,), 0.1, 0.01, 0.05, 0.001, 0.2)]
     prior = SimpleNamespace(gaussian=gaussian, log_odds=np.array([-1.0, -2.0, -3.0, -4.0]))
@@ -241,7 +243,7 @@ def test_a_mixture_of_answers_has_their_mean_square_about_the_best():
     assert found.log_evidence == logs[0]
     posterior.errors.objective = lambda p: 54.0
     assert _log_evidence(point, prior, answers) == pytest.approx(logs[0] - 2.0)
-    # Data that say nothing of the unknowns, and all of whose misfit the objective has: it alone is left.
+    # These data carry no information on the unknowns. The objective holds the whole misfit.
     nothing = SimpleNamespace(U=0.0 * at.U, c=at.c, inflation=1.0)
     alone = _log_evidence(SimpleNamespace(likelihood=nothing, p=p, posterior=posterior), prior, answers)
     assert alone == pytest.approx(-0.5 * 54.0 - 30.0 * 0.03 - np.log(0.6))
@@ -261,7 +263,7 @@ def test_a_frame_that_is_not_fitted_again_without_a_sensor_stays_as_it_was():
 
 
 def test_gauss_newton_sees_the_posterior_of_tempered_innovations():
-    """|r|^2 is -2 log of likelihood over its inflation times prior where the likelihood is linear, J its derivative."""
+    """For a linear likelihood, |r|^2 = -2 log(likelihood^(1/inflation) * prior), and J is the derivative of r."""
     at, p = drawn(5)
     prior = gaussian((1,), 0.03)
     errors = SimpleNamespace(
@@ -283,7 +285,7 @@ def test_gauss_newton_sees_the_posterior_of_tempered_innovations():
 
 
 def test_what_may_have_changed_by_itself_has_the_odds_of_its_kind():
-    """Three stories, three dashpots, three gains; of dashpots the probability of any is shared by the stories."""
+    """For three stories, dashpots and gains; the stories share the probability of a dashpot."""
     frame = fitted()
     prior = FramePrior(frame.errors.varied, 3, frame.prior.identified, 0.4, 0.05, 0.1, 0.02, None)
     np.testing.assert_array_equal(prior.single, [0, 1, 2, 5, 6, 7, 10, 11, 12])

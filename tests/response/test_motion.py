@@ -1,4 +1,4 @@
-"""The motion of damped frames against an ODE solver, closed forms, and scipy's simulation of the state-space form."""
+"""Test the motion of damped frames against an ODE solver, closed forms and scipy's state-space simulation."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_response_equals_an_independent_integration(stories, forced):
 
 
 def test_modes_that_do_not_swing():
-    """Dashpots in proportion to the stiffnesses, so strong that the upper modes creep back."""
+    """Strong proportional dashpots overdamp the upper modes."""
     mass, stiffness, _ = damped_frame(3)
     of = DampedModel(*matrices(mass, stiffness, 0.05 * stiffness), np.ones(3))
     assert np.sum(of.poles.values.imag == 0) == 4
@@ -42,7 +42,7 @@ def test_modes_that_do_not_swing():
 
 
 def test_one_mass_under_a_ramp():
-    """u = p / k (t - sin(omega t) / omega) for a force p t on an undamped oscillator."""
+    """An undamped oscillator under a force p t moves by u = p / k (t - sin(omega t) / omega)."""
     of = DampedModel(np.array([[2.0]]), np.zeros((1, 1)), np.array([[50.0]]), np.ones(1))
     time = 0.05 * np.arange(200)
     found = response(of, DrivenRun(3.0 * time, floor=1), 0.05)
@@ -52,9 +52,9 @@ def test_one_mass_under_a_ramp():
 
 @pytest.mark.parametrize("floor", [0, 1])
 def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do(floor):
-    """Against the steady state; straight lines between the samples themselves lose 1 - sinc(f h)^2 of each harmonic.
+    """Compare with the steady state; linear interpolation would lose 1 - sinc(f h)^2 of each harmonic.
 
-    A force moves its floor at once, by what it is at the samples; the base does not.
+    A force moves its floor at once, by its value at the sample; a base motion does not.
     """
     omega, ratio, time = 2 * np.pi * 12.0, 0.05, STEP * np.arange(4000)
     of = DampedModel(np.array([[1.0]]), np.array([[2 * ratio * omega]]), np.array([[omega**2]]), np.ones(1))
@@ -76,7 +76,7 @@ def test_samples_of_a_band_limited_motion_move_an_oscillator_as_its_harmonics_do
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 5, 9, 50])
 def test_pieces_of_any_length_and_a_still_ground_stay_finite(samples):
-    """Warnings are errors; of so few lines, and of zeros, nothing is divided by zero."""
+    """Short records and records of zeros cause no division by zero (warnings are errors)."""
     for motion in (np.zeros(samples), np.ones(samples), np.sin(np.arange(samples))):
         found = band_limited(motion)
         assert found.shape == motion.shape
@@ -94,7 +94,7 @@ def test_the_hold_goes_over_into_its_series_without_a_step():
     below, above = (first_order_hold(s * SMALL * factor, 1.0) for factor in (1 - 1e-9, 1 + 1e-9))
     for a, b in zip(below, above, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-8)
-    # Of a constant input: e^(s h) - 1 = s (sum of both weights).
+    # A constant input gives e^(s h) - 1 = s (sum of both weights).
     E, now, before = first_order_hold(s * 1e-6, 1.0)
     np.testing.assert_allclose(now + before, np.expm1(s * 1e-6) / (s * 1e-6), rtol=1e-15)
     np.testing.assert_allclose(E, np.exp(s * 1e-6))
@@ -107,7 +107,7 @@ def test_forces_are_in_equilibrium():
     np.testing.assert_allclose(
         by_base.overturning_moment, -by_base.acceleration @ (np.diag(of.M) * [3, 6, 9, 12]), rtol=1e-10, atol=1e-8
     )
-    # What floats on springs and dashpots is held by them: k drift + c drift rate, the rate by differences.
+    # Springs and dashpots carry the story force: k drift + c drift rate, with the rate by differences.
     _, stiffness, dashpots = damped_frame(4)
     rate = np.gradient(by_base.drift, STEP, axis=0)
     resisted = by_base.drift * stiffness + rate * dashpots
@@ -131,7 +131,7 @@ def test_the_state_space_form_is_the_same_frame():
 
 
 def test_floor_spectrum_of_a_resonant_sine():
-    """After many periods an oscillator at resonance answers with sqrt(1 + 1 / (4 zeta^2)) times a sine's size."""
+    """After many periods, a resonant oscillator amplifies a sine by sqrt(1 + 1 / (4 zeta^2))."""
     step = 0.001
     sine = np.sin(2 * np.pi * 2.0 * step * np.arange(30_000))[:, None]
     found = floor_spectra(sine, step, np.array([0.02, 2.0, 200.0]), damping=0.05)
@@ -156,15 +156,15 @@ def test_excitations_that_cannot_be_right():
 
 
 def test_a_peak_is_known_no_better_than_the_strong_part_of_its_motion():
-    """A deviation that passes through zero at the peak, as 0.02 |sin t| of cos t does: the rms over |cos t| > 1/2."""
+    """For the motion cos t with deviation 0.02 |sin t|, the peak's deviation is the rms over |cos t| > 1/2."""
     time = np.linspace(0.0, 20 * np.pi, 100_001)
     nothing, moved = np.zeros((len(time), 1)), 3.0 * np.cos(time)[:, None]
     moved[50_000] *= 1.001
     run = Response(time, nothing, moved, nothing, None, mass_known=False)
     (std,) = peaks_of([(run, {"floor_displacement": 0.06 * np.abs(np.sin(time))[:, None]})]).std["floor_displacement"]
-    # The integrals of sin^2 and cos^2 over |t| < pi / 3 are pi / 3 -+ sqrt(3) / 4.
+    # Over |t| < pi / 3, the integrals of sin^2 and cos^2 are pi / 3 -+ sqrt(3) / 4.
     expected = 0.02 * np.sqrt((np.pi / 3 - np.sqrt(3) / 4) / (np.pi / 3 + np.sqrt(3) / 4))
     assert std == pytest.approx(3.003 * expected, rel=1e-3)
-    # One in proportion to the motion is what it is at the peak.
+    # A deviation proportional to the motion keeps its value at the peak.
     (std,) = peaks_of([(run, {"floor_displacement": 0.02 * np.abs(moved)})]).std["floor_displacement"]
     assert std == pytest.approx(0.02 * 3.003)

@@ -1,4 +1,4 @@
-"""Predictions as a whole: against the truth of simulated frames, from every kind of source, and what they say."""
+"""Test whole predictions against simulated frames, from every kind of source, and their remarks."""
 
 import dataclasses
 import json
@@ -31,7 +31,7 @@ RATE = 100.0
 
 @pytest.fixture(scope="module")
 def frame():
-    """Three stories, exact modes with small deviations, and the truth."""
+    """Return three stories: exact modes with small deviations, and the truth."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     table = declared(mass, stiffness, pole_ratios(M, C, K), ratio_std=1e-4, shape_std=0.002, damping={"kind": "story"})
@@ -40,7 +40,7 @@ def frame():
 
 
 def recorded(truth, floors=(1, 2, 3), gain=None, samples=3000, input_floor=0, **options):
-    """A record of the true frame."""
+    """Return a record of the true frame."""
     excitation = shaking(samples, 1 / RATE, **options)
     found = response(truth, DrivenRun(excitation, input_floor), 1 / RATE).acceleration
     found = found * (np.ones(len(truth.M)) if gain is None else gain)
@@ -66,7 +66,7 @@ def test_the_true_frame_has_no_error(frame, input_floor):
     np.testing.assert_allclose(beside.frf_error[np.isfinite(beside.frf_error)], 0, atol=1e-5)
     assert np.isfinite(beside.frf_error[:, 0]).all()
     assert beside.shifts == ()
-    # Between its samples the excitation is a straight line: so the motion is known at any time.
+    # The excitation is linear between its samples, so the motion is known at any time.
     drive = found.motion.runs[0]
     times = np.arange(len(drive.excitation))
     finer = np.interp(np.arange(0, times[-1], 1 / 32), times, drive.excitation)
@@ -78,7 +78,7 @@ def test_the_true_frame_has_no_error(frame, input_floor):
 
 @pytest.mark.parametrize(("frequency", "rest"), [(1.0, 1e-5), (3.0, 5e-4)])
 def test_a_peak_stands_between_samples(frequency, rest):
-    """Of a harmonic of 2 mm at 50 Hz, whatever its phase; a jump keeps its largest sample."""
+    """A harmonic of 2 mm, sampled at 50 Hz, peaks between samples for any phase; a jump keeps its largest sample."""
     time = np.arange(200) / 50
     phases = 2 * np.pi * frequency * time[:, None] + np.linspace(0, np.pi, 12)
     nothing = np.zeros_like(phases)
@@ -90,20 +90,20 @@ def test_a_peak_stands_between_samples(frequency, rest):
 
 def test_deviations_of_peaks_are_those_of_samples():
     ratio = linear_over_sampled(3, "modal", 200)
-    # Deviations of 200 samples are known to 5 %; the rest is curvature.
+    # With 200 samples, deviations are known to 5 %. Curvature explains the rest.
     assert np.all((ratio > 0.85) & (ratio < 1.2))
 
 
 @pytest.mark.parametrize(("stories", "kind", "trials"), [(3, "modal", 40), (3, "story", 40), (8, "story", 20)])
 def test_intervals_hold_the_truth_as_often_as_they_say(stories, kind, trials):
-    """A seeded part of `python -m tests.benchmarks.response_coverage`: trials of 7 or 17 peaks that go together."""
+    """Run a seeded part of `tests.benchmarks.response_coverage`: trials with 7 or 17 dependent peaks."""
     share, deviations = coverage(stories, kind, trials)
     assert 0.88 <= share <= 0.99
     assert abs(deviations.mean()) < 0.4
 
 
 def test_the_effect_found_takes_the_error_away():
-    """Sensor gain: the record's top sensor reads 8 % too much, so that the shear model is wrong."""
+    """The record's top sensor reads 8 % too much, so the shear model is wrong."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     gain = np.array([1.0, 1.0, 1.08])
@@ -122,23 +122,23 @@ def test_the_effect_found_takes_the_error_away():
 
 
 def test_a_changed_frame_is_told(frame):
-    """A tenth softer: frequencies five percent lower."""
+    """Stiffnesses 10 % lower give frequencies 5 % lower."""
     _, estimate, truth = frame
     softer = DampedModel(truth.M, truth.C, 0.9 * truth.K, truth.gain)
     found = predict(estimate, recorded(softer, samples=20_000))
     shifts = found.after.comparison.shifts
-    # The second moved as much as the first, and is named beside it.
+    # The second mode shifted by the same ratio. The remark names both.
     assert {1, 2} <= {shift.mode for shift in shifts}
     for shift in shifts:
         assert shift.measured / shift.modelled == pytest.approx(np.sqrt(0.9), abs=0.01)
     (said,) = [remark for remark in found.remarks if "depend on the amplitude, or the frame has changed" in remark]
-    # Of the first mode, in percent: sqrt(0.9) - 1.
+    # Shift of the first mode in percent: sqrt(0.9) - 1.
     assert float(said.partition("Hz (")[2].partition(" %")[0]) == pytest.approx(-5.1, abs=1.0)
     assert predict(estimate, recorded(truth, samples=20_000)).after.comparison.shifts == ()
 
 
 def test_the_line_that_is_taken_off_is_told_with_its_floor(frame):
-    """Floor 2's sensor drifts from minus to plus twice the rms of what it would show."""
+    """Floor 2's sensor drifts from minus to plus twice the rms of the motion."""
     _, estimate, truth = frame
     exact = recorded(truth)
     run = exact.runs[0]
@@ -152,7 +152,7 @@ def test_the_line_that_is_taken_off_is_told_with_its_floor(frame):
 
 
 def test_noise_on_the_record_of_the_same_frame_is_no_change_of_it(frame):
-    """The largest line of the flat top of mode 2 moves by two to ten lines, in a third of the records and more."""
+    """In a third of the records or more, noise moves the largest line of mode 2's flat peak by two to ten lines."""
     _, _, truth = frame
     moved = 0
     for noise, samples, records in ((0.02, 4000, 4), (0.1, 4000, 4), (0.1, 20_000, 2)):
@@ -198,7 +198,7 @@ def test_the_state_follows_the_added_mass(frame):
     motion = DrivenRecord.of(recorded(heavier), added.tolist())
     found = predict(estimate, motion, detrend=False)
     assert found.configuration.name == "3 kg added"
-    # A state names its tests: the one with the record's added mass is taken.
+    # The state names its tests. The prediction uses the test with the record's added mass.
     table = frame[0].to_dict()
     table["configuration"] = [{**each, "state": "frame"} for each in table["configuration"]]
     assert state_of(cvxshear.Experiment.from_dict(table), motion, "frame").name == "3 kg added"
@@ -325,7 +325,7 @@ def test_a_floor_with_a_gap_is_not_compared_and_that_is_said(frame):
     ("signs", "said"), [([1, -1, 1], "floor 2.*is reversed.*turned round"), ([-1, -1, -1], "is reversed.*turned round")]
 )
 def test_a_reversed_sensor_is_turned_round_before_it_is_compared(frame, signs, said):
-    """As `reconstruct` does it: what is compared is what was recorded before the sign was lost."""
+    """Predict restores the lost sign before the comparison, like `reconstruct`."""
     _, estimate, truth = frame
     record = recorded(truth)
     run = record.runs[0]
@@ -337,7 +337,7 @@ def test_a_reversed_sensor_is_turned_round_before_it_is_compared(frame, signs, s
 
 
 def test_a_record_of_a_changed_state_predicts_that_state():
-    """The first story is 20 % softer after; a record that names its state is predicted by it."""
+    """The first story is 20 % softer in the second state; a record with a state gets the prediction of this state."""
     mass, stiffness, dashpots = damped_frame(3)
     softer = stiffness * [0.8, 1.0, 1.0]
     M, C, K = matrices(mass, softer, dashpots)
@@ -362,7 +362,7 @@ def test_a_record_of_a_changed_state_predicts_that_state():
     (other,) = (said for said in predict(pair, DrivenRecord.of(record, state="after"), configuration="before").remarks
                 if "the record is of state" in said)  # fmt: skip
     assert other == 'the record is of state "after", the model that of "before", as asked'
-    # Of the effects only those that act in the state predicted are named.
+    # The remark names only effects that act in the predicted state.
     assert "by the shear model with story change at story 1" in describe(found)["how"].parts[0].text
     assert "story 1" not in describe(asked)["how"].parts[0].text
     with pytest.raises(InputError, match='recorded in state "later", the model knows "before" and "after"'):
@@ -395,7 +395,7 @@ def test_base_motion_needs_no_scale_of_the_masses(frame, tmp_path):
 
 
 def test_a_short_record_has_transfer_function_errors_too(frame):
-    """Three seconds: no averaged spectrum has five lines around the first mode."""
+    """In three seconds, no averaged spectrum has five lines around the first mode."""
     _, estimate, truth = frame
     found = predict(estimate, recorded(truth, samples=300)).after.comparison
     assert np.isfinite(found.frf_error[:, 0]).all()
@@ -403,7 +403,7 @@ def test_a_short_record_has_transfer_function_errors_too(frame):
 
 
 def test_deviations_of_peaks_hold_what_the_record_shows_of_its_errors(frame):
-    """The ground's sensor has noise of 10 % of its rms, which a frame that is known to 0.01 % cannot account for."""
+    """The ground sensor has noise of 10 % of its rms; a frame known to 0.01 % cannot explain the misfit."""
     _, rough, truth = frame
     mass, stiffness, dashpots = damped_frame(3)
     precise = {"frequency_std": 1e-4, "shape_std": 2e-4, "ratio_std": 1e-3, "damping": {"kind": "story"}}
@@ -427,14 +427,14 @@ def test_deviations_of_peaks_hold_what_the_record_shows_of_its_errors(frame):
     said = describe(seen)["peaks"].parts[-1].text
     assert f"{100 * seen.missed:.1f} % of each peak, by which the accelerations of floors 1, 3 in" in said
     assert "not the noise of the measured excitation" in describe(bare)["peaks"].parts[-1].text
-    # Where the frame accounts for all that was missed, nothing is added.
+    # If the frame explains the whole misfit, the deviations stay.
     well = predict(rough, exact, detrend=False)
     assert well.missed < 1e-4
     assert describe(well)["peaks"].parts[-1].text.endswith("missed by no more than that")
 
 
 def test_deviations_hold_how_the_ground_moved_between_its_samples(frame):
-    """A band-limited ground, six samples in a period of the highest mode, against steps eight times finer."""
+    """The ground is band-limited with six samples per period of the highest mode; the truth has 8 times finer steps."""
     _, estimate, truth = frame
     low = signal.butter(8, 18.0, fs=RATE, output="sos")
     excitation = signal.sosfiltfilt(low, shaking(3000, 1 / RATE))

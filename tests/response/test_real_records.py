@@ -1,4 +1,4 @@
-"""Both frames of the mini table: modes from one record, prediction of the other, before and after."""
+"""Test both frames of the mini table: modes from one record predict the other, before and after the loop."""
 
 import re
 from types import SimpleNamespace
@@ -17,9 +17,9 @@ from tests.records.shared import mini_table, needs_mini_table
     ("frame", "before", "after", "in_time"), [("flexible", 0.46, 0.04, 0.7), ("stiff", 0.43, 0.13, 0.7)]
 )
 def test_the_earthquake_is_reproduced_by_the_model_with_joint_rotation(frame, before, after, in_time):
-    """The record that the modes are from: root mean squares of the floors' accelerations.
+    """The modes come from this record; the errors are root mean squares of the floors' accelerations.
 
-    In time the flexible frame's floors are off by 0.61, 0.67, 0.69, the stiff frame's by 0.61, 0.60, 0.64.
+    Errors in time: 0.61, 0.67, 0.69 for the flexible frame's floors and 0.61, 0.60, 0.64 for the stiff frame's.
     """
     found = predicted(f"{frame}-northridge", f"{frame}-northridge")
     assert np.max(np.abs(found.before.comparison.rms_ratio - 1)) == pytest.approx(before, abs=0.03)
@@ -32,9 +32,9 @@ def test_the_earthquake_is_reproduced_by_the_model_with_joint_rotation(frame, be
 @pytest.mark.parametrize("frame", ["flexible", "stiff"])
 @pytest.mark.parametrize(("source", "record"), [("northridge", "sine-2.0"), ("sine-2.0", "northridge")])
 def test_transfer_functions_of_the_unseen_record(frame, source, record):
-    """The error around the modes falls to about three quarters or less, and what is left is said to be the amplitude's.
+    """The error around the modes falls to about 0.75 or less; a remark attributes the rest to the amplitude.
 
-    From the earthquake to 0.50 (flexible) and 0.32 (stiff) of what it was, from the sine to 0.62 and 0.75.
+    Modes from the earthquake: 0.50 (flexible) and 0.32 (stiff) of the former error; from the sine: 0.62 and 0.75.
     """
     found = predicted(f"{frame}-{source}", f"{frame}-{record}")
     before, after = (side.comparison.frf_error.mean(axis=0) for side in (found.before, found.after))
@@ -43,14 +43,14 @@ def test_transfer_functions_of_the_unseen_record(frame, source, record):
     assert np.all(after < 1.0)
     first = found.after.comparison.shifts[0]
     assert first.mode == 1
-    # The earthquake is the stronger of the two: its frequencies are the lower ones.
+    # The earthquake is stronger than the sine and gives lower frequencies.
     assert (first.measured < first.modelled) == (record == "northridge")
     assert any("depend on the amplitude" in remark for remark in found.remarks)
 
 
 @needs_mini_table
 def test_one_damping_for_both_records_at_the_same_amplitude():
-    """Swinging on freely, the flexible frame is damped the more the more it moves, alike after both records."""
+    """In free vibration, the flexible frame's damping grows with amplitude, equally after both records."""
     earthquake, sine = (decay(f"flexible-{record}") for record in ("northridge", "sine-2.0"))
     both = np.isfinite(earthquake[:, 0]) & np.isfinite(sine[:, 0])
     assert both.sum() >= 4
@@ -64,9 +64,9 @@ def test_one_damping_for_both_records_at_the_same_amplitude():
 
 @needs_mini_table
 def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
-    """Frequencies and shapes from the sine, damping from the earthquake: the size is right, the time is not.
+    """Frequencies and shapes from the sine with damping from the earthquake give the right size but wrong timing.
 
-    With the sine's own damping the motion is 40 % too strong, with the earthquake's 1 % too weak.
+    With the sine's own damping, the motion is 40 % too strong; with the earthquake's, 1 % too weak.
     """
     own, swapped = (
         crossed("flexible-sine-2.0", f"flexible-{of}", "flexible-northridge") for of in ("sine-2.0", "northridge")
@@ -79,9 +79,9 @@ def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
 @needs_mini_table
 @pytest.mark.parametrize(("frame", "largest"), [("flexible", 0.10), ("stiff", 0.25)])
 def test_the_middle_floor_from_the_other_two(frame, largest, tmp_path, monkeypatch):
-    """Modes from the earthquake, 40 seconds of the sine reconstructed with floor 2 left out.
+    """With modes from the earthquake, reconstruct 40 seconds of the sine without the sensor of floor 2.
 
-    Floors 1 and 3 as well, of the whole record: `tests.benchmarks.response_records.sensors`.
+    `tests.benchmarks.response_records.sensors` also omits floors 1 and 3, over the whole record.
     """
     checked, passed = reconstruction.checked, SimpleNamespace(floor=0, error=0.0, stated=1.0)
     monkeypatch.setattr(reconstruction, "checked", lambda *given: checked(*given) if given[3] == 1 else passed)

@@ -1,4 +1,4 @@
-"""Reconstruction: against least squares written down by hand, finite differences, and finite-element frames."""
+"""Test reconstruction against explicit least squares, finite differences and finite-element frames."""
 
 import dataclasses
 import re
@@ -35,7 +35,7 @@ STEP = 0.01
 
 @pytest.fixture(scope="module")
 def three():
-    """Three stories with two sensors: the frame, its state-space model, and 60 samples with a gap and a spike."""
+    """Return a three-story frame with two sensors, its state-space model, and 60 samples with a gap and a spike."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     model = DampedModel(M, C, K, np.array([1.0, 1.0, 1.05]))
@@ -52,7 +52,7 @@ def three():
 
 
 def motion_program(model, run, weights):
-    """The program that the smoother solves, as a table; its unknowns are the states, one sample after the other."""
+    """Return the smoother's program as a table; the unknowns are the states, sample after sample."""
     samples, n = len(run.excitation), len(model.A)
     driven = model.driven(run.excitation)
     scaled, sides = [], []
@@ -77,7 +77,7 @@ def motion_program(model, run, weights):
 
 
 def whitening(covariance):
-    """W with W covariance W' = 1."""
+    """Return W with W covariance W' = 1."""
     unit = 1.0 / np.sqrt(np.diag(covariance))
     lower = np.linalg.cholesky(covariance * np.outer(unit, unit))
     return linalg.solve_triangular(lower, np.diag(unit), lower=True)
@@ -93,7 +93,7 @@ def test_the_sweeps_solve_the_program_on_every_backend(three):
         np.testing.assert_allclose(x / scale, found.states / scale, atol=1e-6, err_msg=name)
     assert found.weights[20].max() < 0.3
     assert np.all(found.weights[35:42, 0] == 0)
-    # The covariance of least squares is the inverse of its normal matrix.
+    # The covariance of least squares is the inverse of the normal matrix.
     covariance = np.linalg.inv(program.R.T @ program.R)
     rows, n = system.outputs.rows, len(system.A)
     for t in (0, 20, 38, 59):
@@ -102,7 +102,7 @@ def test_the_sweeps_solve_the_program_on_every_backend(three):
 
 
 def kalman(system, run, weights):
-    """States and covariances by Kalman's filter and the sweep back of Rauch, Tung and Striebel, sample by sample."""
+    """Return states and covariances by Kalman's filter and the Rauch-Tung-Striebel backward pass, sample by sample."""
     driven = system.driven(run.excitation)
     x, P = np.zeros(len(system.A)), run.start_scale**2 * system.P0
     told, foretold = [], []
@@ -123,7 +123,7 @@ def kalman(system, run, weights):
 
 
 def test_long_stretches_are_smoothed_as_sample_by_sample(three):
-    """Where gains have settled they are taken as constant, and sweeps go by blocks."""
+    """The smoother treats settled gains as constant and runs its passes in blocks."""
     model, _, system, _ = three
     samples = 1500
     excitation = shaking(samples, STEP)
@@ -139,7 +139,7 @@ def test_long_stretches_are_smoothed_as_sample_by_sample(three):
     )
     rows = system.outputs.rows
     std = np.sqrt(np.einsum("oi,tij,oj->to", rows, covariances, rows))
-    # The limit of a covariance is taken within a twentieth.
+    # The limit covariance is accurate to a twentieth.
     np.testing.assert_allclose(found.output_std, std, rtol=0.025)
     assert np.sqrt(np.mean((found.output_std / std - 1.0) ** 2)) < 2e-3
     filled = states @ system.H.T + system.shown(run.excitation)
@@ -181,7 +181,7 @@ def test_settled_covariances_solve_their_equations(three):
 
 
 def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
-    """A sensor is missing for 1,500 samples of 4,000: away from both ends of the gap the motions agree."""
+    """A sensor is missing for 1,500 of 4,000 samples; the motions agree away from both ends of the gap."""
     _, _, system, _ = three
     rng = np.random.default_rng(7)
     excitation = straight(shaking(4000, STEP))
@@ -201,13 +201,13 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     for end in (0, 1000, 2500, 4000):
         away[max(0, end - 300) : end + 300] = False
     assert np.max(np.abs(states - found.states)[away] / scale) < 1e-3
-    # Taken for recorded, what is filled in would be believed.
+    # A smoother that took the filled-in samples for data would trust them.
     filled = settled_states(system, excitation, found.completed + [0.0, 0.3] * ~np.isfinite(y), found.states[0], pieces)
     np.testing.assert_allclose(filled, states)
 
 
 def test_slopes_of_smoothed_states_are_those_of_differences(three):
-    """Away from the beginning, where the covariance of a filter that has settled moves with the frame as well."""
+    """Omit the beginning, because there the covariance of a settled filter changes with the frame."""
     model, setting, system, _ = three
     noise, rng, near = Noise(np.array([0.05, 0.08]), 0.05), np.random.default_rng(3), 1e-5
     top = np.array([0.0, 0.0, 1.0])
@@ -228,9 +228,9 @@ def test_slopes_of_smoothed_states_are_those_of_differences(three):
 @pytest.mark.parametrize("force_floor", [0, 3])
 @pytest.mark.parametrize("gap", [500, 300])
 def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap):
-    """With a force whose part between the samples is another than at them; masses show it at once.
+    """The force differs between the samples from its sampled values; masses react to a force at once.
 
-    From sample `gap` on one sensor recorded nothing: what stands there in its place has no part in anything.
+    From sample `gap`, one sensor recorded no data; its placeholder values must have no influence.
     """
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
@@ -257,7 +257,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     step = 1e-4 * np.eye(errors.size)
     differences = [(errors.objective(p + row) - errors.objective(p - row)) / 2e-4 for row in step]
     np.testing.assert_allclose(2 * at.U.T @ at.c, differences, rtol=1e-3, atol=0.05)
-    # A settled filter's own objective: innovations of the plain recursion.
+    # Compute the settled filter's own objective from the innovations of the plain recursion.
     total = 0.0
     for part, seen, own in zip(parts, sensors, start, strict=False):
         x = own
@@ -272,7 +272,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
 
 @pytest.fixture(scope="module")
 def softened():
-    """A finite-element frame of three stories, one of them 10 % softer in the record; one limit passed, one not."""
+    """Return a three-story finite-element frame with one story 10 % softer in the record; one of two limits is met."""
     models, motion, drift, soft = study.setting(3, "soft", 1)
     ratio = np.abs(drift).max(axis=0) / 3.5
     limits = Limits([0.5 * ratio.min(), 2 * ratio.max()], ("seen", "not seen"))
@@ -306,8 +306,8 @@ def test_bands_hold_the_drift_and_the_sensors_left_out(softened):
 def test_a_spike_a_gap_and_a_late_clock_change_no_drift_by_more_than_its_deviation(softened):
     models, motion, _, _, found = softened
     y = motion.runs[0].responses
-    # All three at once; without the sensors left out in turn, which could but widen the deviations. The delay is that
-    # of a band-limited motion: straight lines between samples would colour the noise.
+    # Skip the refits without single sensors: they can only widen the deviations. The delay is applied to a
+    # band-limited motion, because linear interpolation would color the noise.
     faulty = y.copy()
     turn = np.exp(-2j * np.pi * np.fft.rfftfreq(len(y), 1 / study.RATE) * 0.005)
     faulty[:, 1] = np.fft.irfft(np.fft.rfft(y[:, 1]) * turn, len(y))
@@ -351,7 +351,7 @@ def late_by_two_samples(y):
     ],
 )
 def test_what_is_surely_wrong_with_a_sensor_is_set_right_and_said(softened, fault, said):
-    """What comes back is what the sensor recorded before it was spoilt, and gaps where nobody can know."""
+    """Check that the restored record is the one before the fault, with gaps for lost samples."""
     motion = softened[1]
     y = np.array(motion.runs[0].responses)
     drive = dataclasses.replace(motion.runs[0], responses=fault(y.copy()))
@@ -360,14 +360,14 @@ def test_what_is_surely_wrong_with_a_sensor_is_set_right_and_said(softened, faul
     there = np.isfinite(got)
     missing = (~there).sum(axis=0)
     assert missing.max() == {stuck_for_a_third: 1400, late_by_two_samples: 48}.get(fault, 0)
-    # A delay is known to a tenth of a millisecond or so, which turns noise up to 50 Hz, not the motion.
+    # A delay is known to about 0.1 ms. This error rotates noise up to 50 Hz, but not the motion.
     assert np.all(np.abs(got - y)[there] < (0.35 if fault is late_by_two_samples else 1e-9))
     assert found.remarks == () if said is None else re.search(said, " ".join(found.remarks))
 
 
 @pytest.mark.parametrize(("who", "off"), [("floor 3", -0.05), ("floor 3", 0.3), ("base motion", 0.04)])
 def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
-    """A sound frame: without the gain among the unknowns the floors would weigh more, and drifts be a quarter off."""
+    """The frame is sound; without the unknown gain, the floors would seem heavier and drifts would be 25 % off."""
     models, motion, drift, _ = study.setting(3, "sound", 1, seconds=20.0)
     drive = motion.runs[0]
     if who == "base motion":
@@ -386,7 +386,7 @@ def test_a_gain_that_is_off_moves_no_drift_and_is_named(who, off):
 
 
 def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
-    """A record too short to be looked at by itself: the identified frame tells."""
+    """The record is too short for an examination by itself; the identified frame reveals the sign."""
     model = three[0]
     ground = shaking(100, STEP)
     exact = response(model, DrivenRun(ground), STEP).acceleration * model.gain
@@ -397,13 +397,13 @@ def test_a_sensor_that_moves_against_the_prediction_is_as_predicted(three):
     (said,) = found.remarks
     assert said.startswith("the sensor of floor 3 is reversed")
     assert as_predicted(model, found).remarks == found.remarks
-    # Where most move against it the ground's own sign may be the wrong one.
+    # If most sensors move against the prediction, the ground's own sign can be wrong.
     several = dataclasses.replace(wrong, runs=(RecordedRun(exact * [-1.0, 1.0, -1.0], ground, "run"),))
     np.testing.assert_allclose(as_predicted(model, several).runs[0].measured, several.runs[0].measured)
 
 
 def test_a_deviation_that_leads_to_no_frame_is_followed_less_far(softened):
-    """With errors of the form that are as large as the frame itself, one standard deviation away it has no modes."""
+    """With form errors of the frame's own size, a frame one standard deviation away has no modes."""
     fitted = softened[-1].frame
     work = FrameMotion.around(UncertainFrame.of(
         softened[0].after, softened[-1].configuration, None, backends.get("auto")
@@ -416,11 +416,11 @@ def test_a_deviation_that_leads_to_no_frame_is_followed_less_far(softened):
 
 
 def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
-    """Of the variance of all outputs, each over its mean square, along these directions and along all there are."""
+    """Compare variances of all outputs, relative to their mean squares, along these directions and along all."""
     fitted, recording, backend = softened[-1].frame, softened[-1].recording, backends.get("auto")
     frame = UncertainFrame.of(softened[0].after, softened[-1].configuration, None, backend)
     work = FrameMotion.around(frame, recording, backend, free=True)
-    # A tenth of a standard deviation is as good as a derivative.
+    # A tenth of a standard deviation approximates the derivative well enough.
     narrow = dataclasses.replace(fitted, covariance=0.01 * fitted.covariance)
     found = work.directions(narrow, most=len(fitted.covariance))
     noise, run = fitted.errors.noise_at(fitted.p), max(fitted.errors.stretches, key=lambda each: np.mean(each.y**2))
@@ -441,7 +441,7 @@ def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
 
 
 def test_frames_a_hundredth_as_far_apart_move_a_hundredth_as_differently(softened):
-    """A deviation is the difference of two long motions, and must not be what rounding leaves of it."""
+    """A deviation is a small difference of two long motions; rounding must not dominate it."""
     fitted, recording, backend = softened[-1].frame, softened[-1].recording, backends.get("auto")
     work = FrameMotion.around(
         UncertainFrame.of(softened[0].after, softened[-1].configuration, None, backend), recording, backend, free=True
@@ -469,13 +469,13 @@ def test_warnings_stand_before_the_numbers(softened):
     assert unsure.to_dict()["remarks"][0] == first[0]
     assert unsure.to_dict()["remarks"][1].startswith("the fit of the frame did not settle")
     assert describe(found).sections[0].parts[0].text.startswith(found.fitted.experiment.name)
-    # What is always so is no warning.
+    # A permanent property is no warning.
     (always,) = describe(found).sections[-1].parts
     assert (describe(found).sections[-1].title, always.texts) == ("What to bear in mind", found.remarks)
 
 
 def test_a_model_that_misses_a_part_of_the_motion_makes_drifts_provisional(softened):
-    """The innovations of the second sensor hang together by 0.3 from sample to sample."""
+    """The innovations of the second sensor have a correlation of 0.3 between samples."""
     found = softened[-1]
     assert "provisional" not in describe(found).headline
     white, other = found.whiteness
@@ -501,7 +501,7 @@ def test_base_motion_that_nobody_measured_is_estimated(softened):
 
 @pytest.mark.parametrize(("finer", "taken"), [(1, "straight lines"), (8, "band-limited")])
 def test_the_floors_tell_how_the_ground_moved_between_its_samples(finer, taken):
-    """Either way of moving is found from the floors, and the drifts are right; the other way misses them."""
+    """The floors reveal either kind of ground motion between samples and give correct drifts; the other kind fails."""
     models, motion, drift, _ = study.setting(3, "soft", 2, finer, seconds=24.0)
     found = reconstruct(models, motion, leave_out=False)
     (said,) = [remark for remark in found.remarks if remark.startswith("between its samples")]
@@ -512,9 +512,9 @@ def test_the_floors_tell_how_the_ground_moved_between_its_samples(finer, taken):
 
 
 def test_a_story_that_yields_leaves_the_rest_as_it_was_and_is_said():
-    """A third of a story's stiffness is plastic: other stories and the masses stay what they were identified to be.
+    """A third of one story's stiffness is plastic; other stories and the masses keep their identified values.
 
-    The peak drift of that story comes out a tenth too low, and its band says that it may.
+    The peak drift of this story is 10 % too low; its band allows for the error.
     """
     models, motion, drift, story = study.setting(4, "yields", 0, seconds=20.0)
     found = reconstruct(models, motion, leave_out=False)
@@ -532,9 +532,9 @@ def test_a_story_that_yields_leaves_the_rest_as_it_was_and_is_said():
 
 
 def test_a_damper_in_one_story_is_named_and_moves_no_drift():
-    """Modal damping of 2 %, and a dashpot that gives the first mode 3 % more, in the tests as in the record.
+    """The frame has 2 % modal damping and a dashpot that adds 3 % to the first mode, in the tests and the record.
 
-    By modal damping alone, which does not couple the modes, drifts would be off by several of their deviations.
+    Modal damping alone does not couple the modes and would put drifts off by several deviations.
     """
     rng = np.random.default_rng(6)
     mass, stiffness = 2e5 * np.exp(0.1 * rng.standard_normal(4)), 3e8 * np.array([1.0, 0.9, 0.7, 0.5])
@@ -574,7 +574,7 @@ def test_a_damper_in_one_story_is_named_and_moves_no_drift():
 
 
 def test_story_factors_are_stiffnesses_over_the_identified_ones(softened):
-    """By every unknown that moves a stiffness: masses, which scale all, and errors of the form among them."""
+    """All unknowns of the stiffness contribute: masses scale all stories, and form errors change them."""
     _, _, _, _, found = softened
     errors, p = found.frame.errors, found.frame.p
     T = np.eye(3) - np.eye(3, k=1)
@@ -635,7 +635,7 @@ def test_records_that_cannot_be_reconstructed_are_refused():
 
 
 def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
-    """Straight lines between samples h apart take (pi f h)^2 / 3 off a sine: 8e-5 at two hundred samples a period."""
+    """Linear interpolation at intervals h loses (pi f h)^2 / 3 of a sine: 8e-5 at 200 samples per period."""
     mass, stiffness, dashpots = damped_frame(2)
     model = DampedModel(*matrices(mass, stiffness, dashpots), np.ones(2))
     experiment = cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02, 0.02]))
@@ -644,7 +644,7 @@ def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
     def recorded(ground):
         return DrivenRecord((DrivenRun(ground, responses=shaking(400)[:, None]),), 1 / STEP, floors=np.array([2]))
 
-    # An offset, a drift, a channel that reads next to nothing: all that is not a straight line is rounding.
+    # The channel has an offset, a drift and a tiny reading: the deviation from a straight line is rounding.
     for still in (np.full(400, 0.3), np.linspace(0.1, 1.0, 400), np.full(400, 1e-300)):
         with pytest.raises(InputError, match="run 1: the input channel shows no motion but a straight line"):
             reconstruct(experiment, recorded(still))
@@ -658,7 +658,7 @@ def test_a_ground_that_stands_still_is_refused_and_a_slow_one_has_one_reading():
 
 
 def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path):
-    """Two sensors on floor 2 turn against each other, one looks backwards, one across; 1.5 s of 3 s is asked for."""
+    """Floor 2 has two sensors that turn against each other; one faces backwards, one across; 1.5 of 3 s are used."""
     time = np.arange(300) / 100
     moved, turned = np.sin(9 * time), 0.2 * np.cos(5 * time)
     columns = [time, np.cos(9 * time), moved + turned, turned - moved, 7 * moved]
@@ -682,9 +682,9 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
 
 @pytest.mark.parametrize(("stories", "frames"), [(3, 2), (8, 1)])
 def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
-    """Beams that bend in finite-element frames, a shear model: drifts between the sensors come out within bands.
+    """The frames have flexible beams, the model is a shear model; drifts between the sensors must lie within bands.
 
-    More and longer: `python -m tests.benchmarks.reconstruction`.
+    `python -m tests.benchmarks.reconstruction` runs more and longer cases.
     """
     by_prediction, by_fit = [], []
     for seed in range(frames):
@@ -701,16 +701,16 @@ def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
 
 @pytest.mark.parametrize(("first", "last", "cut"), [(900, 4000, False), (900, 1500, True)])
 def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened, first, last, cut):
-    """The free vibration at its beginning is nobody's excitation: its state is found with the frame.
+    """No recorded excitation causes the initial free vibration; its state is fitted with the frame.
 
-    A record that was triggered late ends quietly: its lines are those of the quiet part, here 0.02 m/s2 and none.
+    A record with a late trigger ends quietly; its baselines come from the quiet part, here 0.02 m/s2 and zero.
     """
     models, motion, drift, soft, _ = softened
     drive = motion.runs[0]
     part = dataclasses.replace(
         drive, excitation=drive.excitation[first:last] + 0.02, responses=drive.responses[first:last]
     )  # fmt: skip
-    # What a short record is said to be, it is without a fit.
+    # The description of a short record needs no fit.
     found = reconstruct(models, dataclasses.replace(motion, runs=(part,)), fit=not cut, leave_out=False)
     said = " ".join(found.remarks)
     assert ("the record is cut out of the motion" in said) == cut
@@ -726,7 +726,7 @@ def test_a_record_that_begins_amid_the_motion_is_reconstructed_as_well(softened,
 
 
 def recorded(frame, seed, floors, seconds=20.0):
-    """The motion of a frame, from sensors on some floors whose noise is 1 % of their rms, and its true drifts."""
+    """Return a frame's record by sensors on some floors with noise of 1 % of their rms, and its true drifts."""
     excitation = study.ground(seed, int(seconds * study.RATE))
     total, moved = study.shaken(frame, excitation)
     seen = total[:, np.array(floors) - 1]
@@ -736,7 +736,7 @@ def recorded(frame, seed, floors, seconds=20.0):
 
 
 def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():
-    """Two modes at three of five floors, a story 12 % softer since: many frames have these modes."""
+    """Two modes at three of five floors, then a story 12 % softer: many frames have these modes."""
     sound, _, _ = study.building(5, "sound", 3)
     table = study.measurement(sound, 3)
     (test,) = table["configuration"]
@@ -757,7 +757,7 @@ def test_of_a_frame_that_its_tests_do_not_determine_no_change_is_named():
 
 
 def test_a_heavier_floor_makes_no_story_softer():
-    """15 % on one floor of five: base motion tells no total; forces and the mean of the stories allow for it."""
+    """One floor of five is 15 % heavier. Base motion gives no mass scale; shears and mean factor allow for it."""
     sound, _, _ = study.building(5, "sound", 2)
     heavier = sound.floor_mass * np.array([1.0, 1.0, 1.15, 1.0, 1.0])
     motion, total, _ = recorded(dataclasses.replace(sound, floor_mass=heavier), 2, (1, 3, 5))

@@ -1,4 +1,4 @@
-"""The report of a prediction: it stands by itself, has the numbers and pictures, and is a part of the loop's report."""
+"""Test that a prediction's report is self-contained, has numbers and pictures, and joins the loop's report."""
 
 import html
 import json
@@ -83,7 +83,7 @@ def test_pictures_and_numbers(prediction, text):
 
 
 def test_one_set_of_errors_where_nothing_was_added(closed):
-    """Exact modes of a shear frame: before and after are one model, in the terminal, on the page and in the picture."""
+    """With exact modes of a shear frame, the models before and after are one, in terminal, page and picture."""
     assert closed.estimate.effects == ()
     alike = predict(models_of_loop(closed), motion(measured=True))
     assert alike.to_dict()["before"] == alike.to_dict()["after"]

@@ -1,4 +1,4 @@
-"""What is said of sensors and of a record's strength, by plain sums; and what is given when something else is."""
+"""Test statements on sensors and record strength against plain sums, and substitutes for missing inputs."""
 
 import dataclasses
 import itertools
@@ -25,7 +25,7 @@ def test_whiteness_is_ljung_and_boxs_statistic_over_all_runs():
     for run in runs:
         run[7:, 1] -= 0.6 * run[:-7, 1]
     weights = [np.ones_like(run) for run in runs]
-    # A spike counts as one of five deviations, a gap not at all.
+    # A spike counts like five deviations, a gap like zero.
     weights[0][50, 0], runs[0][50, 0] = 0.3, 40.0
     weights[1][[3, 4], 0], runs[1][[3, 4], 0] = 0.0, np.nan
     smoothed = [SimpleNamespace(innovations=run, weights=each) for run, each in zip(runs, weights, strict=True)]
@@ -65,7 +65,7 @@ def test_bands_are_widened_by_what_sensors_missed():
 
 
 def test_the_envelope_is_the_strength_around_a_sample_in_powers_of_two():
-    """A motion that is four times as strong in its second half, with a gap that takes the strength around it."""
+    """The motion is four times stronger in its second half; a gap takes the strength of its neighbors."""
     period, rate = 0.5, 100.0
     half = 10 * round(4.0 * period * rate)
     motion = np.repeat([1.0, 4.0], half) * np.tile([1.0, -1.0], half)
@@ -79,7 +79,7 @@ def test_the_envelope_is_the_strength_around_a_sample_in_powers_of_two():
         "base",
     )
     strong, weak = recording.envelopes(period)
-    # Mean squares of the runs, and of all samples together.
+    # Mean squares of each run, and of all samples together.
     whole = (half + 16 * half) / (2 * half + 1000)
     for place, level in ((half // 2, 1.0), (half // 4, 1.0), (half + half // 2, 4.0)):
         assert strong[place] == 2.0 ** np.round(np.log2(level / np.sqrt(whole)))
@@ -88,7 +88,7 @@ def test_the_envelope_is_the_strength_around_a_sample_in_powers_of_two():
 
 @pytest.fixture
 def uncertain():
-    """Three masses, three stiffnesses and an effect, with a covariance of everything with everything."""
+    """Return three masses, three stiffnesses and an effect with a full joint covariance."""
     root = np.random.default_rng(1).standard_normal((7, 7)) * [1, 1, 1, 50, 60, 70, 0.1]
     theta = np.array([10.0, 9.0, 8.0, 2e3, 3e3, 2.5e3, 0.4])
     fitted = SimpleNamespace(
@@ -108,7 +108,7 @@ def test_stiffnesses_given_the_rest_have_the_inverse_of_their_block_of_the_preci
 
 
 def test_masses_and_effects_take_the_stiffnesses_along(uncertain):
-    """L L' is their covariance, and the regression of the stiffnesses on them goes with each column."""
+    """L L' is the covariance of masses and effects; each column carries the regression of the stiffnesses."""
     L = UncertainFrame.nuisance_root(uncertain)
     C, rest = uncertain.fitted.covariance, [0, 1, 2, 6]
     np.testing.assert_allclose(L[rest] @ L[rest].T, 1.7 * C[np.ix_(rest, rest)], rtol=1e-9)
@@ -131,7 +131,7 @@ def test_a_record_is_as_long_as_its_runs_together():
 
 
 def sensors(samples=600, **more):
-    """Three channels of slow sines at 100 Hz; a run and a shorter one."""
+    """Return three channels of slow sines at 100 Hz: a run and a shorter one."""
     time = np.arange(samples) / 100
     runs = [np.column_stack([np.sin(7 * time + k) for k in range(3)]) for k in (0.0, 1.0)]
     channels = Channel("a", 1), Channel("b", 2), Channel("d", 3)
@@ -198,7 +198,7 @@ def test_clocks_that_drift_do_so_over_all_runs_and_a_late_input_is_early_sensors
 
 
 def test_floors_have_the_motion_of_their_sensors_along_the_test():
-    """Two sensors on floor 2, one at 30 degrees, whose projections are averaged; one across is left out."""
+    """Floor 2 has two sensors, one at 30 degrees; their projections are averaged, and a sensor across is omitted."""
     channels = Channel("a", 1, direction=90.0), Channel("b", 2), Channel("c", 2, direction=30.0), Channel("d", 5)
     measured = np.array([[9.0, 2.0, 3.0, 7.0], [9.0, np.nan, 3.0, 7.0]])
     record = SensorRecord(channels, (measured,), (np.zeros(2),), 100.0, "base")
@@ -258,7 +258,7 @@ def test_sensors_are_looked_at_as_records_are_piece_by_piece(monkeypatch, pieces
 
 
 def test_every_channel_counts_as_much_for_the_envelope_however_large_it_is():
-    """Three whose motion grows sixteenfold, and a much larger steady one: mean squares of 0.26 and 1.74 of the rms."""
+    """Three channels grow sixteenfold, a larger one is steady: mean squares of 0.26 and 1.74 of the rms."""
     half = 2000
     sign = np.tile([1.0, -1.0], half)
     growing = np.repeat([1.0, 16.0], half) * sign
@@ -269,7 +269,7 @@ def test_every_channel_counts_as_much_for_the_envelope_however_large_it_is():
 
 
 def test_a_run_is_parted_at_its_longest_gaps():
-    """Eight of them at most, those that are long enough; parts are where what records stays the same."""
+    """At most eight sufficiently long gaps divide a run; each part has a constant set of recorded channels."""
     measured = np.ones((200, 2))
     gaps = [(5 + 20 * k, 5 + 20 * k + 3 + k, k % 2) for k in range(9)]
     for first, last, column in [*gaps, (190, 200, 0)]:
@@ -314,13 +314,13 @@ def test_a_recording_is_cut_and_does_without_channels():
 
 
 def blocks_of(motion):
-    """Samples of four periods, by the rms change from sample to sample: 2 pi over a period of the rms."""
+    """Count samples of four periods; the rms change between samples is 2 pi over a period times the rms."""
     return round(4 * 2 * np.pi * np.sqrt(np.mean(motion**2) / np.mean(np.diff(motion) ** 2)))
 
 
 @pytest.mark.parametrize(("times", "kept"), [(3.9, False), (4.1, True)])
 def test_a_line_is_the_sensors_beyond_four_deviations_of_the_mean(times, kept):
-    """The deviation of the mean is that of sums over blocks of four periods."""
+    """The deviation of the mean comes from sums over blocks of four periods."""
     time = np.linspace(-1.0, 1.0, 3000)
     motion = np.sin(0.3 * np.arange(3000)) * (1.5 + time)
     run = RecordedRun(np.column_stack([motion, motion + 1.0]), motion, "a")
@@ -335,14 +335,14 @@ def test_a_line_is_the_sensors_beyond_four_deviations_of_the_mean(times, kept):
 
 
 def slope_for(motion, time, largest):
-    """The slope of the line to add after which that through the motion has such a largest value."""
+    """Return the slope of an added line that gives the line through the motion this largest value."""
     slope, level = np.polyfit(time, motion, 1)
     return largest - abs(level) - slope
 
 
 @pytest.mark.parametrize(("start", "weighed"), [(0.45, False), (0.55, True)])
 def test_a_line_through_a_motion_that_begins_amid_is_weighed_by_what_is_quiet(start, weighed):
-    """Strong from half of its rms on at its first sample; then each sample counts by its inverse strength, squared."""
+    """If the first sample has half of the rms or more, each sample is weighted by its inverse squared strength."""
     samples = 6000
     time = np.linspace(-1.0, 1.0, samples)
     strong = np.where(time < 0, start, np.sqrt(2 - start**2))
@@ -360,7 +360,7 @@ def test_a_line_through_a_motion_that_begins_amid_is_weighed_by_what_is_quiet(st
 
 @pytest.mark.parametrize("driven", ["base", "force", "none"])
 def test_records_and_motions_are_read_alike(monkeypatch, driven):
-    """What the sensors themselves get wrong is looked for elsewhere; here they are taken as they are."""
+    """This test takes the sensors for sound; other tests cover their faults."""
     monkeypatch.setattr(SensorRecord, "set_right", lambda self, stories: self)
     rng = np.random.default_rng(6)
     y, drive = rng.standard_normal((200, 2)), rng.standard_normal(200)

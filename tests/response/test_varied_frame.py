@@ -1,4 +1,4 @@
-"""How a frame may differ in a record: matrices by their modes, and its prior from independent normal numbers."""
+"""Test a frame's variation in a record: matrices by their modes, and its prior from independent normal numbers."""
 
 import itertools
 from dataclasses import replace
@@ -23,14 +23,14 @@ from tests.frames import chain
 from tests.response.common import damped_frame, declared, matrices, pole_ratios
 
 SIZES = (3, 3, 3, 4)
-"""Stories, damping factors with a dashpot as the last, directions of masses and effects with a gain, errors of form."""
+"""Numbers of stories, damping factors (last a dashpot), directions of masses and effects (last a gain), form errors."""
 
 
 @pytest.mark.parametrize("changed", [(), (1,), (0, 2), (1, 3), (1, 4)])
 @pytest.mark.parametrize("same", [False, True])
 @pytest.mark.parametrize("mass_std", [0.0, 0.05])
 def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, same, mass_std):
-    """Everything is a sum of independent normal numbers w; the modes show some of them with errors of one."""
+    """All unknowns are sums of independent normal numbers w; the modes measure some with errors of one."""
     rng = np.random.default_rng(3)
     root = 0.01 * rng.standard_normal((3, 3))
     own, share = np.array([0.3, 0.2]), np.array([0.02, 0.05, np.inf])
@@ -45,7 +45,7 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
     form_std, scatter = 0.03, 0.003
     found = prior.gaussian(changed, form_std, scatter, mass_std, 0.01, same=same)
 
-    # Gains count in percent: 1 % of each, and 5 % besides of one that is off.
+    # Gains count in percent: 1 % for each, and 5 % more for a wrong one.
     off = 5.0 if 4 in changed and not same else 0.0
     nuisances = np.array([*np.sqrt(1.0 + form_std**2 / share[:2] ** 2 / 2), np.hypot(1.0, off)])
     shift = 0.0 if same else 1.0
@@ -53,7 +53,7 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
         root, shift * 0.15 * np.ones((3, 1)), shift * scatter * np.eye(3),
         shift * 0.4 * np.eye(3)[:, [story for story in changed if story < 3]],
     ]  # fmt: skip
-    # Each ratio by itself, all together, and a dashpot that is there or not.
+    # Each ratio varies by itself and with all others; a dashpot can be present.
     damping = [np.diag(np.hypot(own, shift * 0.3)), shift * 0.5 * np.ones((2, 1))]
     dashpot = np.array([[np.hypot(1e-3, shift * (1.0 if 3 in changed else 0.0))]])
     rest = np.diag([*nuisances, *np.full(4, form_std)])
@@ -73,13 +73,13 @@ def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, 
 
 @pytest.mark.parametrize("sizes", [module.FORM_STDS, module.SCATTER_STDS])
 def test_sizes_that_are_compared_leave_no_gap_wider_than_half_a_decade(sizes):
-    """A size between two of them is off by a factor of 1.8 at most."""
+    """Any size between two neighbors differs from one by at most a factor of 1.8."""
     steps = np.divide(sizes[1:], sizes[:-1])
     assert np.all((steps > 3 - 1e-9) & (steps < 10 / 3 + 1e-9))
 
 
 def centre(kind):
-    """A frame of three stories with damping of a kind, and its dashpots, factors or ratios."""
+    """Return a three-story frame with a kind of damping, and its dashpots, factors or ratios."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     if kind == "rayleigh":
@@ -129,7 +129,7 @@ def test_factors_and_directions_change_what_they_say(kind):
 
 @pytest.mark.parametrize("kind", ["story", "rayleigh", "modal"])
 def test_a_dashpot_of_one_story_couples_the_modes(kind):
-    """Its matrix is added; modal damping gives up what the measured ratios have of it, but never all."""
+    """The dashpot's matrix is added; modal damping loses the dashpot's share of the measured ratios, but not all."""
     damped, _, ratios = centre(kind)
     M, K = damped.model.M, damped.model.K
     frame = varied(kind, dashpot=np.array([20.0, 30.0, 40.0]))
@@ -147,7 +147,7 @@ def test_a_dashpot_of_one_story_couples_the_modes(kind):
     beside = shapes.T @ left @ shapes
     np.testing.assert_allclose(beside, np.diag(np.diag(beside)), atol=1e-12)
     part = np.diag(beside) / (2 * np.sqrt(squares) * ratios)
-    # Of f^2 = (1 - s) f + s / 100, which is 1 without a dashpot; the third ratio was not measured.
+    # f^2 = (1 - s) f + s / 100 gives 1 without a dashpot; the third ratio was not measured.
     given[2] = 0.0
     np.testing.assert_allclose(part**2, (1 - given) * part + 0.01 * given)
     assert np.all((part[:2] > 0) & (part[:2] < 1))
@@ -155,7 +155,7 @@ def test_a_dashpot_of_one_story_couples_the_modes(kind):
 
 @pytest.mark.parametrize("kind", ["story", "modal"])
 def test_a_frame_with_all_masses_and_stiffnesses_larger_moves_alike(kind):
-    """Base motion does not tell it from the frame as it was, whatever its factors and errors of the form are."""
+    """Base motion cannot distinguish a scaled frame from the original, for any factors and form errors."""
     M, K = centre(kind)[0].model.M, centre(kind)[0].model.K
     frame = varied(kind, dM=0.3 * M[None], dK=0.3 * K[None], form=50.0 * (K @ K / 1e5)[None])
     unknowns = np.array([0.1, -0.2, 0.1, 0.3, 0.1, -0.1, 0.0, 0.02])
@@ -165,7 +165,7 @@ def test_a_frame_with_all_masses_and_stiffnesses_larger_moves_alike(kind):
 
 
 def test_larger_motions_and_smaller_gains_look_alike():
-    """Two sensors and that of the ground, all off by one factor: the sensors show the same, the floors move more."""
+    """A common factor on two sensors and the ground sensor: equal readings mean a larger motion of the floors."""
     log_gain = 0.01 * np.eye(4)[[0, 2, 3]]
     frame = varied("modal", dM=np.zeros((3, 3, 3)), dK=np.zeros((3, 3, 3)), dgain=np.zeros((3, 3)), log_gain=log_gain)
     usual, larger = (frame.model(np.array([0.0] * 6 + gains)) for gains in ([0.0] * 3, [-5.0, -5.0, 5.0]))
@@ -178,7 +178,7 @@ def test_larger_motions_and_smaller_gains_look_alike():
     moves = [recursion(each.A, np.eye(9), each.driven(excitation), np.zeros(9)) for each in (a, b)]
     np.testing.assert_allclose(moves[1], np.exp(0.05) * moves[0], atol=1e-12)
     np.testing.assert_allclose(moves[1] @ b.H.T, moves[0] @ a.H.T, atol=1e-9)
-    # The innovations' covariance, missed forces in it, is the same.
+    # The covariance of the innovations, with the missed forces, is the same.
     np.testing.assert_allclose(Steady.of(b).S, Steady.of(a).S, rtol=1e-6)
 
 
@@ -193,7 +193,7 @@ def test_a_heavier_floor_leaves_the_stories_as_they_are():
 
 
 def test_errors_of_the_form_couple_the_modes_they_name():
-    """Between mass-normalized modes e_ij omega_i omega_j, and of a mode beyond the measured ones more."""
+    """Mass-normalized modes have the errors e_ij omega_i omega_j; modes beyond the measured ones have larger errors."""
     mass, stiffness, dashpots = damped_frame(8)
     M, C, K = matrices(mass, stiffness, dashpots)
     form = varied_frame._form(DampedModel(M, C, K, np.ones(8)), 6)
@@ -264,13 +264,13 @@ def uncertain():
 
 
 def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
-    """Unknown by unknown, the change of frequencies and shapes is that of an eigenvalue problem."""
+    """For each unknown, an eigenvalue problem gives the change of frequencies and shapes."""
     frame = VariedFrame.around(uncertain)
     rows = ModalRows.around(uncertain, frame)
     N, D, W, X = frame.sizes
     assert (N, W > 0, X) == (3, True, 6)
     assert rows.J.shape == (len(rows.data), N + W + X)
-    # At the fit what is left has the size that its errors were declared with.
+    # At the fit, the residuals have the size of the declared errors.
     assert 0.01 < float(np.mean(rows.data**2)) < 3.0
     measured = uncertain.configuration
     for place, step in ((0, 1e-4), (2, 1e-4), (N, 1e-2), (N + W, 1e-4), (N + W + X - 1, 1e-4)):
@@ -288,10 +288,10 @@ def test_the_prior_has_what_the_file_expects_of_a_story(uncertain):
     usual = cvxshear.effects.named(["story_change"])[0]
     assert found.change_std == pytest.approx(float(usual.sizes(None)[0]))
     assert (1.0 - found.probability) ** 3 == pytest.approx(1.0 - usual.probability)
-    # The frame is of modal damping, whose ratios were declared to a tenth.
+    # The frame has modal damping with declared ratios of 10 % deviation.
     np.testing.assert_allclose(found.varied.own_std, np.full(3, 0.1))
     assert (found.varied, found.others) == (frame, 4)
-    # Masses known, stiffnesses of no smaller deviation than the fit has.
+    # The masses are known. The stiffnesses have at least the deviations of the fit.
     assert np.all(np.sqrt(np.diag(found.identified)) < 0.05)
 
 
