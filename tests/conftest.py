@@ -29,8 +29,8 @@ COSTLY, LONG = 0.5, 1.0
 take half of the total time. `python -m pytest -m "not long"` leaves them to CI."""
 
 ON_MEASURED = "docs/measured/"
-"""Part of the names of tests of pages on measured frames. These take half of the time of all pages, so two processes
-share them."""
+"""Part of the names of tests of pages on measured frames. These take half of the time of all pages, so they have
+their own process."""
 
 PAGES = "tests/docs/test_blocks.py"
 """File of the tests of pages. One process runs all pages, and the first test pays for shared results, so only measured

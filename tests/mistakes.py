@@ -113,7 +113,7 @@ def mode_order(tables, rng, stories):
 
 
 def mode_number(tables, rng, stories):
-    """Leave out a mode, declare `modes`, and give one wrong number. Each number is a valid mode number."""
+    """Leave out a mode, declare `modes`, and give one wrong number. The numbers differ from 1, 2, ..., the default."""
     (table,) = tables
     while True:
         count = int(rng.integers(2, stories))

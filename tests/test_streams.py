@@ -132,7 +132,7 @@ PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan
 
 
 WAITING = 120
-"""Limit in seconds for a command that might read a pipe twice and wait forever."""
+"""Limit in seconds for a command that might wait forever, and for processes to start."""
 
 OUTLIVING = 2
 """Longest time in seconds that a process may outlive its parent, from `cvxshear.util.parallel`."""
