@@ -1,10 +1,10 @@
-"""Writes the built-in measurement files of measured frames from the published data beside the project.
+"""Write the built-in measurement files of measured frames from the published data beside the project.
 
     CVXSHEAR_SHARED=... python -m tests.built_in_files [FOLDER]
 
-writes them to cvxshear/builtin, or to another folder. Modes of the records and functions are those of `cvxshear modes`;
-the modes of the benchmark get noise, seeded; frequencies of the loosened joints are as published. The files of Los
-Alamos and E-Defense were written by hand.
+writes them to cvxshear/builtin, or to another folder. `cvxshear modes` identifies the modes of the records and
+functions. The modes of the benchmark get seeded noise. The frequencies of the loosened joints are the published values.
+The files of Los Alamos and E-Defense were written by hand.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MINI = {
     "mini-stiff-northridge": "stiff-northridge",
     "mini-stiff-sine": "stiff-sine-2.0",
 }
-"""Built-in files and the records that their modes come from."""
+"""Built-in files and the records from which their modes are identified."""
 
 OF_MINI = """\
 # A three-story bench model on a small shake table, with {columns} columns: modes of the record of {motion},
@@ -44,12 +44,13 @@ OF_SOUTHAMPTON = """\
 """
 
 FREQUENCY_STD, SHAPE_STD = 0.002, 0.01
-"""Of the benchmark's noise: what a careful ambient test reaches, and the defaults of the measurement file."""
+"""Standard deviations of the benchmark's noise: a careful ambient test reaches them, and the measurement file has them
+as defaults."""
 
 SEED = 20
 
 FLOOR_MASSES = (3452.4, 2652.4, 2652.4, 1809.9)
-"""Of the benchmark, kg, by its published program."""
+"""Floor masses of the benchmark, kg, from its published program."""
 
 NOISE = f"{100 * FREQUENCY_STD:g} % of a frequency, {100 * SHAPE_STD:g} % of a shape's largest entry, seed {SEED}"
 
@@ -88,12 +89,12 @@ def main(folder: Path) -> None:
 
 
 def record_of(name: str, folder: Path) -> Path:
-    """The record file of a built-in frame, written to a folder."""
+    """Write the record file of a built-in frame to a folder and return its path."""
     return southampton(folder) if name == "southampton" else mini_table(folder, MINI[name])
 
 
 def header_of(name: str) -> str:
-    """What a built-in frame is, with its source."""
+    """Describe a built-in frame and its source."""
     if name == "southampton":
         return OF_SOUTHAMPTON
     columns, _, motion = MINI[name].partition("-")
@@ -103,14 +104,14 @@ def header_of(name: str) -> str:
 
 
 def from_record(record: Path) -> str:
-    """The measurement file that `cvxshear modes` writes."""
+    """Return the measurement file that `cvxshear modes` writes."""
     output = record.with_suffix(".modes.toml")
     modes_from_file(record, output=output)
     return output.read_text()
 
 
 def benchmark(direction: str) -> str:
-    """Modes of the seven patterns in one direction."""
+    """Return modes of the seven patterns in one direction."""
     rng = np.random.default_rng([SEED, "xy".index(direction)])
     lines = [
         OF_BENCHMARK.format(direction=direction),
@@ -147,7 +148,7 @@ def benchmark(direction: str) -> str:
 
 
 def loosened_joints() -> str:
-    """Frequencies of the healthy frame and of twelve states with one loose plate."""
+    """Return frequencies of the healthy frame and of twelve states with one loose plate."""
     lines = [OF_JOINTS, "[frame]", "stories = 3", "floor_masses = [0.697, 0.6967, 0.6976]", 'reference = "healthy"']
     for row in rows("ucl-loosened-joints/states.csv"):
         if row["session"] != "day6":
@@ -165,7 +166,7 @@ def loosened_joints() -> str:
 
 
 def state_name(row: dict[str, str]) -> str:
-    """What was done, in the words of the measurement file."""
+    """Describe the state in the words of the measurement file."""
     if row["damaged_plate"] == "none":
         return "healthy"
     turns = {"0.125": "1/8 turn", "0.5": "1/2 turn", "1": "1 turn"}[row["turns"]]
@@ -173,12 +174,12 @@ def state_name(row: dict[str, str]) -> str:
 
 
 def numbers(values: Iterable[float], digits: int) -> str:
-    """Numbers of a list."""
+    """Format the numbers of a list."""
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
 def rows(file: str) -> Sequence[dict[str, str]]:
-    """The rows of a published table."""
+    """Return the rows of a published table."""
     with (DATA / file).open(newline="") as stream:
         return list(csv.DictReader(stream))
 

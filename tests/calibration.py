@@ -1,9 +1,10 @@
-"""How often the loop is right and how honest its odds are, on random frames of the independent finite-element model.
+"""Count how often the loop is right, and test its probabilities, on random frames of the independent finite-element
+model.
 
 python -m tests.calibration prints every table of docs/calibration.md: the right set by effect and number of
-configurations, pairs of effects among them; false additions for declared noise and four undeclared ones; reliability
-of the probabilities; coverage of the averaged masses and stiffnesses. `python -m tests.calibration drawn` prints those
-of frames drawn from the stated priors and of small effects (`tests/drawn.py`).
+configurations, including pairs of effects; false additions for declared noise and four undeclared ones; reliability of
+the probabilities; coverage of the averaged masses and stiffnesses. `python -m tests.calibration drawn` prints the
+tables for frames drawn from the stated priors and for small effects (`tests/drawn.py`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ EFFECTS = (
 )  # fmt: skip
 
 HIDDEN = ("gravity", "added_mass", "story_change")
-"""Effects that one configuration alone cannot tell from the masses and stiffnesses themselves."""
+"""Effects that one configuration cannot distinguish from changed masses and stiffnesses."""
 
 PAIRS = (
     ("gravity", "joint_rotation"), ("gravity", "sensor_gain"), ("joint_rotation", "added_mass"),
@@ -38,7 +39,7 @@ PAIRS = (
 )  # fmt: skip
 
 HEAVIEST = 6.0
-"""kg, the heaviest counterweight on a floor in the second and third test; floors weigh about 10 kg."""
+"""Heaviest counterweight on a floor in the second and third test, kg; floors weigh about 10 kg."""
 
 NOISES = {
     "declared": None,
@@ -47,15 +48,15 @@ NOISES = {
     "0.2 % and 0.2 %": (0.002, 0.002),
     "0.05 % and 2 %": (0.0005, 0.02),
 }
-"""True noise of frequencies and of shapes where nobody declared it."""
+"""True noise of frequencies and of shapes for files that do not declare it."""
 
 BINS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One random frame: what is in it, how many configurations are tested, its noise where nobody declared it, and
-    the most stories that it has."""
+    """One random frame: its effects, its number of configurations, its undeclared noise if any, and its maximum number
+    of stories."""
 
     effects: tuple[str, ...]
     configurations: int
@@ -66,7 +67,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the loop made of one frame."""
+    """The loop's result for one frame."""
 
     trial: Trial
     verdict: str
@@ -78,7 +79,8 @@ class Outcome:
 
     @property
     def word(self) -> str:
-        """exact, extra (more than is there), missed (less), rival (the right one among the rivals), or wrong."""
+        """Classify the answer: exact, extra (additional effects), missed (effects missing), rival (the right set is a
+        rival), or wrong."""
         if self.found == self.wanted:
             return "exact"
         if self.found > self.wanted:
@@ -92,12 +94,12 @@ WORDS = ("exact", "extra", "rival", "missed", "wrong")
 
 
 def visible(effects, configurations):
-    """What these tests can show of what is there."""
+    """Return the effects that these tests can reveal."""
     return tuple(name for name in effects if not (configurations == 1 and name in HIDDEN))
 
 
 def experiment_of(trial):
-    """The measurement and the truth."""
+    """Return the measurement and the truth."""
     rng = np.random.default_rng(trial.seed)
     stories = int(rng.integers(3, trial.tallest + 1))
     added = np.round(rng.uniform(0.0, HEAVIEST, (trial.configurations, stories)) * 2) / 2
@@ -113,7 +115,7 @@ def experiment_of(trial):
 
 
 def _renoised(declared, truth, noise, rng):
-    """Exact values with another noise, which nobody declares."""
+    """Return exact values with another, undeclared noise."""
     for each, frequencies, shapes in zip(
         declared["configuration"], truth["frequencies"], truth["mode_shapes"], strict=True
     ):
@@ -128,7 +130,7 @@ def place(item):
 
 
 def outcome(trial):
-    """What the loop makes of a frame."""
+    """Run the loop on a frame and return the outcome."""
     declared, truth = experiment_of(trial)
     result = search_for_effects(Experiment.from_dict(declared)).to_dict()
     shown = visible(trial.effects, trial.configurations)
@@ -150,7 +152,7 @@ def outcome(trial):
 
 
 def trials(frames, seed, *, effects=EFFECTS, configurations=(1, 3)):
-    """So many frames for each effect and number of configurations, each with a seed of its own."""
+    """Return this number of frames for each effect and number of configurations, each with its own seed."""
     return [
         Trial((effect,) if effect else (), count, _seed(seed, EFFECTS.index(effect), count, i))
         for count in configurations
@@ -160,12 +162,12 @@ def trials(frames, seed, *, effects=EFFECTS, configurations=(1, 3)):
 
 
 def pairs(frames, seed):
-    """So many frames for each pair of effects, in three configurations."""
+    """Return this number of frames for each pair of effects, in three configurations."""
     return [Trial(pair, 3, _seed(seed, 20 + at, 3, i)) for at, pair in enumerate(PAIRS) for i in range(frames)]
 
 
 def nothing(frames, seed, *, names=tuple(NOISES), configurations=3):
-    """Pure shear frames for each noise, declared or not."""
+    """Return pure shear frames for each noise, declared or not."""
     return [
         Trial((), configurations, _seed(seed, 40 + list(NOISES).index(name), configurations, i), NOISES[name])
         for name in names
@@ -178,7 +180,7 @@ def _seed(seed, kind, configurations, i):
 
 
 def run(wanted, jobs):
-    """The outcomes of many trials, over processes."""
+    """Return the outcomes of many trials, computed in several processes."""
     if jobs == 1:
         return [outcome(trial) for trial in wanted]
     with ProcessPoolExecutor(jobs) as pool:
@@ -186,7 +188,7 @@ def run(wanted, jobs):
 
 
 def by_kind(results):
-    """Outcomes by configurations and effects."""
+    """Group the outcomes by configurations and effects."""
     kinds = dict.fromkeys((item.trial.configurations, item.trial.effects) for item in results)
     return {kind: [r for r in results if (r.trial.configurations, r.trial.effects) == kind] for kind in kinds}
 
@@ -202,7 +204,8 @@ def print_right(results):
 
 
 def shares(results):
-    """The right set among frames of several configurations; the right one first or among rivals with one."""
+    """Return two shares: the right set, for several configurations; the right set first or among rivals, for one
+    configuration."""
     several = [r for r in results if r.trial.configurations > 1 and r.wanted]
     one = [r for r in results if r.trial.configurations == 1 and r.wanted]
     return {
@@ -214,7 +217,8 @@ def shares(results):
 
 
 def reliability(results):
-    """For each bin of probabilities: how many effects, how many of them there, and their mean probability."""
+    """Return for each bin of probabilities the number of effects, the number of real ones, and their mean
+    probability."""
     odds = [item for r in results for item in r.odds]
     rows = []
     for low, high in pairwise(BINS):
@@ -225,7 +229,7 @@ def reliability(results):
 
 
 def limits(count, probability, level=0.95):
-    """Least and greatest number that chance leaves within so many, of so many."""
+    """Return the smallest and the greatest count that chance allows at this level."""
     tail = (1.0 - level) / 2
     return int(stats.binom.ppf(tail, count, probability)), int(stats.binom.isf(tail, count, probability))
 
@@ -240,13 +244,13 @@ def print_reliability(results):
 
 
 def coverage(results):
-    """Share of averaged masses and stiffnesses whose 95 % interval holds the truth."""
+    """Return the share of averaged masses and stiffnesses whose 95 % interval contains the truth."""
     covered = [item for r in results for item in r.covered]
     return sum(covered), len(covered)
 
 
 def false_additions(results):
-    """Frames with nothing to be found in which something was added, by noise."""
+    """Return for each noise the number of frames without effects in which the loop added one."""
     rows = {}
     for name, noise in NOISES.items():
         mine = [r for r in results if not r.trial.effects and r.trial.noise == noise]

@@ -1,4 +1,4 @@
-"""Loops, modes of records and studies that tests of several files, or pages of the docs, look at: made once."""
+"""Compute loops, modes of records and studies once for tests in several files and for pages of the docs."""
 
 import numpy as np
 
@@ -14,16 +14,16 @@ noise_study, six_story_study = once(paper_study.noise_study), once(paper_study.s
 
 
 def built_in(name: str) -> Closure:
-    """A built-in frame, every effect looked for."""
+    """Return the loop of a built-in frame with every effect considered."""
     return close_loop(cvxshear.load(name))
 
 
 def paper(*effects: str) -> Closure:
-    """The published frame; every effect is looked for where none is named."""
+    """Return the loop of the published frame with these effects, by default all."""
     return close_loop(cvxshear.load("paper"), effects=effects or None)
 
 
 def spring(*effects: str) -> Closure:
-    """Four stories, three tests and a spring to the ground, with these effects looked for."""
+    """Return the loop of four stories, three tests and a spring to the ground, with these effects considered."""
     declared, _ = simulated("ground_spring", stories=4, configurations=3, rng=np.random.default_rng(4))
     return close_loop(cvxshear.Experiment.from_dict(declared), effects=effects)

@@ -1,4 +1,4 @@
-"""What the whole suite shares: its options, who runs what in which order, and the command line run in this process."""
+"""Configure the whole suite: its options, the order and grouping of tests, and commands run in this process."""
 
 import functools
 import gc
@@ -8,7 +8,7 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-# One thread a process: the tests run in one process a core. It must be said before numpy is loaded.
+# Use one thread per process, because each core runs one test process. This must be set before numpy is loaded.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
@@ -21,29 +21,33 @@ from tests.docs.runner import KEPT_IN, once
 TESTS = Path(__file__).parent
 
 COSTS = TESTS / "costs.txt"
-"""Most processor seconds that each test has taken, from half of one on; `python -m pytest --costs` adds to it."""
+"""Largest processor time of each test, in seconds, for tests over half a second; `python -m pytest --costs` adds to
+it."""
 
 COSTLY, LONG = 0.5, 1.0
-"""Processor seconds from which on a test stands in that table, and from which on it is marked `long`: one in twenty
-tests, which take half of the time of all. `python -m pytest -m "not long"` leaves them to CI."""
+"""Lowest processor seconds for an entry in that table, and for the mark `long`. About one test in twenty is long; these
+take half of the total time. `python -m pytest -m "not long"` leaves them to CI."""
 
 ON_MEASURED = "docs/measured/"
-"""In the names of tests of pages on measured frames, which take as long as all others: each half has a process."""
+"""Part of the names of tests of pages on measured frames. These take half of the time of all pages, so they have
+their own process."""
 
 PAGES = "tests/docs/test_blocks.py"
-"""One process runs all pages, and whichever test asks first pays for it: of these only measured frames are long."""
+"""File of the tests of pages. One process runs all pages, and the first test pays for shared results, so only measured
+frames are marked long."""
 
 SHARING = re.compile(r"^@(functools\.)?cache$|scope=.module.", re.MULTILINE)
-"""In a file whose tests look at something that is made once."""
+"""Pattern of a file whose tests share a cached object."""
 
 
-# Typer writes the whole command line anew for every command, which takes longer than most of them.
+# Typer rebuilds the whole command line for every command, which takes longer than most commands.
 typer.main.get_command = functools.cache(typer.main.get_command)
 
 BEGAN = pytest.StashKey()
 
 OBJECTS = 50_000
-"""New objects after which garbage is looked for; by Python's 700 a tenth of the time of a drawing goes into that."""
+"""Number of new objects between two garbage collections. With Python's 700, collection takes a tenth of the time of a
+drawing."""
 
 
 def pytest_addoption(parser):
@@ -58,7 +62,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    """What is computed once for all processes of this run has a folder, which goes with it."""
+    """Create a folder for results shared by all processes of this run; delete it at the end."""
     if not hasattr(config, "workerinput") and KEPT_IN not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="cvxshear-tests-")
         os.environ[KEPT_IN] = folder.name
@@ -67,7 +71,7 @@ def pytest_configure(config):
 
 
 def pytest_collection_finish():
-    """What has been imported lives as long as the process: the search for garbage need not walk through it."""
+    """Exclude imported objects from garbage collection, because they live until the process ends."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(OBJECTS, 20, 20)
@@ -75,14 +79,14 @@ def pytest_collection_finish():
 
 @functools.cache
 def costs():
-    """What tests cost, by their names."""
+    """Return the costs of tests by their names."""
     lines = COSTS.read_text(encoding="utf-8").splitlines()
     return {name: float(seconds) for seconds, _, name in (line.partition(" ") for line in lines)}
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark what is long, and begin what takes longest before all else: last it would keep one process busy alone."""
+    """Mark long tests, and start the longest tests first. A long test at the end would keep one process busy alone."""
     groups = Counter()
     for item in items:
         cost = costs().get(item.nodeid, 0.0)
@@ -93,7 +97,7 @@ def pytest_collection_modifyitems(config, items):
 
 
 def spent():
-    """Processor seconds of this process and of those that it has waited for."""
+    """Return processor seconds of this process and of its finished children."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
 
@@ -112,12 +116,12 @@ def pytest_runtest_makereport(item, call):
 
 @functools.cache
 def shares(path):
-    """Whether the tests of a file belong into one process."""
+    """Return whether the tests of a file belong in one process."""
     return bool(SHARING.search(path.read_text(encoding="utf-8")))
 
 
 def group_of(config, nodeid):
-    """Name what runs in one process: the tests that look at something that their file makes once, or a test alone."""
+    """Name the group of tests for one process: the tests that share an object of their file, or a single test."""
     file = nodeid.partition("::")[0]
     if not shares(config.rootpath / file):
         return nodeid
@@ -125,9 +129,9 @@ def group_of(config, nodeid):
 
 
 class Sharing(LoadScopeScheduling):
-    """Tests of a group stay in one process; others go to whichever is free.
+    """Keep the tests of a group in one process; give the others to any free process.
 
-    `--dist loadgroup` would do the same, but xdist 3.8 finds no group in the names that pytest 9.2 gives its tests.
+    `--dist loadgroup` would do the same, but xdist 3.8 finds no group in the test names of pytest 9.2.
     """
 
     def _split_scope(self, nodeid):
@@ -136,7 +140,7 @@ class Sharing(LoadScopeScheduling):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    # In the order of collection, not by number of tests.
+    # Keep the order of collection; do not sort by number of tests.
     config.option.loadscopereorder = False
     return Sharing(config, log)
 
@@ -148,7 +152,7 @@ def fuzz_budget(request):
 
 @pytest.fixture
 def run(capsys):
-    """Status, standard output and standard error of a command."""
+    """Return status, standard output and standard error of a command."""
 
     def call(*arguments):
         with pytest.raises(SystemExit) as stopped:
@@ -161,7 +165,7 @@ def run(capsys):
 
 @pytest.fixture
 def shared_loops(monkeypatch):
-    """The loop of a measurement is closed once for all commands of the tests that ask for this."""
+    """Close the loop of a measurement once for all commands of the tests that use this fixture."""
     import cvxshear.planning.design  # noqa: PLC0415 - loaded by the tests that need it
     import cvxshear.response.sources  # noqa: PLC0415
     from tests.closed import close_loop  # noqa: PLC0415
@@ -172,7 +176,7 @@ def shared_loops(monkeypatch):
 
 @pytest.fixture
 def shared_modes(monkeypatch):
-    """The modes of a record are identified once for all tests that ask for this."""
+    """Identify the modes of a record once for all tests that use this fixture."""
     import cvxshear.io.modes  # noqa: PLC0415
     from tests.closed import identify_modes  # noqa: PLC0415
 
@@ -181,7 +185,7 @@ def shared_modes(monkeypatch):
 
 @pytest.fixture(scope="module")
 def shared_drawings():
-    """The figures of a report are drawn once for all reports of the same results in the files that ask for this."""
+    """Draw the figures of a report once for all reports of the same results in the files that use this fixture."""
     page = pytest.importorskip("cvxshear.report.html")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page, "drawings", once(page.drawings))
@@ -189,14 +193,14 @@ def shared_drawings():
 
 
 def needed(reason):
-    """What a skipped test would need, as its reason says."""
+    """Return the requirement of a skipped test, from its reason."""
     reason = reason.removeprefix("Skipped: ")
     missing = re.match(r"could not import '([^'.]+)", reason)
     return f"the package {missing[1]}" if missing else reason.partition(": ")[0]
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    """One line for all that was skipped: what is not here, and how many tests need it."""
+    """Print one line about skipped tests: the missing requirements, and the number of tests that need each."""
     if config.getoption("--costs"):
         write_costs(each for kind in ("passed", "failed", "error", "") for each in terminalreporter.stats.get(kind, []))
     skipped = Counter(needed(report.longrepr[2]) for report in terminalreporter.stats.get("skipped", []))
@@ -206,7 +210,7 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 def write_costs(reports):
-    """Write what each test cost, or has cost before where that was more: who comes first pays for what is shared."""
+    """Write the largest known cost of each test. The first test that runs pays for shared results."""
     known = dict(costs())
     for each in reports:
         if each.when == "teardown":

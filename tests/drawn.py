@@ -1,9 +1,9 @@
-"""Frames drawn from what the loop says that it expects: simulation-based calibration (Talts et al. 2018).
+"""Draw frames from the loop's own priors: simulation-based calibration (Talts et al. 2018).
 
-Where causes, their sizes and the noise come from the stated priors, a probability of 90 % must be right nine times in
-ten, and the truth must fall anywhere in a posterior distribution equally often: the rank of each parameter, its part of
-the posterior below the truth, is even between 0 and 1. The frames are finite-element ones (`tests/fe`), so what is
-drawn is the cause and not the catalogue's formula. `python -m tests.calibration drawn` prints the tables.
+If causes, sizes and noise come from the stated priors, a probability of 90 % must be right nine times in ten. The rank
+of each parameter, the posterior probability below the truth, must be uniform between 0 and 1. The frames are
+finite-element ones (`tests/fe`), so the draw contains the cause and not the catalogue's formula. `python -m
+tests.calibration drawn` prints the tables.
 """
 
 from __future__ import annotations
@@ -23,49 +23,49 @@ from cvxshear.loop.close import search_for_effects
 from tests.fe.experiments import FREQUENCY_STD, HEIGHT, MODE_SHAPE_STD, placed_at_random, simulated_as_drawn
 
 KINDS = ("prior", "small")
-"""Frames with everything drawn from the stated priors; frames in gravity with one small effect more."""
+"""Kinds of frames: everything drawn from the stated priors, or frames in gravity with one additional small effect."""
 
 LEFT_OUT = {
     "attached_mass", "load_mounting", "wrong_prior", "wrong_exact_prior", "total_mass", "floor_mass", "shape_scale",
     "force_scale",
 }  # fmt: skip
-"""Causes that are not drawn like the others: a motion of its own, a prior that no frame here has, a declaration."""
+"""Causes drawn in a special way: an own motion, a prior that no frame here has, a declaration."""
 
 DEFAULTS = (0.002, 0.01)
-"""What stands in for an undeclared noise of frequencies and of shapes."""
+"""Standard deviations that replace undeclared noise of frequencies and of shapes."""
 
 NOISE_WIDTH = 0.7
-"""Stated standard deviation of the logarithm of the factor on those."""
+"""Stated standard deviation of the logarithm of the factor on these deviations."""
 
 MASS_SPREAD, STIFFNESS_SPREAD = 0.4, 0.7
-"""Standard deviations of the logarithms of floor masses and story stiffnesses: the highest of five stories is usually
-some five times as stiff as the least."""
+"""Standard deviations of the logarithms of floor masses and story stiffnesses. The stiffest of five stories is
+typically five times stiffer than the softest."""
 
 MOST_DRAWS = 200
-"""Draws of a frame until one stands."""
+"""Maximum number of draws to obtain a stable frame."""
 
 EDGES = (0.0, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
-"""Of the table of probabilities."""
+"""Limits of the bins in the table of probabilities."""
 
 RANKS = 5
-"""Bins of a histogram of ranks."""
+"""Number of bins in a histogram of ranks."""
 
 SMALL = 0.3
-"""Part of the stated size that a small effect has."""
+"""Size of a small effect, relative to the stated size."""
 
 Place = tuple[str, int | None, int | None, int | None, str | None]
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """One frame to be drawn.
+    """Settings to draw one frame.
 
     Parameters
     ----------
     kind : str
         "prior": causes by their stated probabilities, sizes and noise from the stated priors. "small": every frame
-        stands in gravity and has one effect more, of 0.3 times its stated size. Some floors and modes are missing in
-        either.
+        stands in gravity and has one additional effect of 0.3 times its stated size. Both kinds lack some floors and
+        modes.
     seed : int
     """
 
@@ -75,7 +75,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Made:
-    """What the loop made of one.
+    """Result of the loop for one frame.
 
     Parameters
     ----------
@@ -83,15 +83,15 @@ class Made:
     verdict : str
     there : frozenset of place
     probabilities : tuple of (float, float, bool)
-        Of each effect at each place, after and before, and whether it is there.
+        Of each effect at each place, after and before, and whether it is present.
     false : int
-        Effects named with 95 % or more that are not there, twins of what is there aside.
+        Number of absent effects named with 95 % or more, without twins of present effects.
     missed : int
-        Effects that are there, and neither named nor a rival of what is.
+        Number of present effects that are neither named nor rivals of named ones.
     frame_ranks : tuple of float
-        Of the averaged masses and stiffnesses.
+        Ranks of the averaged masses and stiffnesses.
     effect_ranks : tuple of (str, float)
-        Of the sizes of effects that are rightly named, with their names.
+        Names and ranks of the sizes of correctly named effects.
     named : tuple
     """
 
@@ -107,7 +107,7 @@ class Made:
 
 
 def size_from_prior(effect, scale, rng):
-    """A size from Student's t about the null value within the bounds, or even on the interval."""
+    """Draw a size from Student's t about the null value within the bounds, or uniformly on the interval."""
     (item, *_), (size, *_) = effect.parameters, effect.expected_sizes(scale)
     while True:
         even = np.isinf(size)
@@ -117,13 +117,13 @@ def size_from_prior(effect, scale, rng):
 
 
 def drawn_frame(drawn):
-    """The measurement and the truth."""
+    """Return the measurement and the truth."""
     rng = np.random.default_rng([drawn.seed, KINDS.index(drawn.kind)])
     for _ in range(MOST_DRAWS):
         try:
             return _drawn_once(drawn.kind, rng)
         except ValueError:
-            # It buckles, or a sway mode is mixed with another motion: no such frame is tested.
+            # The frame buckles, or a sway mode mixes with another motion. Such a frame is not tested.
             continue
     raise RuntimeError("no frame stands")
 
@@ -174,7 +174,7 @@ def place(item):
 
 
 def made(drawn):
-    """What the loop makes of it."""
+    """Run the loop on a drawn frame and return the result."""
     declared, truth = drawn_frame(drawn)
     result = search_for_effects(Experiment.from_dict(declared)).to_dict()
     there = frozenset(truth["effects"])
@@ -205,13 +205,13 @@ def made(drawn):
 
 
 def run(wanted: Sequence[Drawn], jobs: int | None = None) -> list[Made]:
-    """What the loop made of each, over processes."""
+    """Return the loop's results for all frames, computed in several processes."""
     with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
         return list(pool.map(made, wanted))
 
 
 def chance(probabilities: Iterable[float], count: int) -> float:
-    """Probability that as few or as many of these come true, twice the smaller tail (Poisson's binomial)."""
+    """Return the probability of a count at least this extreme, twice the smaller tail (Poisson's binomial)."""
     law = np.ones(1)
     for p in probabilities:
         law = np.convolve(law, [1.0 - p, p])

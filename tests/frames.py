@@ -1,4 +1,4 @@
-"""Exact and noisy experiments on shear frames, made with nothing but an eigenvalue solver."""
+"""Make exact and noisy experiments on shear frames with an eigenvalue solver alone."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def _measured(path: Path) -> bool:
 
 
 MEASURED = [path for path in sorted(EXAMPLES.glob("*.toml")) if _measured(path)]
-"""The examples that hold a [[configuration]]: measurement files."""
+"""Examples that are measurement files: they have a [[configuration]]."""
 
 DESIGNS = [path for path in sorted(EXAMPLES.glob("*.toml")) if not _measured(path)]
-"""The others: design values, before any test."""
+"""Other examples: design values, before any test."""
 
 
 def shared(*parts: str) -> Path:
-    """A file or folder of the measured data beside the project; skips the test where it is missing."""
+    """Return a file or folder of the measured data beside the project; skip the test if it is missing."""
     folder = Path(os.environ.get("CVXSHEAR_SHARED", ROOT.parent / "shared")).joinpath(*parts)
     if not folder.exists():
         pytest.skip(f"measured data beside the project (CVXSHEAR_SHARED): {Path(*parts)} is not there")
@@ -34,7 +34,7 @@ def shared(*parts: str) -> Path:
 
 
 def chain(mass, stiffness):
-    """Mass and stiffness matrices of a chain of masses on springs, entry by entry."""
+    """Return mass and stiffness matrices of a chain of masses on springs, entry by entry."""
     n = len(mass)
     K = np.zeros((n, n))
     for i in range(n):
@@ -45,7 +45,7 @@ def chain(mass, stiffness):
 
 
 def modes_of(mass, stiffness):
-    """Frequencies in Hz, and shapes with one row a mode, largest entry 1."""
+    """Return frequencies in Hz, and shapes with one row per mode, largest entry 1."""
     M, K = chain(mass, stiffness)
     eigenvalues, shapes = linalg.eigh(K, M)
     rows = shapes.T
@@ -54,7 +54,7 @@ def modes_of(mass, stiffness):
 
 
 def configuration(mass, stiffness, added=None, *, rng=None, shape_noise=0.0, frequency_noise=0.0, **keys):
-    """A [[configuration]] table: exact, or with additive shape noise and relative frequency noise."""
+    """Return a [[configuration]] table: exact, or with additive shape noise and relative frequency noise."""
     added = np.zeros(len(mass)) if added is None else np.asarray(added, dtype=float)
     frequencies, shapes = modes_of(np.asarray(mass) + added, stiffness)
     if rng is not None:
@@ -76,7 +76,7 @@ def configuration(mass, stiffness, added=None, *, rng=None, shape_noise=0.0, fre
 
 
 def experiment(mass, stiffness, *configurations, frame=None, prior=()):
-    """The dict of a measurement file; the total mass is declared unless `frame` says otherwise."""
+    """Return the dict of a measurement file; the total mass is declared unless `frame` replaces it."""
     table = {"total_mass": float(np.sum(mass))} if frame is None else frame
     named = [
         {"name": f"test {i}", **each} for i, each in enumerate(configurations or [configuration(mass, stiffness)], 1)

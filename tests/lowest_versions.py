@@ -1,8 +1,8 @@
-"""The lowest versions that pyproject.toml promises, as a constraints file for pip: ``python tests/lowest_versions.py``.
+"""Print the lowest versions in pyproject.toml as a constraints file for pip: ``python tests/lowest_versions.py``.
 
-Printed is a line ``name==lowest`` for every requirement of the package and of the extras asked for (``test`` where none
-is named), the extras that these name in turn included. A requirement without a lowest version is refused: what it
-promises could not be tested. ``--tests`` prints the tests that are run with them instead.
+The output has a line ``name==lowest`` for every requirement of the package and of the requested extras (default
+``test``), including extras required by these. A requirement without a lowest version is refused, because no test could
+check it. ``--tests`` prints the tests for these versions instead.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ PYPROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)\s*(?:\[(?P<extras>[^\]]*)\])?\s*(?:>=\s*(?P<lowest>[\w.]+))?\s*(?:$|[,;])")
 
 COMPANIONS = ("click<8.3", "pyparsing<3.3")
-"""What the lowest Typer and Matplotlib call, before it began to warn that what they call of it will go. They work with
-newer ones too, and the warning is no one's who calls this package; the tests take every warning for an error."""
+"""Upper limits for dependencies of the lowest Typer and Matplotlib. Newer versions of these dependencies deprecate
+functions that the lowest versions call. They still work, but users of this package would not see the warning, and the
+tests treat every warning as an error."""
 
 TESTS = (
     "test_import.py", "backends/test_backends.py", "backends/test_certificates.py", "backends/test_compiled.py",
@@ -27,23 +28,23 @@ TESTS = (
     "records/test_adapters.py", "planning/test_choice.py", "response/test_files.py",
     "report/test_figures.py", "report/test_html.py",
 )  # fmt: skip
-"""Files and folders of tests that lean on other packages: solvers, readers, matplotlib, jinja, rich, typer, joblib."""
+"""Files and folders of tests that use other packages: solvers, readers, matplotlib, jinja, rich, typer, joblib."""
 
 
 def lowest_versions(project: dict[str, Any], extras: tuple[str, ...] = ("test",)) -> dict[str, str]:
-    """Lowest version of every requirement of a project and its extras, by the requirement's name.
+    """Return the lowest version of every requirement of a project and its extras, by the requirement's name.
 
     Parameters
     ----------
     project : dict
         The table ``project`` of a pyproject.toml.
     extras : tuple of str
-        The extras asked for.
+        The requested extras.
 
     Raises
     ------
     ValueError
-        Where a requirement promises no lowest version.
+        If a requirement has no lowest version.
     """
     found: dict[str, str] = {}
     waiting, seen = [*extras], set(extras)

@@ -1,4 +1,4 @@
-"""Ordinary mistakes, made in a measurement file that had none."""
+"""Make ordinary mistakes in a sound measurement file."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ MISTAKES = (
 )  # fmt: skip
 
 WHOLE = ("transposed", "mode_number", "sensor_floors", "drifts")
-"""Mistakes that need a file of all modes at all floors to be made in."""
+"""Mistakes that need a file of all modes at all floors."""
 
 SENSOR_MISTAKES = ("swapped_sensors", "sensor_sign", "floors_from_top", "sensor_floors", "sensor_unit", "drifts")
-"""Made once in the laboratory, so in every configuration; the others in one configuration of the file."""
+"""Mistakes in the setup of the sensors, so they affect every configuration. The others affect one configuration."""
 
 LEAST_ENTRY = 0.06
-"""Of a mode's largest: a smaller entry's sign is not turned round, nor do sensors that differ by less in every mode
-count as swapped. Nobody could tell."""
+"""Smallest entry, relative to a mode's largest, whose sign a mistake reverses. Swapped sensors must differ by at least
+this in some mode; smaller mistakes have no visible effect."""
 
 
 def with_mistake(name, declared, rng):
-    """The dict of a measurement file with a mistake in it, and where it was made, as words of the finding.
+    """Return the dict of a measurement file with a mistake, its configurations, and the words of the finding.
 
     Parameters
     ----------
@@ -37,9 +37,9 @@ def with_mistake(name, declared, rng):
     -------
     declared : dict
     configurations : list of str
-        In which the mistake now is.
+        Configurations that have the mistake.
     word : str
-        What the finding's `change` must say.
+        Word that the finding's `change` must contain.
     """
     declared = copy.deepcopy(declared)
     tables = declared["configuration"]
@@ -49,7 +49,7 @@ def with_mistake(name, declared, rng):
 
 
 def missing_mode(tables, rng, stories):
-    """A mode that is not the highest of those measured is left out."""
+    """Leave out a mode that is not the highest measured one."""
     (table,) = tables
     absent = int(rng.integers(len(table["frequencies"]) - 1))
     for key in ("frequencies", "mode_shapes"):
@@ -102,7 +102,7 @@ def floors_from_top(tables, rng, stories):
 
 
 def mode_order(tables, rng, stories):
-    """The shapes in any other order."""
+    """Put the shapes in any other order."""
     (table,) = tables
     count = len(table["frequencies"])
     order = rng.permutation(count)
@@ -113,7 +113,7 @@ def mode_order(tables, rng, stories):
 
 
 def mode_number(tables, rng, stories):
-    """A mode is left out, `modes` says so, and says one number wrong; never such as stand for no number at all."""
+    """Leave out a mode, declare `modes`, and give one wrong number. The numbers differ from 1, 2, ..., the default."""
     (table,) = tables
     while True:
         count = int(rng.integers(2, stories))
@@ -129,7 +129,7 @@ def mode_number(tables, rng, stories):
 
 
 def sensor_floors(tables, rng, stories):
-    """Sensors from the second floor up, listed from the first."""
+    """List sensors from the first floor up, though they stand from the second floor up."""
     for table in tables:
         table["mode_shapes"] = [row[1:] for row in table["mode_shapes"]]
         table["measured_floors"] = list(range(1, stories))
@@ -137,7 +137,7 @@ def sensor_floors(tables, rng, stories):
 
 
 def sensor_unit(tables, rng, stories):
-    """One sensor in mm, or in g, and the others in m, or in m/s2."""
+    """Give one sensor in mm, or in g, and the others in m, or in m/s2."""
     column = int(rng.integers(len(tables[0]["measured_floors"])))
     factor = float(rng.choice([1000.0, 1 / 9.80665]))
     for table in tables:
@@ -153,7 +153,7 @@ def drifts(tables, rng, stories):
 
 
 def frequency_unit(tables, rng, stories):
-    """In rad/s, in cycles a minute or in mHz."""
+    """Give frequencies in rad/s, in cycles per minute or in mHz."""
     (table,) = tables
     factor = float(rng.choice([2 * np.pi, 60.0, 1000.0]))
     table["frequencies"] = [factor * value for value in table["frequencies"]]
@@ -161,7 +161,7 @@ def frequency_unit(tables, rng, stories):
 
 
 def periods(tables, rng, stories):
-    """Periods in ascending order, and the shapes with them."""
+    """Give periods in ascending order, with their shapes."""
     (table,) = tables
     table["frequencies"] = [1 / value for value in table["frequencies"][::-1]]
     table["mode_shapes"] = table["mode_shapes"][::-1]

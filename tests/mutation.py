@@ -1,11 +1,11 @@
-"""Do the tests notice a wrong sign? Small changes are made to copies of modules, and tests that concern them are run.
+"""Test whether the tests notice a wrong sign: change copies of modules slightly, and run the related tests.
 
 `python -m tests.mutation --mutants 100 --seed 1 [--module planning/chances.py] [--seconds 40]` draws changes (a sign,
-an operator, a comparison, a constant, a condition negated, a return dropped) over `ROOMS`, runs the tests that concern
-each on a copy of the project in a temporary folder, prints how many changes were found and lists the others. A change
-that takes the tests beyond the limit counts as found.
+an operator, a comparison, a constant, a negated condition, a dropped return) over `ROOMS`. It runs the related tests on
+a copy of the project in a temporary folder, prints the number of changes that the tests found, and lists the others. A
+change that makes the tests exceed the time limit counts as found.
 
-Which tests concern a change is read from what they import and name, see `tests_of`: nothing has to be recorded.
+The related tests follow from the imports and names in each file, see `tests_of`; no recording is needed.
 """
 
 import argparse
@@ -42,14 +42,14 @@ ASKED = (
     "test_*.py", "util", "priors", "measurement", "programs", "backends", "model", "effects", "data", "fit", "loop",
     "records", "screening", "response", "planning", "paper", "formats",
 )  # fmt: skip
-"""Tests that may be run on a change; those of documents, commands, reports and damaged files say little about numbers
-and take long."""
+"""Tests that may run on a change. Tests of documents, commands, reports and damaged files are excluded: they check few
+numbers and take long."""
 
 LEFT_OUT = (
     "test_bad_input.py", "test_calibration.py", "test_house.py", "test_import.py", "test_lowest_versions.py",
     "test_hostile_files.py", "test_measured_frames.py", "test_nested.py", "test_streams.py", "test_writing.py",
 )  # fmt: skip
-"""Of these, for the same reason."""
+"""Excluded tests among these, for the same reason."""
 
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
@@ -58,16 +58,17 @@ OPERATORS = {
 }  # fmt: skip
 
 BOUNDARY = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
-"""Comparisons of whole numbers: one more or less. Real numbers are never equal but by design, so that < in place of <=
-changes nothing; between those the direction is changed."""
+"""Replacements of comparisons between whole numbers: the limit shifts by one. Real numbers are equal only by design, so
+< and <= are equivalent there; for them the direction is reversed."""
 
 LIMIT_OF_ROUNDING = 1e-3
-"""Numbers below are tolerances, which twice as large do the same; they are made a thousand times as large."""
+"""Limit of a tolerance: smaller numbers are tolerances. A factor of two does not matter for these, so they are
+multiplied by a thousand."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change: the module from the package's folder, the place among its nodes, the line, and the change in words."""
+    """A change: the module from the package's folder, the place among its nodes, the line, and a description."""
 
     module: str
     place: int
@@ -76,7 +77,7 @@ class Mutant:
 
 
 def mutants(module):
-    """Every change that can be made to a module."""
+    """Return every possible change of a module."""
     tree = ast.parse((ROOT / "cvxshear" / module).read_text())
     left_out = _not_changed(tree)
     found = []
@@ -87,7 +88,7 @@ def mutants(module):
 
 
 def _not_changed(tree):
-    """Nodes whose change changes nothing that runs, or words alone: annotations, texts, messages, docstrings."""
+    """Return nodes without effect on results: annotations, texts, messages, docstrings."""
     found = set()
     for node in ast.walk(tree):
         parts = [getattr(node, key, None) for key in ("annotation", "returns", "decorator_list", "bases")]
@@ -103,7 +104,7 @@ def _not_changed(tree):
 
 
 def change(node, *, apply):
-    """Say what can be changed at a node, and change it if asked to; None where nothing can."""
+    """Describe the possible change at a node and apply it on request. Return None if no change is possible."""
     before = ast.unparse(node) if hasattr(node, "lineno") else ""
     for kinds, possible, changed, words in CHANGES:
         if isinstance(node, kinds) and possible(node):
@@ -114,7 +115,7 @@ def change(node, *, apply):
 
 
 def _whole(node):
-    """Whether a side of a comparison is a whole number as it stands: a count, a length, a place."""
+    """Return whether a side of a comparison is recognizably a whole number: a count, a length, a place."""
     if isinstance(node, ast.Constant):
         return isinstance(node.value, int)
     return isinstance(node, ast.Call) and getattr(node.func, "id", "") in {"len", "int"}
@@ -171,18 +172,18 @@ CHANGES = (
     (ast.Constant, _is_number, _other_number, "number"),
     (ast.Return, _returns_something, _nothing, "dropped:"),
 )
-"""Nodes, whether one can be changed, how, and the words for it."""
+"""For each kind of node: a test whether it can be changed, the change, and its description."""
 
 
 def mutated(source, mutant):
-    """The source of a module with one change."""
+    """Return the source of a module with one change."""
     tree = ast.parse(source)
     change(list(ast.walk(tree))[mutant.place], apply=True)
     return ast.unparse(ast.fix_missing_locations(tree))
 
 
 def functions(tree, around=""):
-    """Name, as Python qualifies it, and node of each function of a module."""
+    """Return the qualified name and the node of each function in a module."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.FunctionDef):
             yield f"{around}{node.name}", node
@@ -193,7 +194,7 @@ def functions(tree, around=""):
 
 @functools.cache
 def every_function():
-    """Of each module the functions: name, first line, last line, and the names that stand in it."""
+    """Return for each module its functions: name, first line, last line, and the names used in it."""
     package, found = ROOT / "cvxshear", {}
     for path in package.rglob("*.py"):
         for name, node in functions(ast.parse(path.read_text())):
@@ -204,7 +205,7 @@ def every_function():
 
 
 def runs(mutant):
-    """Where a change is run: in the innermost function around it, or where the constant or class is named."""
+    """Return the function that runs a change: the innermost one around it, or those that name the constant or class."""
     around = [each for each in every_function().get(mutant.module, ()) if each[1] <= mutant.line <= each[2]]
     if around:
         return {f"{mutant.module}:{max(around, key=lambda each: each[1])[0]}"}
@@ -223,7 +224,7 @@ def runs(mutant):
 
 @functools.cache
 def asked():
-    """Of each file of tests that may be asked: the modules of cvxshear that it imports, and the words in it."""
+    """Return for each selected test file the imported modules of cvxshear and the words in the file."""
     found = {}
     for path in sorted(path for name in ASKED for path in (ROOT / "tests").glob(name)):
         for file in [path] if path.suffix else sorted(path.glob("test_*.py")):
@@ -234,7 +235,7 @@ def asked():
 
 
 def imported(tree):
-    """The modules of cvxshear that a file imports, public names by where they are defined."""
+    """Return the modules of cvxshear that a file imports; public names count for their defining modules."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -247,12 +248,13 @@ def imported(tree):
 
 
 FARTHEST = 4
-"""Calls between a test and a change up to which the nearer is run first; beyond, nearly everything calls everything."""
+"""Largest number of calls between a test and a change for which nearer tests run first. Beyond it, almost all functions
+call each other."""
 
 
 def names_of(mutant):
-    """The names of the functions and classes in which a change is run, of those that name them, and so on; each with
-    the number of calls between."""
+    """Return names of functions and classes that run a change, of their callers, and so on, each with the number of
+    calls between."""
     new = {each for where in runs(mutant) for each in where.partition(":")[2].split(".") if len(each) > 3}
     found = dict.fromkeys(new, 0)
     for calls in range(1, FARTHEST):
@@ -263,22 +265,22 @@ def names_of(mutant):
 
 
 def said_around(mutant):
-    """The words, parts of names among them, in the innermost function around a change, else in its line."""
+    """Return the words, including parts of names, in the innermost function around a change, or else in its line."""
     around = [each for each in every_function().get(mutant.module, ()) if each[1] <= mutant.line <= each[2]]
     _, first, last, _ = max(around, key=lambda each: each[1], default=(None, mutant.line, mutant.line, None))
     return parts_of("\n".join((ROOT / "cvxshear" / mutant.module).read_text().splitlines()[first - 1 : last]))
 
 
 def parts_of(text):
-    """The words of a text in small letters, names taken apart."""
+    """Return the words of a text in lower case, with names split into parts."""
     return frozenset(re.findall(r"[a-z]{4,}", text.lower()))
 
 
 def tests_of(mutant):
-    """The files of tests that concern a change, the nearest first.
+    """Return the test files related to a change, the nearest first.
 
-    Near are those that import its module, that name its function, or the constant's, and that stand in the folder of
-    its room, are called like its module, or import anything of its room.
+    A file is near if it imports the module, names the function or constant, lies in the folder of the module's room,
+    has the module's name, or imports anything from the room.
     """
     room, stem = mutant.module.removesuffix(".py").split("/")[0], Path(mutant.module).stem
     module = "cvxshear." + mutant.module.removesuffix(".py").replace("/", ".")
@@ -292,7 +294,7 @@ def tests_of(mutant):
 
 
 def drawn(count, seed, only=()):
-    """So many changes, each module as likely as it has places."""
+    """Draw changes; the probability of a module is proportional to its number of possible changes."""
     modules = [
         str(path.relative_to(ROOT / "cvxshear"))
         for room in ROOMS
@@ -304,17 +306,17 @@ def drawn(count, seed, only=()):
 
 
 WAITED = 20
-"""Times its limit on computing that a process is waited for: one that waits for itself computes nothing."""
+"""Longest time for a process, relative to its limit of computing time. A deadlocked process uses no computing time."""
 
 QUIET = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
-"""pytest has been imported, with its plugins, before it is asked."""
+"""Option to silence a warning: pytest and its plugins are imported before the run."""
 
 
 class Watcher:
-    """A plugin of pytest that runs tests by the calls between them and a change, then by the words that they share
-    with it, those that few tests have before others.
+    """A pytest plugin that sorts tests by the calls between them and a change, then by shared words; rare words come
+    first.
 
-    It writes down the first test that fails, and skips what is left after so many seconds of running tests.
+    It records the first failing test and skips the remaining tests after the time limit.
     """
 
     def __init__(self, path, names, said, seconds):
@@ -323,7 +325,7 @@ class Watcher:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
-        """Put the nearest first again, after `conftest` has put first what takes longest."""
+        """Sort again by nearness, because `conftest` puts the longest tests first."""
         shared = {item: self._said & parts_of(" ".join(said_in(item))) for item in items}
         often = Counter(word for words in shared.values() for word in words)
 
@@ -348,14 +350,14 @@ class Watcher:
 
 
 def said_in(item):
-    """The words in the source of a test, and in that of the fixtures and functions of its file that it names."""
+    """Return the words in the source of a test and of the fixtures and functions of its file that it names."""
     given = item._fixtureinfo.name2fixturedefs.values()
     return frozenset().union(*(words_of(each) for each in (item.function, *(some[-1].func for some in given))))
 
 
 @functools.cache
 def words_of(function):
-    """The words in the source of a function, and in that of the functions of its file that it names."""
+    """Return the words in the source of a function and of the functions of its file that it names."""
     words = set(re.findall(r"\w+", inspect.getsource(function)))
     beside = (function.__globals__.get(each) for each in words - {function.__name__})
     near = [each for each in beside if inspect.isfunction(each) and each.__module__ == function.__module__]
@@ -363,7 +365,7 @@ def words_of(function):
 
 
 def warm_up():
-    """Import what tests import, once: each change is tried in a process that is forked from this one."""
+    """Import the tests' modules once: each change is tried in a process forked from this one."""
     pytest.main(["--collect-only", "-q", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET, *asked()])
     for name in list(sys.modules):
         if name.partition(".")[0] in {"cvxshear", "tests"} and name != __name__:
@@ -371,8 +373,8 @@ def warm_up():
 
 
 def first_failure(folder, tests, names, said, given, broken=()):
-    """Name the first of these tests that fails in a copy of the project; empty where the process ends before, or takes
-    longer than the limit, None where all pass."""
+    """Name the first failing test in a copy of the project. The name is empty if the process ends early or exceeds the
+    limit. Return None if all pass."""
     told = folder / "failed.txt"
     told.unlink(missing_ok=True)
     child = os.fork()
@@ -384,7 +386,7 @@ def first_failure(folder, tests, names, said, given, broken=()):
             os.dup2(nowhere, stream)
         sys.path[:] = [str(folder), *(each for each in sys.path if each not in ("", str(ROOT)))]
         os.environ["PYTHONPATH"] = str(folder)
-        # Seconds of computing: on a machine that is busy with something else no test takes longer by those.
+        # The limit counts seconds of computing, so other work on the machine does not matter.
         resource.setrlimit(resource.RLIMIT_CPU, (given.limit, given.limit))
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *QUIET]
         options += [f"--deselect={each}" for each in broken]
@@ -404,7 +406,7 @@ def first_failure(folder, tests, names, said, given, broken=()):
 
 
 def survivors(some, given, say=print):
-    """The changes that no test noticed. A test that fails without the change, too, has noticed nothing."""
+    """Return the changes that the tests did not notice. A test that fails without the change does not count."""
     left, sound, broken = [], set(), set()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -424,14 +426,15 @@ def survivors(some, given, say=print):
                 path.write_text(before)
                 if failed is None or failed in sound:
                     break
-                # A process that ends without a word has found the change only where it does not end so without it.
+                # A process that ends without a result has found the change only if it gives a result without the
+                # change.
                 if first_failure(folder, (failed,) if failed else tests, names, said, given, broken) is None:
                     break
                 if failed:
                     say(f"left out, since it fails without any change: {failed}")
                     broken.add(failed)
                 else:
-                    # Without the change they take too long as well: the last file is left out.
+                    # The tests take too long without the change as well: leave out the last file.
                     tests = tests[:-1]
                 failed = None
             if failed is None:

@@ -1,8 +1,8 @@
-"""How often the loop finds that a mode was overlooked, and how often it renumbers modes that are right.
+"""Count how often the loop finds an overlooked mode, and how often it renumbers correct modes.
 
-python -m tests.numbering_study --frames 60 --seed 1 tests that many random frames of the independent finite-element
-model at some of their floors, in one to three configurations, with nothing or an effect of the catalogue in them, three
-times over: all modes there, one lost in every configuration, one lost in the first.
+python -m tests.numbering_study --frames 60 --seed 1 tests 60 random frames of the independent finite-element model at
+some of their floors, in one to three configurations, with one effect of the catalogue or without. Each is tested three
+times: with all modes, with one lost in every configuration, and with one lost in the first.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LOST = ("none", "in every configuration", "in the first of several")
 
 @dataclass(frozen=True)
 class Trial:
-    """One random frame, and in which configurations a mode of it was overlooked."""
+    """One random frame, and the configurations in which one of its modes was overlooked."""
 
     lost: str
     effect: str | None
@@ -33,7 +33,7 @@ class Trial:
 
 
 def tested(trial):
-    """The measurement, and which numbers its modes have where they are not as they seem."""
+    """Return the measurement, and the true numbers of modes whose numbers seem different."""
     rng = np.random.default_rng(trial.seed)
     stories = int(rng.integers(5, 10))
     several = trial.lost == LOST[2] or trial.effect == "gravity"
@@ -56,7 +56,7 @@ def tested(trial):
 
 
 def outcome(trial):
-    """What became of the numbers, and of the effects where the numbers are right."""
+    """Return the result for the numbers, and for the effects if the numbers are right."""
     declared, truth, right = tested(trial)
     closure = search_for_effects(Experiment.from_dict(declared))
     first = closure.numberings[0]

@@ -1,9 +1,9 @@
-"""What the loop makes of frames whose cause no effect of the catalogue is, or a cause beyond the first ten.
+"""Test the loop on frames whose cause is outside the catalogue or beyond its first ten effects.
 
-python -m tests.outside --frames 5 --seed 1 prints, for each kind of frame, how often something that is not there was
-named with 95 % or more, how often the kind of cause was told, in how many frames the shear model leaves a residual that
-has to be explained, and how often masses and stiffnesses were covered. The frames are made here from matrices of their
-own, with motions that a shear frame has not: tanks, turning floors, a base.
+python -m tests.outside --frames 5 --seed 1 prints for each kind of frame: how often the loop named an absent cause with
+95 % or more; how often it identified the kind of cause; in how many frames the shear model leaves a residual to
+explain; and how often the intervals covered masses and stiffnesses. The frames are made here from their own matrices,
+with motions that a shear frame does not have: tanks, turning floors, a base.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FREQUENCY_STD, SHAPE_STD = 0.001, 0.01
 HEIGHT = 3.0
 SURE = 0.95
 VISIBLE = 0.05
-"""Probability of the shear model's residual below which something is there to be told."""
+"""Probability of the shear model's residual; a lower value means that a cause is visible."""
 
 
 @dataclass
@@ -52,7 +52,7 @@ def chain(stiffness):
 
 
 def modes_of(M, K, floors, kept=None):
-    """Frequencies (Hz) and shapes (one row a mode) of the floors among all motions."""
+    """Return frequencies (Hz) and shapes (one row per mode) of the floors, for all motions."""
     values, vectors = linalg.eigh(K, M)
     shapes = vectors.T[:, floors]
     order = np.arange(len(values)) if kept is None else kept(values, vectors)
@@ -143,7 +143,7 @@ def fast_clock(frame, rng, added, state):
 
 
 def neighbor(frame, rng, added, state):
-    """A smaller building of one motion, 3 Hz by itself, tied to a floor by a spring of 0.15 of a story."""
+    """Add a smaller building with one motion, 3 Hz by itself, tied to a floor by a spring of 0.15 of a story."""
     n, floor = frame.n, state.setdefault("floor", int(rng.integers(1, frame.n)))
     mass, tie = 2e4, 0.15 * 2e7
     K = np.zeros((n + 1, n + 1))
@@ -173,11 +173,11 @@ KINDS: dict[str, tuple[Callable[..., tuple[np.ndarray, np.ndarray]], set[str], b
     "neighbor on the ground": (neighbor, {"attached_mass", "ground_spring", "other_stiffness", "other_inertia"}, True),
     "clock 1 % fast": (fast_clock, {"state_stiffness", "state_mass", "other_changes", "other_loads"}, True),
 }
-"""Kind of frame: how it is made, the effects that tell its kind, whether masses and stiffnesses are what they were."""
+"""Kind of frame: its function, the effects that identify its kind, and whether masses and stiffnesses are unchanged."""
 
 
 def simulated(kind, seed):
-    """The measurement and the frame."""
+    """Return the measurement and the frame."""
     rng = np.random.default_rng([seed, list(KINDS).index(kind)])
     frame = drawn(rng)
     added = np.zeros((3, frame.n))

@@ -1,8 +1,8 @@
-"""How often `check` names a mistake rightly, and how often it sees one where there is none.
+"""Count how often `check` names a mistake correctly, and how often it reports one in a sound file.
 
-python -m tests.screening_study --frames 200 --seed 1 makes that many frames with each of the mistakes, and five
-times as many without one, by the independent finite-element model, and prints the shares. Of the mistakes in masses
-files declare every floor's mass, and most are warned of, not refused: they have a table of their own.
+python -m tests.screening_study --frames 200 --seed 1 makes 200 frames with each mistake, and five times this number
+without one, by the independent finite-element model, and prints the shares. Files with mistakes in masses declare every
+floor's mass. Most of these mistakes cause a warning, not a refusal, so they have a separate table.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from tests.fe.experiments import simulated
 from tests.mistakes import MISTAKES, WHOLE, with_mistake
 
 CLEAN = 5
-"""Times as many frames without a mistake as with each."""
+"""Number of frames without a mistake, relative to the number with each mistake."""
 
 
 LEAST_MOVED = 0.2
-"""Part by which a wrong floor mass is off at least."""
+"""Smallest relative error of a wrong floor mass."""
 
 
 def one_floor_mass(declared, rng):
-    """One floor's mass is a fifth to a half too large, or too small."""
+    """Make one floor's mass a fifth to a half too large or too small."""
     masses = declared["frame"]["floor_masses"]
     place = int(rng.integers(len(masses)))
     masses[place] *= 1.0 + float(rng.uniform(LEAST_MOVED, 0.5)) * float(rng.choice([-1.0, 1.0]))
@@ -38,14 +38,14 @@ def one_floor_mass(declared, rng):
 
 
 def masses_from_top(declared, rng):
-    """The masses stand in the order from the top; where they are nearly alike nobody could tell."""
+    """List the masses from the top down. Nearly equal masses are skipped: their order has no effect."""
     masses = declared["frame"]["floor_masses"]
     masses.reverse()
     return "" if np.max(np.abs(np.subtract(masses[::-1], masses)) / masses) > LEAST_MOVED else None
 
 
 def load_elsewhere(declared, rng):
-    """The last test's added mass is declared on another floor; between tests nothing else changed."""
+    """Declare the last test's added mass on another floor. The tests differ in nothing else."""
     for table in declared["configuration"]:
         table["state"] = "as built"
     table = declared["configuration"][-1]
@@ -59,7 +59,7 @@ OF_MASSES = {"floor_mass": one_floor_mass, "masses_from_top": masses_from_top, "
 
 @dataclass(frozen=True)
 class Trial:
-    """One random frame: the mistake made in its file, the effect in it, whether floors and modes are missing."""
+    """One random frame: the mistake in its file, its effect, and whether floors and modes are missing."""
 
     mistake: str | None
     effect: str | None
@@ -68,7 +68,7 @@ class Trial:
 
 
 def tested(trial):
-    """The dict of the measurement file of a random frame with 3 to 8 stories in 1 to 3 configurations, no mistake."""
+    """Return the dict of a sound measurement file: a random frame with 3 to 8 stories in 1 to 3 configurations."""
     rng = np.random.default_rng(trial.seed)
     stories = int(rng.integers(3, 9))
     floors, modes = None, None
@@ -76,7 +76,7 @@ def tested(trial):
         away = int(rng.integers(0, max(stories // 3, 1) + 1))
         floors = sorted((rng.choice(stories, stories - away, replace=False) + 1).tolist())
         modes = stories - int(rng.integers(0 if away else 1, max(stories // 3, 1) + 1))
-    # What is compared with other configurations needs some.
+    # Some mistakes need other configurations for comparison.
     configurations = int(rng.integers(2 if trial.mistake in ("frequency_unit", *OF_MASSES) else 1, 4))
     declared, truth = simulated(
         trial.effect, stories=stories, configurations=configurations, rng=rng, measured_floors=floors, modes=modes
@@ -88,7 +88,8 @@ def tested(trial):
 
 
 def outcome(trial):
-    """What the screening says: right (alone, or with others), wrong, or silent; of a frame without one, flagged."""
+    """Return the result of the screening: right (alone, or with others), wrong, or silent; flagged for a sound
+    frame."""
     declared, rng = tested(trial)
     if trial.mistake is None:
         found = list(screen(Experiment.from_dict(declared)))
@@ -110,7 +111,8 @@ def outcome(trial):
 
 
 def outcome_of_masses(trial, declared, rng):
-    """What is said of wrong masses: named alone or with others, another named, nothing, or "like" where none is off."""
+    """Return the result for wrong masses: named alone, named with others, another named, silent, or "like" if no mass
+    is wrong."""
     before = screen(Experiment.from_dict(declared))
     if before:
         return "doubted", before
@@ -123,15 +125,15 @@ def outcome_of_masses(trial, declared, rng):
 
 
 def trials(frames, seed):
-    """So many frames with each mistake, and `CLEAN` times as many without.
+    """Return this number of frames with each mistake, and `CLEAN` times this number without.
 
-    Effects take turns, and so do files with all floors and modes and files that lack some.
+    Effects alternate. Files with all floors and modes alternate with incomplete files.
     """
     found = []
     for place, mistake in enumerate((None, *MISTAKES, *OF_MASSES)):
         for i in range(frames * (CLEAN if mistake is None else 1)):
             effect = EFFECTS[i % len(EFFECTS)]
-            # What is transposed must be square, for instance.
+            # Some mistakes need complete data: only a square matrix can be transposed.
             missing = i // len(EFFECTS) % 2 == 1 and mistake not in WHOLE
             found.append(Trial(mistake, effect, missing, seed * 1_000_000 + 10_000 * place + i))
     return found

@@ -1,10 +1,10 @@
-"""What `check` and the loop make of files that are well formed and say something wrong.
+"""Count the answers of `check` and the loop to well-formed files with wrong content.
 
-`python -m tests.semantic_study --faults 100 --seed 1` puts one fault into the measurement file of each of so many
-random frames and prints, a kind of fault a row, how many are refused by `check`, asked about (a warning of `check`,
-whatever the loop concludes), left open by the loop (ambiguous, located, unexplained), concluded rightly, and concluded
-wrongly: `explained` or `adequate` with an effect that is not there, or with a mass or a stiffness more than `SURE`
-deviations off. Faults of which no datum can tell are listed with the reason.
+`python -m tests.semantic_study --faults 100 --seed 1` puts one fault into the measurement file of each of 100 random
+frames. It prints one row per kind of fault with five counts: refused by `check`; questioned (a warning of `check`,
+whatever the loop concludes); left open by the loop (ambiguous, located, unexplained); concluded rightly; concluded
+wrongly. A wrong conclusion is `explained` or `adequate` with an effect that is absent, or with a mass or a stiffness in
+error by more than `SURE` deviations. Faults that no measurement can reveal are listed with the reason.
 """
 
 from __future__ import annotations
@@ -22,80 +22,81 @@ from tests.fe.experiments import simulated
 from tests.mistakes import MISTAKES, with_mistake
 
 SURE = 6.0
-"""Standard deviations from the truth from which on a value is wrong: by chance one of a thousand million is."""
+"""Limit of an error in standard deviations; a larger error counts as wrong. By chance one value in a thousand million
+exceeds it."""
 
 CONCLUDED = ("adequate", "explained")
 
 
 def too_sure(declared, rng):
-    """All standard deviations a hundred times too small."""
+    """Make all standard deviations a hundred times too small."""
     for table in declared["configuration"]:
         table["frequency_std"] /= 100
         table["mode_shape_std"] /= 100
 
 
 def in_percent(declared, rng):
-    """Standard deviations in percent, so a hundred times too large."""
+    """Give the standard deviations in percent, a hundred times too large."""
     for table in declared["configuration"]:
         table["frequency_std"] *= 100
         table["mode_shape_std"] = min(100 * table["mode_shape_std"], 0.99)
 
 
 def forgotten_mass(declared, rng):
-    """An added mass that stood there and is not declared."""
+    """Leave out the declaration of an added mass."""
     declared["configuration"][-1]["added_mass"] = [0.0] * declared["frame"]["stories"]
 
 
 def mass_elsewhere(declared, rng):
-    """An added mass declared at another floor."""
+    """Declare an added mass at another floor."""
     table = declared["configuration"][-1]
     table["added_mass"] = np.roll(table["added_mass"], int(rng.integers(1, len(table["added_mass"])))).tolist()
 
 
 def mass_in_grams(declared, rng):
-    """Added masses in grams."""
+    """Declare added masses in grams."""
     for table in declared["configuration"]:
         table["added_mass"] = [1000.0 * value for value in table["added_mass"]]
 
 
 def mass_in_pounds(declared, rng):
-    """Added masses in pounds."""
+    """Declare added masses in pounds."""
     for table in declared["configuration"]:
         table["added_mass"] = [value / 0.45359237 for value in table["added_mass"]]
 
 
 def total_in_pounds(declared, rng):
-    """The total mass in pounds."""
+    """Declare the total mass in pounds."""
     declared["frame"]["total_mass"] /= 0.45359237
 
 
 def total_with_added(declared, rng):
-    """The total mass with the added masses in it."""
+    """Include the added masses in the declared total mass."""
     declared["frame"]["total_mass"] += float(np.sum(declared["configuration"][-1]["added_mass"]))
 
 
 def heights_added_up(declared, rng):
-    """Heights of the floors above ground in place of those of the stories."""
+    """Give heights of the floors above ground instead of story heights."""
     stories = declared["frame"]["stories"]
     heights = np.broadcast_to(declared["frame"].get("story_heights", 0.39), stories)
     declared["frame"]["story_heights"] = np.cumsum(heights).tolist()
 
 
 def all_in_rad(declared, rng):
-    """Every frequency in rad/s."""
+    """Give every frequency in rad/s."""
     for table in declared["configuration"]:
         table["frequencies"] = [2 * np.pi * value for value in table["frequencies"]]
 
 
 def tests_exchanged(declared, rng):
-    """The modes of two tests in each other's place."""
+    """Exchange the modes of two tests."""
     first, second = declared["configuration"][0], declared["configuration"][-1]
     for key in ("frequencies", "mode_shapes"):
         first[key], second[key] = second[key], first[key]
 
 
 def one_frequency(declared, rng):
-    """Two digits of one frequency exchanged: it is 3 to 30 % off."""
+    """Exchange two digits of one frequency, which changes it by 3 to 30 %."""
     table = declared["configuration"][int(rng.integers(len(declared["configuration"])))]
     at = int(rng.integers(len(table["frequencies"])))
     table["frequencies"][at] *= 1 + float(rng.choice([-1, 1])) * rng.uniform(0.03, 0.1)
@@ -103,7 +104,7 @@ def one_frequency(declared, rng):
 
 
 def one_entry(declared, rng):
-    """The decimal point of one entry of a shape in the wrong place."""
+    """Shift the decimal point of one entry of a shape."""
     table = declared["configuration"][int(rng.integers(len(declared["configuration"])))]
     shapes = table["mode_shapes"]
     row, column = int(rng.integers(len(shapes))), int(rng.integers(len(shapes[0])))
@@ -121,11 +122,11 @@ FAULTS = {
 UNTOLD = {
     "all_in_rad": "a frame (2 pi)^2 times as stiff has these modes; masses are right, every stiffness is wrong by that"
 }
-"""Faults of which no datum can tell, with the reason."""
+"""Faults that no measurement can reveal, with the reason."""
 
 
 def with_fault(number, seed):
-    """The name of a fault, the dict of a file that has it, the truth, and effects that are right to name."""
+    """Return the name of a fault, the dict of a file with this fault, the truth, and the right answers."""
     rng = np.random.default_rng([seed, number])
     kinds = [*FAULTS, *MISTAKES]
     kind = kinds[number % len(kinds)]
@@ -138,7 +139,7 @@ def with_fault(number, seed):
 
 
 def outcome(task):
-    """The name of the fault, what became of its file, and the answer in words."""
+    """Return the name of the fault, the outcome for its file, and the answer in words."""
     name, declared, truth, right = with_fault(*task)
     try:
         experiment = Experiment.from_dict(declared)

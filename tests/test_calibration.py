@@ -1,4 +1,4 @@
-"""A small seeded part of the calibration study against what chance leaves; the whole of it is tests.calibration."""
+"""Compare a small seeded part of the calibration study with limits of chance; tests.calibration is the whole study."""
 
 import pytest
 from scipy import stats
@@ -8,17 +8,17 @@ from tests.drawn import chance
 
 SEED = 7_000_000
 TALLEST = 4
-"""Stories: taller frames take longer and are no harder."""
+"""Maximum number of stories: taller frames take longer and are no harder."""
 
 FOUND = (
     "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "added_mass", "mass_coupling", "sensor_gain",
     "story_change", "gravity",
 )  # fmt: skip
 BARELY = 0.85
-"""How often a loop is right that these tests must not let pass: with the seeds below in at most one case in twenty."""
+"""Success rate of a bad loop: these tests let it pass with the seeds below in at most one case in twenty."""
 
 LEVEL = 0.05
-"""Probability with which such a loop passes a test; the seeds being fixed, any loop passes always or never."""
+"""Probability that such a loop passes a test. The seeds are fixed, so one loop passes always or never."""
 
 
 def trials():
@@ -38,7 +38,8 @@ def outcomes():
 
 
 def most_wrong(count):
-    """Most of so many that may be wrong, where a loop that is right `BARELY` so often has as few with `LEVEL`."""
+    """Return the largest allowed number of wrong answers: a loop with success rate `BARELY` stays below it with
+    probability `LEVEL`."""
     return int(stats.binom.ppf(LEVEL, count, 1.0 - BARELY)) - 1
 
 
@@ -49,7 +50,8 @@ def test_the_limit_fails_a_loop_that_is_barely_right_and_passes_a_good_one():
 
 
 def test_what_is_there_is_found_exactly_and_nothing_is_claimed_where_there_is_nothing(outcomes):
-    """What is named besides counts as wrong unless the verdict is `ambiguous`: then its probability is below 95 %."""
+    """An additional named effect counts as wrong unless the verdict is `ambiguous`: then its probability is below 95
+    %."""
     wrong = [
         (item.trial.effects, item.word, item.verdict, sorted(item.found, key=str))
         for item in outcomes
@@ -64,14 +66,15 @@ def test_little_is_added_where_there_is_nothing(outcomes):
 
 
 def test_probabilities_are_honest(outcomes):
-    """Of what is named, as many are there as their probabilities add up to."""
+    """The number of real effects among the named ones agrees with the sum of their probabilities."""
     odds = [item for each in outcomes for item in each.odds]
     assert len(odds) >= 10
     assert chance([p for p, _ in odds], sum(there for _, there in odds)) > LEVEL
 
 
 def test_standard_deviations_of_the_averaged_frame_cover_the_truth(outcomes):
-    """Each interval holds it in 95 of 100; masses and stiffnesses of one frame err together, as four of eight might."""
+    """Each interval contains the truth in 95 of 100 cases. The errors in one frame are correlated: eight values count
+    like four."""
     covered, count = coverage(outcomes)
     assert covered / count > 0.95 - 2 * (2 * 0.05 * 0.95 / count) ** 0.5 > BARELY
     assert covered / count < 1.0

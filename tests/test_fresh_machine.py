@@ -1,4 +1,4 @@
-"""What must not depend on the machine or on the settings of the process: masks, copies, floating-point traps, dates."""
+"""Results must not depend on the machine or on settings of the process: masks, copies, floating-point traps, dates."""
 
 import copy
 import os
@@ -118,7 +118,7 @@ def test_an_effect_whose_matrix_is_not_finite_is_named():
 
 
 def test_an_effect_that_is_not_finite_where_it_was_not_tried_is_named():
-    """Tried are the first and the last place."""
+    """The check at registration uses the first and the last place only."""
     of = cvxshear.Experiment.from_dict(three_stories())
     placed = [Placed(Broken(), Place(floor=2))]
     with pytest.raises(cvxshear.FaultyEffectError, match=r"broken at floor 2: .* is not finite"):

@@ -1,4 +1,4 @@
-"""The house: data flow one way, so that no module imports upward and none takes part in a circle."""
+"""Test the order of imports: no module imports from a later room, and no modules import each other in a circle."""
 
 import ast
 from pathlib import Path
@@ -9,28 +9,28 @@ from tests.benchmarks.size import CAPABILITIES
 ROOT = Path(cvxshear.__file__).parent
 
 ROOMS = (
-    # What anything may use, and what was measured and declared, priors among it.
+    # General tools, then measured and declared quantities with their priors.
     ("util",), ("version",), ("priors",), ("measurement",),
     # The convex programs of a measurement, and the solvers of such programs.
     ("programs",), ("backends",),
-    # The model, the effects that act on it, and the kinds of data that it is compared with.
+    # The model, the effects that act on it, and the data compared with it.
     ("model",), ("effects",), ("data",),
-    # Methods and estimators made of programs.
+    # Methods and estimators built from programs.
     ("fit",), ("loop",),
-    # Records and files, one and many: both end in an experiment.
+    # Records and files, one or several: both end in an experiment.
     ("records",), ("io",), ("screening",),
-    # What is made of an identified frame.
+    # Uses of an identified frame.
     ("response",), ("planning",),
-    # The published numbers, how results are shown, the public face, the command line.
+    # The published numbers, reports, the public interface, the command line.
     ("paper",), ("report",), ("__init__",), ("cli",), ("__main__",),
 )  # fmt: skip
-"""From the ground up; a room imports from itself and from those before it."""
+"""Rooms in order. A room imports from itself and from earlier rooms."""
 
 LEVEL = {name: level for level, names in enumerate(ROOMS) for name in names}
 
 
 def modules():
-    """Every module of the package by its dotted name, with its source."""
+    """Return every module of the package: its dotted name and its source."""
     found = {}
     for path in sorted(ROOT.rglob("*.py")):
         parts = ["cvxshear", *path.relative_to(ROOT).with_suffix("").parts]
@@ -39,12 +39,12 @@ def modules():
 
 
 def imported(source, known):
-    """The modules of the package that a module imports, those inside functions included, each with its line."""
+    """Return the modules of the package that a module imports, also inside functions, each with its line."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             targets = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            # A name that is a module is that module; any other one comes from the module named.
+            # If a name is no module, it belongs to the module in the statement.
             targets = [
                 whole if (whole := f"{node.module}.{alias.name}") in known else node.module for alias in node.names
             ]
@@ -59,7 +59,7 @@ def room(name):
 
 
 def arrows():
-    """(importing module, imported module, line) over the whole package."""
+    """Return (importing module, imported module, line) over the whole package."""
     known = modules()
     return [
         (name, target, line)
@@ -70,7 +70,7 @@ def arrows():
 
 
 def circles(edges):
-    """Groups of modules that import each other, directly or in a round."""
+    """Return groups of modules that import each other, directly or in a circle."""
     following = {}
     for start, end, _ in edges:
         following.setdefault(start, set()).add(end)
@@ -103,12 +103,12 @@ def test_nothing_imports_upward():
 
 
 def test_no_circle_of_modules():
-    """A package's own `__init__` gathers its modules; that they are part of it is no import of it."""
+    """A package's `__init__` gathers its own modules; these imports do not count."""
     assert [sorted(circle) for circle in circles(arrows())] == []
 
 
 def test_imports_inside_functions_and_circles_are_seen():
-    """That the reading above would find what it looks for."""
+    """Test the helper functions on known examples."""
     known = {"cvxshear.a": "", "cvxshear.b": ""}
     inside = "def f():\n    from cvxshear import b\n    import cvxshear.a\n"
     assert list(imported(inside, known)) == [("cvxshear.b", 2), ("cvxshear.a", 3)]
@@ -123,18 +123,18 @@ def test_every_room_counts_towards_a_capability():
 
 
 def repeated(found):
-    """What stands in several places, with these."""
+    """Return the names with several places, and these places."""
     return {name: places for name, places in found.items() if len(places) > 1}
 
 
 def assigned(node):
-    """The names that a statement assigns, those in a tuple or list too."""
+    """Return the names that a statement assigns, also inside a tuple or list."""
     targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
     return [each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)]
 
 
 def test_a_name_means_one_thing():
-    """No two files, constants or classes share a name; no parameter is called of."""
+    """No two files, constants or classes share a name, and no parameter is named `of`."""
     files, constants, classes, parameters = {}, {}, {}, []
     for path in sorted(ROOT.rglob("*.py")):
         where = str(path.relative_to(ROOT))

@@ -1,4 +1,4 @@
-"""Importing the library, and asking its commands for help, loads nothing that is slow and not needed."""
+"""Importing the library, and showing the help of its commands, loads no slow modules."""
 
 import importlib
 import subprocess

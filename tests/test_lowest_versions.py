@@ -1,4 +1,4 @@
-"""The constraints that the lowest versions are tested with are those that pyproject.toml promises."""
+"""The constraints for tests with the lowest versions agree with pyproject.toml."""
 
 import re
 import tomllib

@@ -1,4 +1,4 @@
-"""Measured frames of which something is known independently: the cause, what is left, and nothing else added."""
+"""Test measured frames with a fact known from another source: the loop finds the cause and adds no other effect."""
 
 import tomllib
 
@@ -11,8 +11,8 @@ from tests import built_in_files
 from tests.closed import built_in
 from tests.frames import shared
 
-# LA-14393, Table 2: the kind of change, its floor or story, its size. A column at 12.5 % of its bending stiffness takes
-# 7/32 from its story.
+# LA-14393, Table 2: the kind of change, its floor or story, its size. A column at 12.5 % of its bending stiffness
+# reduces its story stiffness by 7/32.
 DONE_AT_LOS_ALAMOS = {
     "state 2": ("added_mass", 1, 1.2),
     "state 3": ("added_mass", 2, 1.2),
@@ -25,7 +25,7 @@ DONE_AT_LOS_ALAMOS = {
 }
 
 MIRROR = {"added_mass": {1: 4, 2: 3, 3: 2, 4: 1}, "story_change": {2: 4, 3: 3, 4: 2}}
-"""Floors of equal plates, and the equal stories between them, from either end."""
+"""Mirror image of each floor with an equal plate, and of each equal story between them."""
 
 
 def level(placed):
@@ -49,7 +49,8 @@ def test_los_alamos_has_one_change_a_state_of_the_kind_and_size_that_was_made():
 
 
 def test_los_alamos_names_six_of_eight_at_their_place_and_the_others_as_ties():
-    """The frame is nearly its own mirror image: with states 2 and 4 mirrored it fits within 0.2 of log evidence."""
+    """The frame is nearly its own mirror image: with states 2 and 4 mirrored, the log evidence differs by less than
+    0.2."""
     first = 0
     for item in built_in("los-alamos").effects:
         name, at, _ = DONE_AT_LOS_ALAMOS[item.placed.place.state]
@@ -83,20 +84,22 @@ def test_the_joints_of_the_mini_table_turn(name):
 
 @pytest.mark.parametrize("columns", ["flexible", "stiff"])
 def test_both_records_of_a_mini_table_say_the_same(columns):
-    """Within three of their standard deviations: an earthquake and a sine, of different amplitude."""
+    """The results of an earthquake and a sine, with different amplitudes, agree within three of their standard
+    deviations."""
     (one,), (other,) = (built_in(f"mini-{columns}-{record}").effects for record in ("northridge", "sine"))
     difference = one.parameters["eta"] - other.parameters["eta"]
     assert abs(difference) < 3 * np.hypot(one.std["eta"], other.std["eta"])
 
 
 def test_joints_turn_more_between_stiff_columns():
-    """eta is the columns' stiffness over the beams', and the beams are the same."""
+    """eta is the columns' stiffness relative to the beams', and the beams are the same."""
     (flexible,), (stiff,) = built_in("mini-flexible-sine").effects, built_in("mini-stiff-sine").effects
     assert stiff.parameters["eta"] > 2 * flexible.parameters["eta"]
 
 
 def test_the_floors_of_southampton_weigh_what_they_should():
-    """Equal floors within 4 %, their mean within 6 % of the nominal 5.36 kg of a sister; no mass was declared."""
+    """Equal floors agree within 4 %, and their mean within 6 % of the nominal 5.36 kg of a sister; no mass was
+    declared."""
     closure = built_in("southampton")
     for frame in (closure.frame, closure.averaged):
         np.testing.assert_allclose(frame.floor_mass, frame.floor_mass.mean(), rtol=0.04)
@@ -109,7 +112,8 @@ def test_the_floors_of_southampton_weigh_what_they_should():
 def test_the_columns_of_the_eighteen_stories_stretch():
     closure = built_in("e-defense")
     assert sorted(names(closure)) == ["axial columns", "base rocking"]
-    # Springs between all floors would do the same, for want of floors and modes, or some of them and turning joints.
+    # With these few floors and modes, springs between all floors fit equally well, and so do some springs with turning
+    # joints.
     rivals = [rival for item in closure.effects for rival in item.rivals]
     assert {rival.placed.effect.name for rival in rivals} <= {"other_stiffness", "joint_rotation"}
     assert {rival.placed.effect.name for rival in rivals if rival.probability > 0.05} <= {"other_stiffness"}
@@ -139,7 +143,7 @@ def test_the_loosened_joints_are_the_published_ones():
 
 @pytest.mark.parametrize("name", [*built_in_files.MINI, "southampton"])
 def test_modes_that_are_built_in_are_those_of_the_records(name, tmp_path):
-    """Within a tenth of their standard deviations."""
+    """They agree within a tenth of their standard deviations."""
     shared("data", "southampton" if name == "southampton" else "mini-shake-table")
     (now,) = tomllib.loads(built_in_files.from_record(built_in_files.record_of(name, tmp_path)))["configuration"]
     (then,) = tomllib.loads(built_in_text(name))["configuration"]

@@ -1,4 +1,4 @@
-"""Random frames with exact modes, on every backend."""
+"""Test random frames with exact modes, on every backend."""
 
 import numpy as np
 import pytest

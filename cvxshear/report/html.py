@@ -1,5 +1,6 @@
 """Write reports of a closed loop, of a response and of modes; each report is one HTML file that contains its
-figures."""
+figures.
+"""
 
 import base64
 import dataclasses

@@ -1,4 +1,4 @@
-"""Backends against closed forms written out here, their certificates, and their refusals."""
+"""Compare backends with explicit closed forms, and test their certificates and refusals."""
 
 import re
 import subprocess
@@ -20,7 +20,7 @@ ACCURACY = 1e-6
 
 
 def random_program(seed, n=6, rows=20, *, scale=True):
-    """A program whose unknowns, like masses and stiffnesses, differ by orders of magnitude."""
+    """Return a program whose unknowns, like masses and stiffnesses, differ by orders of magnitude."""
     rng = np.random.default_rng(seed)
     sizes = 10.0 ** rng.uniform(-2, 6, n) if scale else np.ones(n)
     R = rng.standard_normal((rows, n)) / sizes
@@ -28,7 +28,7 @@ def random_program(seed, n=6, rows=20, *, scale=True):
 
 
 def kkt_by_hand(program):
-    """The stationarity and feasibility conditions as one linear system."""
+    """Write the stationarity and feasibility conditions as one linear system."""
     R, s = program.weighted
     A, b = program.equalities
     n, a = R.shape[1], len(b)
@@ -79,10 +79,10 @@ def test_optimality_conditions_hold_with_active_bounds(name, seed):
 
 @pytest.mark.parametrize("name", BOUNDED)
 def test_a_direction_that_only_bounds_determine_is_solved(name):
-    """R knows x1 + x2 alone; x1 >= 3 and x2 >= 0 leave one answer for a sum that should be 1."""
+    """R determines x1 + x2 alone; x1 >= 3 and x2 >= 0 leave one solution for a sum that should be 1."""
     program = LeastSquares(np.array([[1.0, 1.0]]), np.array([1.0]), lower=np.array([3.0, 0.0]))
     if name == "quadprog":
-        # Goldfarb and Idnani's method needs a positive definite Hessian, and says so.
+        # Goldfarb and Idnani's method refuses a Hessian that is not positive definite.
         with pytest.raises(NoSolutionError, match=name):
             backends.get(name).solve(program)
         return
@@ -136,7 +136,7 @@ def test_the_closed_form_refuses_what_nothing_determines():
 
 
 class Careless(Backend):
-    """A backend that is wrong in the last place it should be."""
+    """A backend whose last entry is wrong."""
 
     name = "careless"
 
@@ -199,20 +199,22 @@ def test_the_scaled_program_has_unit_hessian_and_unit_rows():
     np.testing.assert_allclose(np.linalg.norm(scaled.F, axis=1), 1.0)
     np.testing.assert_allclose(np.linalg.norm(scaled.E, axis=1), 1.0)
     x = np.arange(1.0, 7.0)
-    # There and back through a triangle as badly conditioned as the rows: 2e7.
+    # Two products with a triangle of the rows' condition, 2e7.
     rounding = np.finfo(float).eps * np.linalg.cond(program.R)
     np.testing.assert_allclose(scaled.to_x(scaled.to_z(x)), x, rtol=rounding)
 
 
 def test_no_solver_prints():
-    """HiGHS 1.16 tells its version on standard output, once a process; what others' tools read would begin with it."""
+    """HiGHS 1.16 prints its version on standard output once per process; other tools that read the output would
+    fail."""
     script = "import cvxshear\nfor name in ('highs', 'osqp', 'scs'): cvxshear.identify('paper', backend=name)"
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert ran.stdout == ""
 
 
 def test_auto_fails_with_what_the_first_general_solver_said():
-    """The closed form cannot, by an inequality or a program without one; the first failure is raised."""
+    """The closed form refuses an inequality or a program with several solutions. The first failure of a general solver
+    is raised."""
 
     class Failing:
         def __init__(self, name, kind=NoSolutionError):

@@ -1,5 +1,5 @@
-"""Certificates are of the caller's program: mistakes in the scaling or on the way back from it show, and so do errors
-that residuals alone do not tell."""
+"""Certificates belong to the caller's program. They reveal mistakes in scaling and in its inverse, and errors that
+residuals do not show."""
 
 import dataclasses
 import itertools
@@ -22,7 +22,7 @@ BOUNDED = [name for name in backends.available() if name != "kkt"]
 
 
 def exactly(R, s):
-    """The least-squares answer to the floats as they are, by rational arithmetic and Cramer's rule, of two unknowns."""
+    """Solve least squares of two unknowns exactly for these floats, with rational arithmetic and Cramer's rule."""
     R = [[Fraction(float(value)) for value in row] for row in R]
     s = [Fraction(float(value)) for value in s]
     N = [[sum(row[i] * row[j] for row in R) for j in range(2)] for i in range(2)]
@@ -39,7 +39,8 @@ def conditioned(seed, condition, rows=2):
 
 
 def bounded(seed):
-    """A program of condition 3e5 whose bounds lie close to the answer without them, and its answer by enumeration."""
+    """Return a program of condition 3e5 whose bounds lie close to the unbounded solution, and its solution by
+    enumeration."""
     R, rng = conditioned(seed, 3e5)
     inside = rng.standard_normal(2)
     s, lower = R @ inside, inside - 0.1 * rng.standard_normal(2)
@@ -114,7 +115,7 @@ SABOTAGE = {
 }
 
 
-# The closed form takes no active bound.
+# The closed form accepts no active bound.
 @pytest.mark.parametrize(("name", "held"), [("kkt", False), *itertools.product(GENERAL, [False, True])])
 @pytest.mark.parametrize("what", SABOTAGE)
 def test_a_scaling_that_is_wrong_by_half_is_refused(monkeypatch, name, held, what):
@@ -171,7 +172,7 @@ def test_no_figure_of_a_certificate_changes_with_the_units():
 @pytest.mark.parametrize("off", [0.0, 1e-9, 1e-7])
 @pytest.mark.parametrize("condition", [1e1, 1e4, 1e7])
 def test_the_error_is_within_its_bound_and_the_bound_within_reach_of_it(condition, off):
-    """Against rational arithmetic; an answer that is off along the weakest direction keeps all residuals small."""
+    """Compare with rational arithmetic. An error along the weakest direction keeps all residuals small."""
 
     class Off(backends.Backend):
         name = "off"
@@ -210,7 +211,7 @@ def test_an_answer_beyond_its_accuracy_is_replaced_and_one_within_it_is_left():
 
 @pytest.mark.parametrize("name", BOUNDED)
 def test_the_last_step_of_an_iteration_is_rounding_and_no_violation(name):
-    """The data leave a residual that no step takes away, and a bound stands where rounding has put it."""
+    """The data leave a residual that no step removes, and a bound lies at a value with rounding errors."""
     R, s = np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]]), np.array([0.0, 0.0, 1.0])
     program = LeastSquares(R, s, lower=np.array([3e-17, -np.inf]), A=np.array([[1.0, 1.0]]), b=np.array([0.0]))
     np.testing.assert_allclose(backends.get(name).solve(program).x, [0.0, 0.0], atol=1e-9)
@@ -267,7 +268,7 @@ def test_an_answer_whose_inequalities_cannot_be_told_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("name", BOUNDED)
 def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(name):
-    """Solvers answer with -1e11 for the last unknown, its column 1e-30 of the others', where the sum must be 22.5."""
+    """Solvers return -1e11 for the last unknown, whose column is 1e-30 of the others', but the sum must be 22.5."""
     R = np.array([[-0.3147, -0.6040, 1.5e-60], [3.8e-31, -0.8437, 5.1e-31], [-6.7e-31, 0.6200, 4.0e-31]])
     program = LeastSquares(R=R, s=np.zeros(3), A=np.ones((1, 3)), b=np.array([22.5]), lower=np.full(3, 0.0075))
     try:
@@ -279,9 +280,9 @@ def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(n
 
 @pytest.mark.parametrize(("off", "accepted"), [(2e-20, True), (2e-15, False)])
 def test_an_unknown_that_hardly_anything_pulls_at_is_as_right_as_rounding_allows(off, accepted):
-    """In the step of a fit that stays where it is one unknown is pulled at by 1e-24, its neighbor by 1e4.
+    """In a step of a converged fit, the gradient for one unknown is 1e-24, for its neighbor 1e4.
 
-    The terms of the neighbor's row are 6, whose rounding is 1e-15: of an unknown of 109 a unit that is 1e-17.
+    The neighbor's row has terms of 6 with rounding 1e-15. Relative to an unknown of 109, this is 1e-17.
     """
     program = LeastSquares(np.array([[1e4, 0.0], [0.0, 109.0], [0.0, 1.0]]), np.array([3.0, 1e-24, 0.0]))
     found = certify(Assembled(program), Point(np.array([3e-4, off]), np.zeros(0), np.zeros(0)))
@@ -289,7 +290,7 @@ def test_an_unknown_that_hardly_anything_pulls_at_is_as_right_as_rounding_allows
 
 
 def test_every_figure_is_what_the_formulas_of_the_certificate_say():
-    """Term by term, in plain sums, at a point that breaks everything a little."""
+    """Compare term by term, in plain sums, at a point that violates every condition slightly."""
     rng = np.random.default_rng(12)
     R, s = rng.standard_normal((6, 3)), rng.standard_normal(6)
     A, b = rng.standard_normal((1, 3)), rng.standard_normal(1)
@@ -322,7 +323,7 @@ def test_every_figure_is_what_the_formulas_of_the_certificate_say():
 
 @pytest.mark.parametrize("side", [6e-10, 5e-10])
 def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
-    """x1 = 5, and x1 = 6 in units of 1e-10; or 5, which follows."""
+    """The equalities are x1 = 5, and x1 = 6 (or the consistent 5) in units of 1e-10."""
     A = np.array([[1.0, 0.0], [1e-10, 0.0]])
     program = LeastSquares(np.eye(2), np.ones(2), A=A, b=np.array([5.0, side]))
     if side == 6e-10:
@@ -334,7 +335,7 @@ def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
 
 @pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (102, 0), (102, 3)])
 def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
-    """delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d, written out; beyond a hundred unknowns by lengths of rows."""
+    """Evaluate delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d explicitly; beyond a hundred unknowns use row lengths."""
     rng = np.random.default_rng(n + constraints)
     R, s = rng.standard_normal((2 * n, n)) * rng.uniform(1e-2, 1e2, n), rng.standard_normal(2 * n)
     A, b = rng.standard_normal((constraints, n)), rng.standard_normal(constraints)
@@ -363,7 +364,7 @@ def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
         reach = np.sqrt(np.diag(inverse))
         expected = reach * (np.linalg.norm(f) + reach @ g)
     expected += np.abs(P) @ (u * np.sqrt(n) * (np.abs(B) @ np.abs(z) + np.abs(c)))
-    # The last correction, of the size of rounding, is added.
+    # Add the last correction, which is of the size of rounding.
     np.testing.assert_allclose(found.errors, D * expected, rtol=0.2)
     np.testing.assert_allclose(A.T @ found.point.y, R.T @ (s - R @ found.point.x), atol=1e-6 * np.abs(R.T @ s).max())
     assert not found.point.w.any()

@@ -1,4 +1,4 @@
-"""Comparison of backends: sizes of the programs, times, tolerances and time limits."""
+"""Test the comparison of backends: sizes of the programs, times, tolerances and time limits."""
 
 import json
 
@@ -23,7 +23,7 @@ def programs():
 
 
 class Noting(Backend):
-    """Counts how often it was asked, and answers as the closed form does, a little off."""
+    """Count the calls, and return the closed form's answer with a small error."""
 
     name = "noting"
 
@@ -50,7 +50,7 @@ def test_each_program_is_solved_once_for_its_answer_and_then_as_often_as_asked()
 
 
 def test_the_difference_is_relative_to_the_quantity_that_the_unknown_changes():
-    # z is x over |s| = sqrt(5); the largest relative difference is the first unknown's, of 11.
+    # z is x over |s| = sqrt(5); the largest relative difference is the first unknown's, 11.
     (row,) = backends.compare([plane()], [Noting(1e-8)]).rows
     assert row.difference == pytest.approx(1e-8 * np.sqrt(5) / 11, rel=1e-6)
     assert row.reference == "closed form"
@@ -73,7 +73,7 @@ def test_the_condition_number_is_that_on_the_null_space_and_does_not_depend_on_u
     rng = np.random.default_rng(0)
     R, A = rng.standard_normal((5, 3)), np.array([[1.0, 1.0, 1.0]])
     R /= np.linalg.norm(R, axis=0)
-    # Two orthonormal directions in which the sum does not change.
+    # Two orthonormal directions that leave the sum unchanged.
     Z = np.array([[1, 1], [-1, 1], [0, -2]]) / np.sqrt([2, 6])
     values = np.linalg.svd(R @ Z, compute_uv=False)
     units = np.array([1e-6, 1.0, 1e9])
@@ -138,7 +138,7 @@ def test_numbers_and_names_that_make_no_sense_are_refused(given, said):
 
 
 def hard():
-    """A program on which every solver has something to do."""
+    """Return a program that needs several iterations of every solver."""
     rng = np.random.default_rng(0)
     R, s = rng.standard_normal((90, 60)), rng.standard_normal(90)
     free = np.linalg.lstsq(R, s, rcond=None)[0]

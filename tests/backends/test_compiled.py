@@ -1,4 +1,4 @@
-"""Problems of cvxpy compiled once, their numbers parameters, against the same solved by hand."""
+"""Compare problems of cvxpy, compiled once with numbers as parameters, with solutions by hand."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ SHAPES = [(4, 1, 2, False), (4, 0, 3, False), (4, 2, 0, False), (3, 1, 2, True)]
 
 
 def scaled(shape, seed):
-    """A scaled program of this shape, zeros and negative numbers in it; z = 0 satisfies the inequalities."""
+    """Return a scaled program of this shape with zeros and negative numbers; z = 0 satisfies the inequalities."""
     n, a, g, singular = shape
     rng = np.random.default_rng(seed)
     F = rng.standard_normal((g, n))
@@ -37,7 +37,7 @@ def by_scipy(problem):
     return found.x
 
 
-# Older cvxpy calls OSQP in a way that OSQP warns of; the backend passes over what solvers warn about.
+# Older cvxpy calls OSQP in a deprecated way; the backend ignores warnings of solvers.
 @pytest.mark.filterwarnings("ignore:The default value of raise_error:PendingDeprecationWarning")
 @pytest.mark.parametrize("solver", ["CLARABEL", "OSQP", "SCS"])
 @pytest.mark.parametrize("shape", SHAPES)

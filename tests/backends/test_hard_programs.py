@@ -1,4 +1,4 @@
-"""Hard programs on every backend: each answer within its bound of the exact minimizer, or refused."""
+"""Test hard programs on every backend: each answer is within its bound of the exact minimizer, or refused."""
 
 import numpy as np
 import pytest
@@ -20,12 +20,12 @@ def test_answers_are_equal_within_their_bounds_or_refused(tally, kind):
     found = tally[kind]
     assert found.wrong == []
     assert found.missed == 0
-    # An answer's error is small: to a millionth of the unknown's size, unless noise hides far more.
+    # An answer's error is below a millionth of the unknown's size, or much smaller than the noise.
     assert found.of_size < 1e-6 or kind == "condition numbers up to 1e14"
 
 
 def test_most_programs_that_have_an_answer_get_one(tally):
-    """Refusing everything would pass the test above."""
+    """A backend that refuses every program would pass the test above."""
     solvable = [kind for kind in KINDS if kind not in {"contradictory bounds", "open directions"}]
     for kind in solvable:
         found = tally[kind]
@@ -35,7 +35,7 @@ def test_most_programs_that_have_an_answer_get_one(tally):
 
 
 def test_the_exact_minimizer_is_that_of_a_program_solved_by_hand():
-    """|x - (2, 3)| under x1 + x2 <= 4, x1 >= 1.75: (1.75, 2.25) were it not for the bound, which then holds."""
+    """|x - (2, 3)| under x1 + x2 <= 4, x1 >= 1.75: (1.5, 2.5) without the bound, (1.75, 2.25) with it."""
     program = LeastSquares(np.eye(2), np.array([2.0, 3.0]), G=np.ones((1, 2)), h=np.array([4.0]))
     assert exactly(program) == ([1.5, 2.5], True)
     assert exactly(program.replace(lower=np.array([1.75, -9.0]))) == ([1.75, 2.25], True)
@@ -53,7 +53,7 @@ PRIORS = {
 @pytest.mark.parametrize("prior", PRIORS)
 @pytest.mark.parametrize("std", [1e-12, 1e-9])
 def test_a_declared_total_is_met_however_sure_a_soft_prior_is(method, prior, std):
-    """HiGHS and others have answered with masses that sum to 35.9 kg for 34, the prior's rows being so heavy."""
+    """HiGHS and others returned masses with a sum of 35.9 kg for 34 kg, because the prior's rows are large."""
     of = frames.experiment([12.0, 12.0, 10.0], [2e4, 2e4, 2e4], prior=[{**PRIORS[prior], "std": std}])
     found = {}
     for name in backends.available():
@@ -106,7 +106,7 @@ def test_hard_frames_are_found_within_their_deviations(number):
 
 @pytest.mark.parametrize(("prior", "own"), [("a mass", [0]), ("a ratio of masses", []), ("a stiffness", [3])])
 def test_very_sure_soft_priors_leave_the_other_deviations_as_they_are(prior, own):
-    """A prior of 1e-9 says no more of the rest than one of 1e-6 does; and its own value is known to 1e-9."""
+    """A prior of 1e-9 determines other parameters no better than one of 1e-6; its own value is known to 1e-9."""
     of = frames.experiment([12.0, 12.0, 10.0], [2e4, 2e4, 2e4])
     found = {}
     for std in (1e-6, 1e-9):

@@ -1,4 +1,4 @@
-"""Backends that lie: whatever they return as solved, no method takes it for an answer."""
+"""Test backends that return wrong answers as solved: no method accepts them."""
 
 import dataclasses
 import itertools
@@ -35,7 +35,7 @@ LIES = {
 
 
 class Liar(backends.Backend):
-    """Solves every program, and says something else."""
+    """Solve every program, and return another answer."""
 
     name = "liar"
 
@@ -48,7 +48,7 @@ class Liar(backends.Backend):
 
 
 def frame():
-    """Two states of noisy modes, soft priors, and the total mass."""
+    """Return two states with noisy modes, soft priors, and the total mass."""
     rng = np.random.default_rng(2)
     tests = [
         configuration(MASS, STIFFNESS, added, rng=rng, shape_noise=0.01, frequency_noise=0.001)
@@ -79,7 +79,7 @@ def test_the_truth_is_not(method):
 
 
 class Guest(backends.Backend):
-    """Certifies its own answers: a half of every step that somebody else solved."""
+    """Return half of another backend's step, and certify it."""
 
     name = "guest"
 
@@ -96,7 +96,7 @@ class Guest(backends.Backend):
 
 @pytest.mark.parametrize("share", [0.0, -1.0])
 def test_the_end_of_a_fit_is_judged_by_the_problem_and_not_by_its_steps(share):
-    """A backend that certifies its own wrong steps makes a fit end beside a minimum."""
+    """A backend that certifies its own wrong steps ends a fit away from the minimum."""
     of = frame()
     theta = uniform(of)
     with pytest.raises(NoSolutionError, match="ended where a step of another solver lowers the misfit"):
@@ -138,7 +138,7 @@ def test_wrong_derivatives_are_found_by_difference_quotients(wrong):
 
 
 def test_the_best_step_is_that_of_nonnegative_least_squares():
-    """Every parameter is on a bound; those that the residuals pull away from it move."""
+    """Every parameter is on a bound; parameters with a gradient away from their bound move."""
     rng = np.random.default_rng(5)
     A, b = rng.standard_normal((30, 3)), rng.standard_normal(30)
     for signs in itertools.product((1.0, -1.0), repeat=3):

@@ -1,4 +1,4 @@
-"""Backends and priors that others write are checked when they come in: an error names the part and what is wrong."""
+"""Custom backends and priors are checked when they are added: an error names the part and its fault."""
 
 import time
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ PROGRAM = LeastSquares(np.eye(3), np.array([1.0, 2.0, 3.0]), A=np.ones((1, 3)), 
 
 
 class Guest(Backend):
-    """A backend whose answer is the closed form's, changed."""
+    """A backend that returns the closed form's answer with a change."""
 
     name = "guest"
 
@@ -98,7 +98,7 @@ def test_integers_and_lists_are_numbers_too():
 
 @dataclass(frozen=True, eq=False)
 class Weighed(Prior):
-    """A soft prior on the sum of the floor masses, its residual and derivative changed on the way out."""
+    """A soft prior on the sum of the floor masses, with changed residual and derivative."""
 
     quantity: str
     change: object
@@ -178,7 +178,7 @@ def test_a_sound_prior_is_tried_once_an_object_and_number_of_stories():
 
 
 def test_priors_of_any_size_and_curvature_pass():
-    """Residuals that overflow or bend away from what they mean are tried where they are smallest."""
+    """Residuals that overflow or are strongly curved are checked at their smallest."""
     paper = cvxshear.load("paper")
     for change in (
         lambda x, r, J: (np.exp(x / 10) - 3, np.diag(np.exp(x / 10) / 10)),

@@ -1,4 +1,4 @@
-"""Inequalities handed over as they matter, and starts from earlier solutions: the same answers with less work."""
+"""Adding inequalities on demand and starting from earlier solutions give the same answers with less work."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from cvxshear.programs import LeastSquares
 
 
 class Recording(Qpsolvers):
-    """A solver that notes how many inequalities it was given, and from where it was to begin."""
+    """A solver that records its number of inequalities and its start."""
 
     def __init__(self, name):
         super().__init__(name)
@@ -23,7 +23,7 @@ class Recording(Qpsolvers):
 
 
 def bounded(seed, n=40, rows=120):
-    """A least-squares problem with a quarter of its unbounded answer's entries cut off."""
+    """Return a least-squares problem whose bounds cut off a quarter of the unbounded solution's entries."""
     rng = np.random.default_rng(seed)
     R, s = rng.standard_normal((rows, n)), rng.standard_normal(rows)
     free = np.linalg.lstsq(R, s, rcond=None)[0]

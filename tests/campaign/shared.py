@@ -1,4 +1,4 @@
-"""Three short records of a shaken frame, as files: bare, with a counterweight, with a softer story."""
+"""Write three short records of a shaken frame as files: bare, with a counterweight, with a softer story."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HEAD = 'added_mass = {added}\nstate = "{state}"\n[record]\nfile = "{name}.csv"\n
 
 
 def frame(name: str) -> KnownFrame:
-    """The frame in one of its three states."""
+    """Return the frame in one of its three states."""
     masses = MASSES + (ADDED if name == "loaded" else 0.0)
     return KnownFrame(masses, STIFFNESSES * (SOFTER if name == "after" else 1.0), 0.01)
 
@@ -32,7 +32,7 @@ RECORDS = ("bare", "loaded", "after")
 def write_records(
     folder: Path, more: str = '\n[frame]\nstory_heights = 0.4\nreference = "bare"\n', names: Sequence[str] = RECORDS
 ) -> list[Path]:
-    """The record files, their time stamps rounded to a millisecond."""
+    """Write the record files with time stamps rounded to a millisecond."""
     files = []
     for seed, name in enumerate(RECORDS):
         if name not in names:

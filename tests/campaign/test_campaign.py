@@ -1,4 +1,4 @@
-"""Several records into one measurement: modes of each, what they say put together, and what contradicts."""
+"""Combine several records into one measurement: their modes, joint estimates, and contradictions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_one_configuration_a_record(tests, tmp_path):
 
 
 def test_from_files_to_the_change(tests):
-    """The masses and the lost stiffness that the records were made with."""
+    """Recover the masses and the lost stiffness of the simulated records."""
     before = cvxshear.Experiment.from_dict(merged(tests[:2]))
     after = cvxshear.Experiment.from_dict(merged(tests[2:]))
     first, last = cvxshear.identify(before).frame, cvxshear.identify(after).frame
@@ -63,7 +63,7 @@ def test_the_reference_stands_where_there_is_anything_to_compare_with_it(tests):
     repaired = dataclasses.replace(tests[2], modes=dataclasses.replace(tests[2].modes, name="repaired"), state=None)
     with pytest.raises(InputError, match='reference = \'bare\' is no state; the states are "after", "repaired"'):
         cvxshear.Experiment.from_dict(merged([tests[2], repaired]))
-    # A single state is the frame itself, of which no other has been measured.
+    # A single state is the frame itself, without a second state for comparison.
     one = tests[2]
     assert "reference" not in merged([one])["frame"]
     assert "reference" not in one.modes.to_experiment(one.frame, state=one.state)["frame"]

@@ -1,4 +1,4 @@
-"""`cvxshear modes` and `cvxshear loop` on several records, with figures, tables and a report."""
+"""Run `cvxshear modes` and `cvxshear loop` on several records, with figures, tables and a report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: output, JSON, exit status, and nothing half-written."""
+"""Test the command line as a user sees it: output, JSON, exit status, and no incomplete files."""
 
 import hashlib
 import inspect
@@ -204,7 +204,7 @@ def test_piped_output_has_no_escape_codes():
 
 
 def test_json_says_where_it_comes_from(run, tmp_path, monkeypatch):
-    """Version, date, title and the SHA-256 of every file read, by the tool of the system."""
+    """Compare version, date, title and the SHA-256 of every input file with the system's tool."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     path = tmp_path / "a.toml"
     path.write_bytes((EXAMPLES / "three_story.toml").read_bytes())
@@ -221,7 +221,7 @@ def test_json_says_where_it_comes_from(run, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("data", "status"), [("three_story.toml", 0), ("paper.toml", None)])
 def test_strict(data, status, run):
-    """Status 3 for a verdict that is not one to rely on, and for no other."""
+    """Status 3 means an unreliable verdict, and only this."""
     options = ["loop", EXAMPLES / data, "--effects", "ground_spring", "--json", "-"]
     usual, out, _ = run(*options)
     found, again, _ = run(*options, "--strict")
@@ -250,13 +250,13 @@ FUNCTIONS = {
     "reconstruct": [cvxshear.reconstruct],
     "modes": [identify_modes],
 }
-"""Commands, and the Python functions, with the objects that these take, that do the same."""
+"""Commands and their equivalent Python functions with the objects that these take."""
 
 OF_THE_COMMAND = {
     "author", "client", "csv", "date", "export", "figure", "help", "jobs", "json", "out", "output", "photograph",
     "quiet", "record", "report", "strict", "title", "uff", "units", "validate", "xlsx",
 }  # fmt: skip
-"""Options that say which files are read and written and how results are shown."""
+"""Options for the files to read and write, and for the display of results."""
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

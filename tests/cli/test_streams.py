@@ -1,4 +1,4 @@
-"""Standard output as it may be, names as they may be, and commands that are interrupted or lose a process."""
+"""Test unusual standard streams, unusual names, and commands that are interrupted or lose a process."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_what_would_steer_a_terminal_stands_as_its_escape():
 
 @pytest.fixture
 def named(tmp_path):
-    """A measurement whose configuration, and whose file, has a name as bad as it can be."""
+    """Return a measurement whose configuration and file have the worst possible name."""
     text = files.measurement().decode().replace('name = "', f"name = {json.dumps(NAME)} # ", 1)
     assert load_text(tmp_path, text).configurations[0].name == NAME
     path = os.fsencode(tmp_path) + b"/evil\x1b[31m[bold]\xff.toml"
@@ -132,15 +132,15 @@ PIPED = [["identify"], ["loop", "--effects", "ground_spring"], ["check"], ["plan
 
 
 WAITING = 120
-"""Seconds after which a command that reads a pipe again is taken to wait for ever, and others to begin."""
+"""Limit in seconds for a command that might wait forever, and for processes to start."""
 
 OUTLIVING = 2
-"""Seconds that no process may outlive its parent by, as `cvxshear.util.parallel` promises."""
+"""Longest time in seconds that a process may outlive its parent, from `cvxshear.util.parallel`."""
 
 
 @contextlib.contextmanager
 def standard_input(content):
-    """Standard input of this process, by its number, is a pipe with this content."""
+    """Replace standard input of this process by a pipe with this content."""
     before = os.dup(0)
     out, into = os.pipe()
     try:
@@ -156,7 +156,7 @@ def standard_input(content):
 
 @contextlib.contextmanager
 def named_pipe(content, path):
-    """A named pipe with this content, which is written once."""
+    """Return a named pipe with this content, which is written once."""
     os.mkfifo(path)
     threading.Thread(target=path.write_bytes, args=[content], daemon=True).start()
     yield str(path)
@@ -164,7 +164,7 @@ def named_pipe(content, path):
 
 @contextlib.contextmanager
 def limited():
-    """An error where what is done waits for longer."""
+    """Raise an error if the body exceeds the time limit."""
 
     def late(*_):
         raise TimeoutError("the pipe was opened again")
@@ -181,7 +181,7 @@ def limited():
 @pytest.mark.parametrize("command", PIPED, ids=lambda each: each[0])
 @pytest.mark.parametrize("named", [False, True])
 def test_a_pipe_is_read_once(command, named, tmp_path, run):
-    """A named pipe that is opened again would wait for ever, and standard input has nothing more to give."""
+    """A named pipe opened twice would wait forever, and standard input is empty after the first reading."""
     text = files.measurement()
     (tmp_path / "plain.toml").write_bytes(text)
     with named_pipe(text, tmp_path / "pipe.toml") if named else standard_input(text) as path, limited():
@@ -212,7 +212,7 @@ runpy.run_module("cvxshear", run_name="__main__")
 
 @pytest.mark.parametrize("module", ["rich.console", "cvxshear.loop"])
 def test_an_interruption_while_loading_has_no_traceback(module):
-    """As Ctrl-C does it, at the import of the command line and at that of what a command needs."""
+    """Interrupt like Ctrl-C at the import of the command line and of a module that a command needs."""
     code = INTERRUPTED.replace("sys.argv[1]", repr(module))
     code = f"import sys; sys.argv[1:] = ['loop', 'paper']\n{code}"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -239,7 +239,8 @@ def _half(value):
 
 
 def test_who_stops_hears_nothing_of_what_was_under_way():
-    """Ctrl-C between two results. Warnings are errors here, and joblib's comes when the rest is given up."""
+    """Interrupt between two results with Ctrl-C. Warnings are errors here, and joblib warns when it drops the remaining
+    work."""
 
     def stop(done, count):
         assert (done, count) == (3, 40)
@@ -276,11 +277,11 @@ def test_nothing_is_said_of_a_reader_that_has_gone():
 
 
 def alive(group: int) -> list[str]:
-    """The processes of a group, zombies left out."""
+    """Return the processes of a group, without zombies."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
-            # After the name, which stands in parentheses: state, parent, group.
+            # After the name in parentheses follow state, parent and group.
             state, _, of_group = path.read_text().rpartition(")")[2].split()[:3]
             if int(of_group) == group and state != "Z":
                 found.append((path.parent / "cmdline").read_text().replace("\0", " "))
@@ -290,11 +291,11 @@ def alive(group: int) -> list[str]:
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc here")
 @pytest.mark.parametrize("ending", ["SIGKILL", "SIGTERM", "SIGINT"])
 def test_nothing_outlives_its_parent(ending):
-    """Two processes work for a third one that is ended, by Ctrl-C as a terminal sends it: to all of them."""
+    """Two processes work for a third one. Ctrl-C ends it; a terminal sends the signal to all three."""
     line = [sys.executable, "-m", "cvxshear", "study", "noise", "--jobs", "2", "--samples", "1000000", "--methods"]
     found = subprocess.Popen(
         [*line, "efficient"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        # A shell that runs the tests in the background has them ignore Ctrl-C, and their children with them.
+        # A shell that runs the tests in the background lets them and their children ignore Ctrl-C.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - no threads here
     )  # fmt: skip
     try:
@@ -305,7 +306,7 @@ def test_nothing_outlives_its_parent(ending):
 
 
 def _ended_by(found, ending):
-    """End it once the others work. What they were given to do takes far longer than they are waited for."""
+    """End the parent once the others work. Their work would take far longer than the test waits."""
     assert within(WAITING, lambda: len(alive(found.pid)) >= 3)
     number = getattr(signal, ending)
     (os.killpg if ending == "SIGINT" else os.kill)(found.pid, number)
@@ -316,7 +317,7 @@ def _ended_by(found, ending):
 
 
 def within(seconds, true):
-    """Whether something comes true in so many seconds; it is not waited for longer than it takes."""
+    """Return whether a condition becomes true within some seconds, without waiting longer than necessary."""
     until = time.monotonic() + seconds
     while not (found := true()) and time.monotonic() < until:
         time.sleep(0.05)

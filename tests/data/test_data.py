@@ -1,4 +1,4 @@
-"""Kinds of data: residuals and derivatives by differences, a static test as the only scale, a kind of one's own."""
+"""Test kinds of data: residuals and derivatives by differences, a static test as the only scale, a custom kind."""
 
 import re
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ FORCE = np.array([0.0, 30.0, 0.0, 120.0])
 
 
 def measured_twice(*, mass_normalized=False):
-    """Two configurations, one with a sensor missing and entries not measured, and a pull test of one state."""
+    """Return two configurations, one with a sensor missing and entries not measured, and a pull test of one state."""
     rng = np.random.default_rng(5)
     plain = configuration(MASS, STIFFNESS, ADDED[0], rng=rng, shape_noise=0.02, frequency_noise=0.01)
     loaded = configuration(
@@ -62,7 +62,8 @@ def residual(datum, at, *, derivatives=True, of=None):
 
 
 def quotients(value):
-    """Central differences of a function of all parameters, one row a parameter, each times its step's scale."""
+    """Return central differences of a function of all parameters, one row per parameter, each times its step's
+    scale."""
     rows = []
     for p, step in enumerate(STEPS):
         ahead, behind = AT.copy(), AT.copy()
@@ -87,7 +88,7 @@ def test_derivatives_of_frequencies_and_displacements(kind):
 
 
 def test_derivatives_of_shapes_but_for_their_free_scales():
-    """Kaufman's derivative is the exact one without every mode's own direction, which its free scale follows."""
+    """Kaufman's derivative is the exact one without the direction of each mode, which its free scale follows."""
     of = measured_twice()
     for datum in Shapes.of(of):
         found = residual(datum, AT, of=of)
@@ -115,14 +116,15 @@ def test_counts_and_labels():
         'frequencies of "plain"', 'mode shapes of "plain"', 'frequencies of "loaded"', 'mode shapes of "loaded"',
         'displacements of "pull"',
     ]  # fmt: skip
-    # Every entry, less one a mode whose scale is free.
+    # Number of entries, minus one per mode with a free scale.
     assert [datum.count for datum in data_of(of)] == [4, 16 - 4, 3, 8 - 3, 3]
     assert Shapes.of(measured_twice(mass_normalized=True))[1].count == 8
 
 
 @pytest.mark.parametrize("mass_normalized", [False, True])
 def test_what_is_described_part_by_part_and_by_floor_is_the_whole_residual(mass_normalized):
-    """Sums of squares over the parts, and over the floors of what sits at floors, are that of the residual."""
+    """The sums of squares over the parts, and over the floors for data at floors, equal the sum for the whole
+    residual."""
     of = measured_twice(mass_normalized=mass_normalized)
     for datum in data_of(of):
         model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), False)
@@ -136,7 +138,7 @@ def test_what_is_described_part_by_part_and_by_floor_is_the_whole_residual(mass_
 
 
 def test_errors_of_shapes_are_those_of_the_textbook():
-    """MAC = (a'b)^2 / (a'a b'b), over the floors that were measured; b scaled to a's largest entry of one."""
+    """MAC = (a'b)^2 / (a'a b'b) over the measured floors; b is scaled to a's largest entry of one."""
     of = measured_twice()
     datum = Shapes.of(of)[1]
     model = Model(compose(of, datum.tested, EFFECTS, AT), slice(None), False)
@@ -150,7 +152,7 @@ def test_errors_of_shapes_are_those_of_the_textbook():
 
 
 def test_displacements_are_those_of_equilibrium():
-    """Of the shear frame, whose drifts are the forces above over the story stiffnesses."""
+    """Compare with the shear frame: each drift is the force above divided by the story stiffness."""
     of = measured_twice()
     (datum,) = Static.of(of)
     at = theta()
@@ -164,7 +166,8 @@ def test_displacements_are_those_of_equilibrium():
 
 
 def pulled(rng=None, noise=0.0):
-    """One configuration, no mass declared, and a pull at the top: the only thing that tells newtons and kilograms."""
+    """Return one configuration without declared mass, and a pull at the top. Only the pull relates newtons to
+    kilograms."""
     keys = {"rng": rng, "shape_noise": 0.01, "frequency_noise": 0.001} if noise else {}
     declared = experiment(MASS, STIFFNESS, configuration(MASS, STIFFNESS, **keys), frame={})
     u = np.linalg.solve(chain(MASS, STIFFNESS)[1], FORCE)
@@ -226,7 +229,7 @@ class Weighed(Datum):
 
 @pytest.fixture
 def weighed(monkeypatch):
-    """The kind of datum above, registered for one test."""
+    """Register the kind of datum above for one test."""
     monkeypatch.setattr(registry_module, "_kinds", dict(registry_module._kinds))
     monkeypatch.setattr(Weighed, "weight", 9.81 * 1.1 * MASS.sum())
     register(Weighed)
@@ -234,7 +237,7 @@ def weighed(monkeypatch):
 
 @pytest.mark.usefixtures("weighed")
 def test_a_kind_of_datum_of_ones_own_takes_part_in_identify_and_close_loop():
-    """The total is then the mean of what was declared and what was weighed, each by its precision."""
+    """The total is then the mean of the declared and the weighed value, weighted by their precisions."""
     declared = experiment(
         MASS, STIFFNESS, configuration(MASS, STIFFNESS), frame={"total_mass": float(MASS.sum()), "total_mass_std": 0.02}
     )
@@ -252,7 +255,7 @@ def test_a_kind_of_datum_of_ones_own_takes_part_in_identify_and_close_loop():
 
 @pytest.mark.usefixtures("weighed")
 def test_a_kind_of_datum_of_ones_own_is_found_in_terminal_report_json_and_help(monkeypatch, capsys):
-    """With its noise, its figure and its error in percent: the frame weighs 10 % less than the cells show."""
+    """The output has its noise, its figure and its error in percent: the frame weighs 10 % less than the cells show."""
     monkeypatch.setattr(Weighed, "std", 100.0)
     result = close_loop(Experiment.from_dict(experiment(MASS, STIFFNESS, configuration(MASS, STIFFNESS))), ["gravity"])
     assert result.to_dict()["noise"]["weight"] is None
@@ -309,7 +312,7 @@ def test_modes_that_changed_places_are_paired_by_their_shapes():
 
 
 def frame_with_masses(*attached):
-    """Modes and mass matrix of the frame of two floors with masses (floor, kg, Hz) attached to it."""
+    """Return modes and mass matrix of the frame of two floors with attached masses (floor, kg, Hz)."""
     n = 2 + len(attached)
     M, K = np.zeros((n, n)), np.zeros((n, n))
     M[:2, :2], K[:2, :2] = chain([10.0, 8.0], [9e3, 7e3])
@@ -328,18 +331,18 @@ def test_numbers_of_modes_count_those_of_the_frame_without_an_attached_mass_s_ow
     plain, M = frame_with_masses()
     np.testing.assert_array_equal(numbered(measured_modes(plain.frequencies), plain, M), [0, 1])
     low, high = plain.frequencies
-    # Far from every mode of the frame the mass has one of its own, whatever was measured.
+    # Far from every mode of the frame, the mass has its own mode, whatever the measured frequencies.
     for frequency, own in ((0.1 * low, 0), (0.5 * (low + high), 1), (10 * high, 2)):
         found, M = frame_with_masses((1, 0.01, frequency))
         rest = np.delete(np.arange(3), own)
         for measured in (found.frequencies[:2], found.frequencies[1:], found.frequencies[[0, 2]]):
             np.testing.assert_array_equal(numbered(measured_modes(measured), found, M), rest)
         np.testing.assert_array_equal(numbered(measured_modes([3.0], [2]), found, M), rest[1:])
-    # Tuned to the first mode it makes two of it: the one that was measured counts.
+    # Tuned to the first mode, the mass splits it into two modes. The measured one counts.
     found, M = frame_with_masses((1, 0.05, low))
     for measured in ([0, 2], [1, 2]):
         np.testing.assert_array_equal(numbered(measured_modes(found.frequencies[measured]), found, M), measured)
-    # Of several masses the modes with most of their energy are left out.
+    # For several masses, the modes with most of their energy are left out.
     found, M = frame_with_masses((0, 0.01, 0.1 * low), (1, 0.01, 0.5 * (low + high)))
     np.testing.assert_array_equal(numbered(measured_modes(plain.frequencies), found, M), [1, 3])
 

@@ -1,4 +1,4 @@
-"""A four-story frame, uneven in every respect, that the tests of this folder share."""
+"""Share an uneven four-story frame among the tests of this folder."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ NAMES = ("plain", "loaded")
 STORIES = len(MASS)
 
 ROUNDING = 1e-11
-"""The model and the finite elements differ by rounding alone: a few units of 2e-16 times the condition number of
-K, under 1e3. Those who agree so agree in the formula."""
+"""Largest relative difference between the model and the finite elements if the formula is exact. Rounding errors are a
+few units of 2e-16 times the condition number of K, which is under 1e3."""
 
 
 def experiment(*, configurations: int = 2, heights: bool = True, **configuration: Any) -> Experiment:
-    """An experiment on the frame; what it measured matters to none of these tests."""
+    """Return an experiment on the frame. Its measured values do not matter to these tests."""
     shapes = [[1.0, 2.0, 3.0, 4.0]] if "mode_shapes" not in configuration else configuration.pop("mode_shapes")
     frame: dict[str, Any] = {"stories": STORIES, "total_mass": float(MASS.sum())}
     if heights:
@@ -41,18 +41,18 @@ def experiment(*, configurations: int = 2, heights: bool = True, **configuration
 
 
 def building(number: int = 0) -> Building:
-    """The same frame in finite elements, in one of its configurations."""
+    """Return the same frame in finite elements, in one of its configurations."""
     return Building(HEIGHTS, STIFFNESS, MASS + ADDED[number])
 
 
 def placed(name: str, **place: Any) -> Placed:
-    """An effect of the catalogue at a place."""
+    """Return an effect of the catalogue at a place."""
     (effect,) = effects_named([name])
     return Placed(effect, Place(**place))
 
 
 def theta(*own: float | tuple[float, ...], mass: Floats = MASS, stiffness: Floats = STIFFNESS) -> Floats:
-    """Floor masses, story stiffnesses and the effects' own parameters."""
+    """Return the parameter vector: floor masses, story stiffnesses and the effects' own parameters."""
     return np.concatenate([mass, stiffness, *(np.atleast_1d(each) for each in own)])
 
 
@@ -65,25 +65,25 @@ def composed(
 
 
 def modes_with(effects: list[Placed], *own: float, number: int = 0, stiffness: Floats = STIFFNESS) -> Modes:
-    """The modes of that configuration, as the sensors show them."""
+    """Return the modes of that configuration, as the sensors measure them."""
     state = composed(effects, *own, number=number, stiffness=stiffness)
     found = modes(state.system.M, state.system.K)
     return dataclasses.replace(found, shapes=state.observation.shown(found.shapes))
 
 
 def frequency_gap(model: Modes, fe: SwayModes) -> float:
-    """The largest relative difference of a frequency."""
+    """Return the largest relative difference of a frequency."""
     return float(np.max(np.abs(model.frequencies / fe.frequencies - 1)))
 
 
 def shape_gap(model: Modes, fe: SwayModes) -> float:
-    """The largest difference of a mass-normalized shape's entry, as a part of the largest entry of all."""
+    """Return the largest difference of a mass-normalized shape entry, relative to the largest entry."""
     rows = fe.shapes.T
     signs = np.sign(np.sum(model.shapes * rows, axis=1, keepdims=True))
     return float(np.max(np.abs(model.shapes * signs - rows)) / np.max(np.abs(rows)))
 
 
 def assert_same(model: Modes, fe: SwayModes, within: float = ROUNDING) -> None:
-    """Frequencies and mass-normalized shapes agree."""
+    """Assert that frequencies and mass-normalized shapes agree."""
     assert frequency_gap(model, fe) < within
     assert shape_gap(model, fe) < within

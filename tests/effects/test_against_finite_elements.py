@@ -1,7 +1,7 @@
-"""Every effect against a frame of beams and columns that has it.
+"""Compare every effect with a frame of beams and columns that has this effect.
 
-The frames are built so that the formula is exact for them wherever there is such a frame; `tests.fe.experiments`
-says which. The rest of the tests measure how fast frames that only come near approach the formula.
+`tests.fe.experiments` names the frames for which a formula is exact. For the other effects, the tests measure how fast
+the frame approaches the formula.
 """
 
 from dataclasses import replace
@@ -35,7 +35,7 @@ from tests.fe.frame import SwayModes, assemble, sway_modes
 NUMBERS = (0, 1)
 TOP = float(HEIGHTS.sum())
 SWAY = float(np.sum(1 / STIFFNESS))
-"""Of the top under 1 N there, m."""
+"""Static displacement of the top under 1 N at the top, in m."""
 
 
 @pytest.mark.parametrize("number", NUMBERS)
@@ -51,15 +51,16 @@ def test_a_shear_frame_of_three_columns_is_the_same():
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize("gamma", [1.0, 1.07, 1.2])
 def test_gravity(gamma, number):
-    """Exact: rigid props fall by d^2 / 2h, a clamped cubic's geometric stiffness integrates to 6 P / 5 h."""
+    """The formula is exact: rigid props fall by d^2 / 2h, and a clamped cubic's geometric stiffness integrates to 6 P /
+    5 h."""
     frame = fe.with_gravity(building(number), gamma)
     assert_same(modes_with([placed("gravity")], gamma, number=number), sway_modes(frame))
 
 
 def test_gravity_of_columns_that_may_take_any_shape():
-    """6/5 is the first term in P; the next one falls with P^2.
+    """The formula 6/5 is the first term in P; the error falls with P^2.
 
-    Four elements a column find what the cubic cannot, a deflection of order P h^2 / EI besides the clamped one.
+    Four elements per column find a deflection of order P h^2 / EI, which a single cubic cannot represent.
     """
     gaps = []
     for share in (1.0, 0.5):
@@ -72,7 +73,7 @@ def test_gravity_of_columns_that_may_take_any_shape():
 
 @pytest.mark.parametrize("eta", [0.05, 0.3, 1.0])
 def test_gravity_lies_between_its_bounds_where_joints_turn(eta):
-    """A column between joints that turn is straighter than a clamped one and not as straight as a prop."""
+    """A column between rotating joints is straighter than a clamped column, but less straight than a prop."""
     frame = replace(fe.with_turning_joints(building(), eta), gravity=fe.GRAVITY)
     both = [placed("joint_rotation"), placed("gravity")]
     found = sway_modes(frame).frequencies
@@ -83,14 +84,14 @@ def test_gravity_lies_between_its_bounds_where_joints_turn(eta):
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize("eta", [1e-3, 0.1, 1.0, 50.0])
 def test_joint_rotation(eta, number):
-    """Exact: Bernoulli members, two equal columns whose joints turn alike."""
+    """The formula is exact for Bernoulli members and two equal columns whose joints turn alike."""
     frame = fe.with_turning_joints(building(number), eta)
     assert_same(modes_with([placed("joint_rotation")], eta, number=number), sway_modes(frame))
 
 
 @pytest.mark.parametrize("size", [0.05, 0.3, 0.8])
 def test_beams_of_each_floor_by_themselves(size):
-    """Exact: the same portals, the beams of each floor 1 + b times as flexible."""
+    """The formula is exact for the same portals if the beams of each floor are 1 + b times more flexible."""
     eta, b = 0.4, size * np.array([1.0, -0.5, 0.3, -0.9])
     frame = fe.with_turning_joints(building(), eta)
     frame = replace(frame, beam_bending=frame.beam_bending / (1.0 + b))
@@ -100,7 +101,7 @@ def test_beams_of_each_floor_by_themselves(size):
 
 
 def test_joint_rotation_of_two_bays():
-    """Exact where the inner column is two of the outer: two portals side by side."""
+    """The formula is exact if the inner column is two outer columns: two portals side by side."""
     one_bay = fe.with_turning_joints(building(), 0.4)
     two_bays = replace(
         one_bay, column_x=(-0.5, 0.0, 0.5), column_share=(0.25, 0.5, 0.25), beam_bending=0.5 * one_bay.beam_bending
@@ -109,9 +110,9 @@ def test_joint_rotation_of_two_bays():
 
 
 def test_joint_rotation_of_equal_columns_in_two_bays():
-    """The inner joint, held by two beams, turns less than the outer ones: no longer exact.
+    """Two beams hold the inner joint, so it turns less than the outer joints and the formula is no longer exact.
 
-    With the same r in all, 24 EI / L, the formula is within 2 % of the frame, where rigid beams are 13 % away.
+    With the same r = 24 EI / L in all beams, the formula is within 2 % of the frame; rigid beams are 13 % away.
     """
     eta = 0.3
     one_bay = fe.with_turning_joints(building(), eta)
@@ -124,16 +125,18 @@ def test_joint_rotation_of_equal_columns_in_two_bays():
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize("part", [0.01, 0.1, 1.0])
 def test_axial_columns(part, number):
-    """Exact for floors that stay rigid and tilt, EI the columns' EA b^2 / 2 and their own bending together."""
+    """The formula is exact for floors that stay rigid and tilt. EI combines the columns' EA b^2 / 2 and their own
+    bending."""
     inverse_EI = 3 * part * SWAY / TOP**3
     frame = fe.with_long_columns(building(number), inverse_EI)
     assert_same(modes_with([placed("axial_columns")], inverse_EI, number=number), sway_modes(frame))
 
 
 def test_axial_columns_by_their_axial_stiffness_alone():
-    """With EI = EA b^2 / 2 alone the error falls with the square of the columns' share of all bending.
+    """With EI = EA b^2 / 2 alone, the error falls with the square of the columns' share of all bending.
 
-    The columns' own bending is that share of the frame's, whose part of the flexibility falls as the share does.
+    The columns' own bending is this share of the frame's bending. Its part of the flexibility falls in proportion to
+    the share.
     """
     columns = float(np.mean(STIFFNESS * HEIGHTS**3)) / 12
     gaps = []
@@ -146,10 +149,10 @@ def test_axial_columns_by_their_axial_stiffness_alone():
 
 
 def test_axial_columns_of_floors_that_move_up_and_down():
-    """The floors' masses at the joints add rotary inertia, which the formula leaves out.
+    """The floor masses at the joints add rotary inertia, which the formula leaves out.
 
-    A floor turns by about u / H, so that its joints, b / 2 off, add some (b / 2H)^2 of its mass times the part
-    of the sway that is chord drift: under 0.2 % here for the first mode, more for the higher ones.
+    A floor turns by about u / H. Its joints are b / 2 from the center, so they add about (b / 2H)^2 of its mass times
+    the chord drift's share of the sway: under 0.2 % here for the first mode, more for the higher modes.
     """
     inverse_EI = 0.3 * SWAY / TOP**3
     frame = replace(fe.with_long_columns(building(), inverse_EI), vertical_inertia=True)
@@ -161,7 +164,7 @@ def test_axial_columns_of_floors_that_move_up_and_down():
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize("part", [0.01, 0.1, 1.0])
 def test_base_rocking(part, number):
-    """Exact: inextensible columns on a rigid base that turns."""
+    """The formula is exact for inextensible columns on a rigid base that turns."""
     inverse = part * SWAY / TOP**2
     frame = fe.with_rocking_base(building(number), inverse)
     assert_same(modes_with([placed("base_rocking")], inverse, number=number), sway_modes(frame))
@@ -185,13 +188,14 @@ def test_added_mass(floor, mass):
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize("mu", [0.2, 1.5])
 def test_mass_coupling(mu, number):
-    """Exact for one cubic a column; their own weight stands in the floor masses and is taken out of them there."""
+    """The formula is exact for one cubic per column. The floor masses include the columns' own weight, so the test
+    subtracts it."""
     frame = fe.with_heavy_columns(building(number), mu)
     assert_same(modes_with([placed("mass_coupling")], mu, number=number), sway_modes(frame))
 
 
 def test_mass_coupling_of_columns_that_vibrate_themselves():
-    """Columns in four elements move by themselves: an error of the square of mu, 5e-5 for a tenth of a floor."""
+    """Columns with four elements vibrate by themselves. The error is of order mu^2: 5e-5 for a tenth of a floor."""
     gaps = []
     for mu in (1.0, 0.5):
         frame = replace(fe.with_heavy_columns(building(), mu), pieces=4)
@@ -221,7 +225,7 @@ def test_story_change(story, change):
 
 
 def test_changed_story_between_joints_that_turn():
-    """The beams are the frame's, whatever became of the columns in one configuration."""
+    """The beams stay the same when the columns change in one configuration."""
     effects = [placed("joint_rotation"), placed("story_change", story=2, state="loaded")]
     frame = fe.with_story_change(fe.with_turning_joints(building(1), 0.5), -0.3, 2)
     assert_same(modes_with(effects, 0.5, -0.3, number=1), sway_modes(frame))
@@ -231,7 +235,7 @@ def test_changed_story_between_joints_that_turn():
 @pytest.mark.parametrize("floors", [(1, 3), (2, 4), (1, 4)])
 @pytest.mark.parametrize("s", [200.0, 4000.0, 20000.0])
 def test_spring(s, floors, number):
-    """Exact: a diagonal over two or three stories, whose columns do not stretch."""
+    """The formula is exact for a diagonal over two or three stories whose columns do not stretch."""
     tie = placed("spring", floor=floors[0], to=floors[1])
     assert_same(modes_with([tie], s, number=number), sway_modes(fe.with_tie(building(number), s, floors)))
 
@@ -244,7 +248,7 @@ def test_state_stiffness(e):
 
 
 def test_a_softer_state_of_a_braced_frame_whose_joints_turn():
-    """Braces, columns and beams are of one material, and a story that lost its braces in part has less of them."""
+    """Braces, columns and beams change together with the material. A story that lost some braces has fewer of them."""
     effects = [
         placed("joint_rotation"),
         placed("bracing"),
@@ -285,7 +289,7 @@ def test_load_scale(e):
 @pytest.mark.parametrize("floor", [0, 1, 2, 3, 4])
 @pytest.mark.parametrize("rho", [0.02, 0.5, 20.0])
 def test_joint_release(rho, floor):
-    """Exact: springs between the columns, which run through, and the beams of one floor, or under the feet."""
+    """The formula is exact for springs under the feet, or between the continuous columns and the beams of one floor."""
     there = placed("joint_release", floor=floor, state="loaded")
     assert_same(modes_with([there], rho, 0.0, number=1), sway_modes(fe.with_loose_joints(building(1), rho, floor)))
     assert_same(modes_with([there], rho, 0.0, number=0), sway_modes(building(0)))
@@ -294,19 +298,19 @@ def test_joint_release(rho, floor):
 @pytest.mark.parametrize("floor", [0, 1, 4])
 @pytest.mark.parametrize("longer", [0.002, 0.05, 0.4])
 def test_a_clamp_that_grips_less(longer, floor):
-    """Exact: the columns on both sides of a floor are longer by what its clamp no longer holds."""
+    """The formula is exact if a weaker clamp makes the columns on both sides of its floor longer."""
     there = placed("joint_release", floor=floor, state="loaded")
     frame = building(1)
     stretched = np.isin(np.arange(1, 5), [floor, floor + 1])
     frame = replace(frame, heights=frame.heights * np.where(stretched, 1.0 + longer, 1.0))
-    # The stiffness of a story is that of columns with their own length.
+    # The story stiffness belongs to columns of their own length.
     frame = replace(frame, story_stiffness=frame.story_stiffness / np.where(stretched, (1.0 + longer) ** 3, 1.0))
     assert_same(modes_with([there], 0.0, 1.0 - (1.0 + longer) ** -3, number=1), sway_modes(frame))
 
 
 @pytest.mark.parametrize("floor", [0, 2, 4])
 def test_loose_joints_of_beams_that_bend(floor):
-    """The connection turns besides the beam: their flexibilities add up."""
+    """The connection turns in addition to the beam: their flexibilities add up."""
     effects = [placed("joint_rotation"), placed("joint_release", floor=floor, state="loaded")]
     frame = fe.with_loose_joints(fe.with_turning_joints(building(1), 0.4), 0.7, floor)
     assert_same(modes_with(effects, 0.4, 0.7, 0.0, number=1), sway_modes(frame))
@@ -314,7 +318,7 @@ def test_loose_joints_of_beams_that_bend(floor):
 
 @pytest.mark.parametrize("rho", [0.05, 0.5, 20.0])
 def test_soft_feet(rho):
-    """Exact: springs under the feet of columns whose joints turn, in every test."""
+    """The formula is exact for springs under the feet of columns whose joints turn, in every test."""
     effects = [placed("joint_rotation"), placed("soft_feet")]
     for number in (0, 1):
         frame = fe.with_loose_joints(fe.with_turning_joints(building(number), 0.4), rho, 0)
@@ -322,7 +326,8 @@ def test_soft_feet(rho):
 
 
 def test_a_hinge_at_both_ends_of_a_story():
-    """Columns of one story between hinges leave it three quarters softer each time, and none of it in the end."""
+    """Each hinge at the columns' ends takes three quarters of the remaining stiffness of a story; hinges at all ends
+    leave zero."""
     base = placed("joint_release", floor=0, state="loaded")
     k = composed([base], 1e9, 0.0, number=1).system.K.sum()
     assert k == pytest.approx(STIFFNESS[0] / 4, rel=1e-6)
@@ -330,7 +335,7 @@ def test_a_hinge_at_both_ends_of_a_story():
 
 @pytest.mark.parametrize("soil", [0.5, 3.0, 30.0])
 def test_a_base_on_soft_ground_is_a_mass_attached_to_floor_1(soil):
-    """Exact: a chain of one mass more, below story 1, seen from the floors alone."""
+    """The formula is exact: a chain with one additional mass below story 1, measured at the floors alone."""
     base, below = 5.0, soil * STIFFNESS[0]
     chain = np.concatenate([[below], STIFFNESS])
     T = np.eye(5) - np.eye(5, k=-1)
@@ -340,7 +345,7 @@ def test_a_base_on_soft_ground_is_a_mass_attached_to_floor_1(soil):
     frequency = np.sqrt((STIFFNESS[0] + below) / base) / (2 * np.pi)
     state = composed([placed("attached_mass", floor=1)], (base * part**2, frequency), stiffness=series)
     found, motions = eigh(state.system.K, state.system.M)
-    # The attachment has a millionth of a floor's mass more than its parameter says.
+    # The attached mass in the model exceeds its parameter by a millionth of a floor mass.
     np.testing.assert_allclose(found, squares, rtol=1e-4)
     seen, shown = motions[:4], vectors[1:]
     np.testing.assert_allclose(
@@ -353,9 +358,11 @@ def test_a_base_on_soft_ground_is_a_mass_attached_to_floor_1(soil):
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize("beta", [0.05, 0.4, 0.9])
 def test_bracing(beta, number):
-    """Exact: crossing diagonals beside columns whose joints turn; without turning joints they cannot be told."""
+    """The formula is exact for crossing diagonals and columns whose joints turn. Without joint rotation, braces and
+    columns have the same effect."""
     frame = fe.with_braces(fe.with_turning_joints(building(number), 0.5), beta)
-    # The beams stay those of the unbraced frame: measured by the columns left over they are 1 / (1 - beta) as stiff.
+    # The beams are those of the unbraced frame. Relative to the remaining columns, they are 1 / (1 - beta) times
+    # stiffer.
     effects = [placed("joint_rotation"), placed("bracing")]
     assert_same(modes_with(effects, 0.5 * (1.0 - beta), beta, number=number), sway_modes(frame))
     assert_same(modes_with([placed("bracing")], beta), sway_modes(fe.with_braces(building(), beta)))
@@ -363,7 +370,7 @@ def test_bracing(beta, number):
 
 @pytest.mark.parametrize("change", [-0.6, -0.1, 0.1, 0.6])
 def test_a_braced_story_that_changes(change):
-    """Its braces change first, until they are gone or twice what they were; then its columns."""
+    """The braces of a story change first, until they are lost or doubled; then its columns change."""
     effects = [placed("joint_rotation"), placed("bracing"), placed("story_change", story=2, state="loaded")]
     beta, columns = 0.3, STIFFNESS.copy()
     frame = fe.with_braces(fe.with_turning_joints(building(1), 0.5), beta)
@@ -378,7 +385,7 @@ def test_a_braced_story_that_changes(change):
 
 @pytest.mark.parametrize("beta", [0.3, 0.8])
 def test_chord_drift_of_a_braced_frame(beta):
-    """Diagonals pull at the columns they end at: chord drift adds to the sway of braces and of columns alike."""
+    """Diagonals pull at the ends of columns. Chord drift adds to the sway of braces and columns alike."""
     inverse_EI = 0.9 * SWAY / TOP**3
     braced = fe.with_long_columns(fe.with_braces(building(), beta), inverse_EI)
     model = modes_with([placed("axial_columns"), placed("bracing")], inverse_EI, beta)
@@ -399,10 +406,11 @@ def test_sensor_gain_in_one_state(floor, g):
 @pytest.mark.parametrize("floor", [1, 3, 4])
 @pytest.mark.parametrize(("mass", "tuning"), [(0.05, 0.6), (0.4, 0.98), (2.0, 1.0), (3.0, 2.3)])
 def test_attached_mass(mass, tuning, floor, number):
-    """All five modes of four floors and a mass on a spring, slower than the first, tuned to it, between two modes."""
+    """Compare all five modes of four floors and a mass on a spring: below the first mode, tuned to it, or between two
+    modes."""
     frequency = tuning * sway_modes(building(0)).frequencies[0]
     there = placed("attached_mass", floor=floor)
-    # What the model has more than its parameter says, so that it has modes where that is zero.
+    # The model adds this mass to the parameter, so that modes exist if the parameter is zero.
     more = LEAST_MASS * MASS.mean()
     model = modes_with([there], mass - more, frequency, number=number)
     frame = replace(building(number), attached=((floor, mass, mass * (2 * np.pi * frequency) ** 2),))
@@ -415,7 +423,7 @@ def test_attached_mass(mass, tuning, floor, number):
 
 @pytest.mark.parametrize("tuning", [0.7, 1.4, 6.0])
 def test_loads_that_are_not_fast_to_their_floors(tuning):
-    """All six modes of four floors and two loads on rubber: 3 kg on floor 1 and 5 kg on floor 4."""
+    """Compare all six modes of four floors and two loads on rubber: 3 kg on floor 1 and 5 kg on floor 4."""
     frequency = tuning * sway_modes(building(1)).frequencies[-1]
     model = modes_with([placed("load_mounting")], frequency, number=1)
     loads = {floor: float(load) for floor, load in enumerate(ADDED[1], 1) if load}
@@ -430,14 +438,15 @@ def test_loads_that_are_not_fast_to_their_floors(tuning):
 
 
 def test_loads_on_stiff_mountings_are_fast():
-    """At a thousand times the highest frequency they weigh what they do on the floor, to a part in a million."""
+    """A load whose mounting has a thousand times the highest frequency acts as a fixed mass, to a part in a million."""
     fe = sway_modes(building(1))
     model = modes_with([placed("load_mounting")], 1000 * fe.frequencies[-1], number=1)
     np.testing.assert_allclose(model.frequencies[:4], fe.frequencies, rtol=1e-6)
 
 
 def test_a_neighbor_on_the_ground_is_an_attached_mass_and_a_spring_to_the_ground():
-    """Mass m, spring k to the ground, tie t: t k / (t + k) to the ground, m (t / (t + k))^2 on t^2 / (t + k)."""
+    """A neighbor (mass m, ground spring k, tie t) equals a ground spring t k / (t + k) and a mass m (t / (t + k))^2 on
+    a spring t^2 / (t + k)."""
     floor, mass, ground, tie = 3, 1.3, 900.0, 400.0
     M, K = np.diag([*MASS, mass]), np.zeros((5, 5))
     K[:4, :4] = composed([]).system.K
@@ -456,7 +465,7 @@ def test_a_neighbor_on_the_ground_is_an_attached_mass_and_a_spring_to_the_ground
 
 
 def test_modes_are_numbered_without_the_attached_mass():
-    """Its own mode is left out, wherever among the others it lies; of a pair that share it, what was not measured."""
+    """The attached mass's own mode is not numbered. If two modes share its motion, the unmeasured one is left out."""
     plain = sway_modes(building(0)).frequencies
     for tuning, own in ((0.5, 0), (1.7, 1), (5.0, 4)):
         there = placed("attached_mass", floor=4)
@@ -474,7 +483,7 @@ def test_modes_are_numbered_without_the_attached_mass():
 
 
 def replace_frequencies(measured):
-    """A test of the frame in which these frequencies were found."""
+    """Return a test of the frame with these measured frequencies."""
     return replace(
         experiment().configurations[0],
         frequencies=np.array(measured),
@@ -484,7 +493,8 @@ def replace_frequencies(measured):
 
 
 def test_many_effects_at_once():
-    """Exact in any company: a rocking frame of bending beams under weight on props, sprung, loaded and damaged."""
+    """The formulas are exact together: a rocking frame with flexible beams, weight on props, a spring, a load and
+    damage."""
     effects = [
         placed("joint_rotation"),
         placed("base_rocking"),
@@ -511,13 +521,13 @@ def test_chord_drift_on_a_rocking_base():
 
 @pytest.mark.parametrize("gamma", [1.0, 1.2])
 def test_weight_of_heavy_columns(gamma):
-    """How the columns' mass is spread over their length does not change what they and the floors weigh."""
+    """Floors and columns weigh the same, whatever the distribution of the column mass over its length."""
     frame = fe.with_gravity(fe.with_heavy_columns(building(1), 1.5), gamma)
     assert_same(modes_with([placed("gravity"), placed("mass_coupling")], gamma, 1.5, number=1), sway_modes(frame))
 
 
 def test_total_mass_and_sway_stiffness_by_statics():
-    """Rigid translation of all floors meets only story 1; the mass that resists it is that of all floors."""
+    """A rigid translation of all floors deforms story 1 only; its mass is the sum of all floor masses."""
     state = composed([])
     together = np.ones(4)
     assert together @ state.system.K @ together == pytest.approx(STIFFNESS[0], rel=ROUNDING)

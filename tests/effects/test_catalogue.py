@@ -1,4 +1,4 @@
-"""What the catalogue says of its effects: where they sit, what they need, when they vanish, in which order they act."""
+"""Test the catalogue's facts about each effect: its places, its required data, its null value and its order."""
 
 import dataclasses
 import math
@@ -35,15 +35,15 @@ ACTING = [
     "soft_feet",
 ]
 BESIDE_OTHERS = ["bracing"]
-"""What changes a matrix only beside another effect."""
+"""Effects that change a matrix only together with another effect."""
 WITH_A_MOTION = ["attached_mass", "load_mounting"]
-"""What has motions of its own."""
+"""Effects that add motions."""
 OF_FLOORS = ["floor_mass"]
-"""What needs masses that are declared floor by floor."""
+"""Effects that need declared floor masses."""
 OF_STATEMENTS = ["total_mass", "wrong_prior", "wrong_exact_prior"]
-"""What changes a statement about the frame, and no matrix."""
+"""Effects that change a statement about the frame, and no matrix."""
 OF_FORCES = ["shape_scale", "force_scale"]
-"""What needs mass-normalized shapes, or a static test."""
+"""Effects that need mass-normalized shapes or a static test."""
 ALL = [*ACTING, *BESIDE_OTHERS, *WITH_A_MOTION, *OF_FLOORS, *OF_STATEMENTS, *OF_FORCES]
 UNITS = {
     "gravity": [("gamma", "")],
@@ -82,7 +82,7 @@ FOUR = [1, 2, 3, 4]
 
 
 def shear_stiffness(k):
-    """Assembled story by story."""
+    """Assemble the stiffness matrix story by story."""
     K = np.zeros((len(k), len(k)))
     for story, value in enumerate(k):
         K[story, story] += value
@@ -155,7 +155,7 @@ def test_an_attached_mass_is_tuned_to_a_mode_within_a_factor():
 
 @pytest.mark.parametrize("name", sorted({*ACTING, *BESIDE_OTHERS} - {"gravity"}))
 def test_a_frame_has_modes_at_the_ends_of_what_an_effect_may_be(name):
-    """Between them it is a model; the ends that a fit may come to are one, too."""
+    """The frame has modes at the bounds of each parameter that a fit may reach."""
     (there, _) = CASES[name]
     for end in ("lower", "upper"):
         values = tuple(getattr(item, end) for item in there.effect.parameters)
@@ -223,7 +223,7 @@ def test_no_gain_where_there_is_no_sensor():
 
 
 def test_a_gain_in_one_state_where_other_states_tell():
-    """With shapes in one state alone it is the gain in every test."""
+    """If only one state has shapes, a gain in this state is the same as a gain in every test."""
     declared = experiment().to_dict()
     declared["configuration"][0] = {"name": "plain", "frequencies": [2.0]}
     places = one("sensor_gain").places(Experiment.from_dict(declared))
@@ -254,14 +254,15 @@ def test_several_states_where_they_are_needed(name):
 
 @pytest.mark.parametrize("name", ACTING)
 def test_heights_where_they_are_needed(name):
-    """Weight needs them in metres; what needs only their ratios takes them as equal, and says so."""
+    """Gravity needs heights in meters. Effects that need only height ratios assume equal heights and state this
+    assumption."""
     assert one(name).lacks(experiment(heights=False)) == ("story_heights" if name == "gravity" else "")
     assert one(name).uses_heights == (name in RATIOS_OF_HEIGHTS)
 
 
 @pytest.mark.parametrize("name", sorted(set(ACTING) - {"gravity", *RATIOS_OF_HEIGHTS}))
 def test_what_needs_no_heights_does_without(name):
-    """The same matrices whether or not heights are declared."""
+    """Declared heights do not change the matrices of effects without heights."""
     effect, value = CASES[name]
     both = experiment(), experiment(heights=False)
     states = [compose(tested, tested.configurations[1], [effect], theta(value)) for tested in both]
@@ -295,11 +296,11 @@ def test_the_order_in_which_effects_are_named_does_not_matter(number):
 
 
 def test_flexibilities_add_up():
-    """In series: those of frame, chord and base are summed."""
+    """Flexibilities in series add up: those from the frame, the chord drift and the base."""
     (bending, p), (rocking, q) = CASES["axial_columns"], CASES["base_rocking"]
     z = np.cumsum(HEIGHTS)
-    # A cantilever's sway, int (a - s)(b - s) ds / EI, less what the moments' slope within each story adds, h^3 / 12:
-    # that is the columns' own bending, which the story stiffnesses have.
+    # A cantilever's sway, int (a - s)(b - s) ds / EI, minus h^3 / 12 for the moment's slope within each story. This
+    # part is the columns' own bending, which the story stiffnesses include.
     bent = [[min(a, b) ** 2 * max(a, b) / 2 - min(a, b) ** 3 / 6 for a in z] for b in z]
     within = [[np.sum(HEIGHTS[: min(a, b) + 1] ** 3) / 12 for a in range(4)] for b in range(4)]
     chord = np.array(bent) - np.array(within)
@@ -309,14 +310,15 @@ def test_flexibilities_add_up():
 
 
 def test_a_flexibility_that_leaves_no_stiffness_is_no_model():
-    """A trial far outside may be singular to the last digit; a search leaves it out like one that buckles."""
+    """A trial point far from the solution may give a singular matrix. The search rejects it like a frame that
+    buckles."""
     plain = composed([placed("ground_spring", floor=4)], 0.0)
     with pytest.raises(NoModesError, match="singular with the flexibility"):
         plain.with_stiffness(np.eye(4), np.zeros((9, 4, 4))).with_flexibility(-1.0, np.eye(4), slice(8, 9))
 
 
 def test_gravity_weighs_what_is_declared_and_what_is_not():
-    """P_i counts floors, declared added mass and the mass that the declaration misses, floor i's own included."""
+    """The load P_i sums the floors from i up, their declared added mass and the undeclared mass."""
     effects = [placed("gravity"), placed("added_mass", floor=3, state="loaded")]
     state = composed(effects, 1.0, 2.0, number=1)
     mass = MASS + ADDED[1] + np.array([0.0, 0.0, 2.0, 0.0])
@@ -325,7 +327,7 @@ def test_gravity_weighs_what_is_declared_and_what_is_not():
 
 
 class Damper(Effect):
-    """A tuned mass that is locked to the top floor: two parameters, at no place."""
+    """A tuned mass that is locked to the top floor. It has two parameters and no place."""
 
     name = "locked_damper"
     summary = "A damper on the roof is locked."
@@ -349,7 +351,7 @@ class Damper(Effect):
 
 @pytest.fixture
 def own_catalogue(monkeypatch):
-    """A catalogue to add to, forgotten after the test."""
+    """Provide a catalogue to which a test can add effects; restore the original afterwards."""
     monkeypatch.setattr(registry_module, "_catalogue", dict(registry_module._catalogue))
 
 
@@ -409,7 +411,8 @@ def test_bounds_are_numbers():
 
 
 def test_undeclared_heights_are_ones_and_change_the_unit():
-    """A frame of equal stories is the same with heights in metres and counted in stories, its parameter h^3 larger."""
+    """With equal stories, heights in meters and heights counted in stories give the same frame; the parameter scales
+    with h^3."""
     tall = Experiment.from_dict(
         {**experiment().to_dict(), "frame": {**experiment().frame.to_dict(), "story_heights": [0.4] * 4}}
     )
@@ -441,7 +444,7 @@ def test_total_mass_is_looked_for_where_it_is_declared_exact_and_could_be_told()
 
 @pytest.mark.parametrize("quantity", ["floor_mass", "story_stiffness"])
 def test_a_released_statement_is_off_by_its_parameter(quantity):
-    """x2 = 0.9 x1 + e holds, and x2 = 0.9 x1 does not."""
+    """If the statement x2 = 0.9 x1 is released, x2 = 0.9 x1 + e holds instead."""
     ratio = {"kind": "ratio", "quantity": quantity, "of": 2, "to": 1, "value": 0.9}
     declared = {"frame": {"stories": 2, "total_mass": 8.0}, "configuration": [{"frequencies": [1.0]}], "prior": [ratio]}
     tested = Experiment.from_dict(declared)
@@ -461,7 +464,7 @@ def test_an_effect_brings_its_own_size_and_probability():
     other = gain.expecting(size=0.02, probability=0.3)
     assert (gain.probability, gain.expected_sizes(scale)[0]) == (0.1, 0.05)
     assert (other.probability, other.expected_sizes(scale)[0]) == (0.3, 0.02)
-    # The size is that of the first parameter; where all have one common size it is that of each.
+    # The size belongs to the first parameter, or to each parameter if all share one size.
     np.testing.assert_array_equal(one("attached_mass").expecting(size=0.5).expected_sizes(scale), [0.5, np.inf])
     gains = next(each for each in open_classes() if each.name == "other_gains")
     gains = gains.having(Parameter(f"g{floor}", "") for floor in FOUR).expecting(size=0.04)
@@ -471,7 +474,8 @@ def test_an_effect_brings_its_own_size_and_probability():
 
 
 def test_the_probability_of_an_effect_is_that_of_being_anywhere():
-    """None anywhere has the probability of none at each place; a tank is on the roof in every second frame with one."""
+    """The probability that an effect is absent everywhere is the product over its places. Half of all tanks are on the
+    roof."""
     of = experiment(configurations=1)
     for name, floors in (("ground_spring", [2, 3, 4]), ("attached_mass", [1, 2, 3, 4])):
         found = hypotheses(of, [one(name)])
@@ -531,7 +535,7 @@ SAID = [
         'a mass of 1.50 ± 0.10 kg swings on floor 4 at 6.00 ± 0.20 Hz of its own in "after"',
     ),
     ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
-    # One hinged end of two columns: the stiffness 1 - (rho / 4) / (1 + 2 rho / 3) of each.
+    # If one end of two columns is hinged, each has the stiffness 1 - (rho / 4) / (1 + 2 rho / 3).
     (
         "joint_release", {"floor": 2, "state": "after"}, (0.6, 0.0), (0.1, 0.0),
         'the joints of floor 2 are loose in "after", which costs stories 2 and 3 about 10.7 ± 1.3 % of their stiffness',
@@ -566,7 +570,8 @@ def test_every_effect_is_said_in_words():
 
 
 def test_an_attached_mass_is_looked_for_about_the_measured_frequencies():
-    """And vanishes, but for a motion that no sensor shows, where it has no mass."""
+    """Start values surround the measured frequencies. Zero mass removes the effect, apart from a motion that no sensor
+    measures."""
     tested = experiment()
     (effect,) = named(["attached_mass"])
     mass, frequency = effect.bound(tested).parameters
@@ -590,7 +595,8 @@ def test_the_words_of_an_effect_of_ones_own():
 
 
 def test_a_loose_joint_costs_what_it_says():
-    """The stiffness of a story between fixed neighbors, in a frame of equal stories."""
+    """A loose joint reduces the stiffness of a story between fixed neighbors by the stated part, in a frame of equal
+    stories."""
     tested = experiment(heights=False)
     k = np.full(4, 2e4)
     for floor, story in ((0, 1), (2, 2), (2, 3), (4, 4)):
@@ -604,7 +610,8 @@ def test_a_loose_joint_costs_what_it_says():
 
 
 def test_joints_of_a_frame_without_columns_cannot_soften():
-    """All of the stiffness may be braces' on the way of a fit: that is outside the model, and no division by zero."""
+    """A fit may pass through a frame whose stiffness is all in the braces. The model must reject it without a division
+    by zero."""
     of = Experiment.from_dict(
         {
             "frame": {"total_mass": 2.0},
@@ -626,7 +633,8 @@ OPEN_ENTRIES = {
 
 
 def test_an_entry_of_an_open_class_is_the_cause_that_it_names():
-    """The same matrices and readings; what no cause stands for says so."""
+    """An entry of an open class changes matrices and readings like the effect that it names. Other entries name no
+    effect."""
     mass, stiffness = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
     tests = [configuration(mass, stiffness, name=name) for name in "ab"]
     of = Experiment.from_dict(declared(mass, stiffness, *tests, frame={"story_heights": 3.0, "total_mass": 24.0}))

@@ -1,4 +1,4 @@
-"""Derivatives by every parameter against central differences, one effect at a time and all of them together."""
+"""Compare derivatives by every parameter with central differences, for each effect alone and for all together."""
 
 import numpy as np
 import pytest
@@ -46,9 +46,10 @@ SCALES = {
     "joint_release": 1.0,
     "bracing": 1.0,
 }
-"""What a change of one means little to, so that steps are taken in parts of it."""
+"""Scale of each parameter: a small change. The step is a fraction of it."""
 STEP = 1e-4
-"""Of each scale. Central differences then err by some 1e-8 of the matrices' curvature and 1e-12 of rounding."""
+"""Step of the central differences, relative to the scale. Their error is about 1e-8 of the matrices' curvature plus
+1e-12 from rounding."""
 CLOSE = 1e-6
 
 SECOND_PLACES = [
@@ -63,7 +64,7 @@ SECOND_PLACES = [
 
 
 def flat(cases):
-    """The parameters' values of several effects, and their scales."""
+    """Return the parameter values of several effects, and their scales."""
     values = [np.atleast_1d(value) for _, value in cases]
     scales = [np.full(len(each), SCALES[there.effect.name]) for (there, _), each in zip(cases, values, strict=True)]
     return np.concatenate(values), np.concatenate(scales)
@@ -79,7 +80,8 @@ def quantities(effects, values, number):
 
 
 def assert_derivatives(effects, own, number, scales):
-    """Each analytic derivative times its scale equals the difference quotient, compared on the matrix's own scale."""
+    """Assert that each analytic derivative times its scale equals the difference quotient, relative to the matrix's
+    size."""
     at = theta(*own)
     steps = STEP * np.concatenate([MASS, STIFFNESS, scales])
     plain, derivatives = quantities(effects, at, number)
@@ -112,7 +114,7 @@ def test_all_effects_together(number):
 
 @pytest.mark.parametrize("number", range(len(NAMES)))
 def test_effects_more_than_once(number):
-    """Two gains at one floor, two changes of one story: products, whose derivatives are easily lost."""
+    """Two gains at one floor, or two changes of one story, multiply. Their derivatives need the product rule."""
     cases = [*CASES.values(), *SECOND_PLACES]
     own, scales = flat(cases)
     assert_derivatives([effect for effect, _ in cases], own, number, scales)
@@ -120,7 +122,7 @@ def test_effects_more_than_once(number):
 
 @pytest.mark.parametrize("name", CASES)
 def test_at_the_null_value(name):
-    """Where a bounded fit comes to rest; the formulas hold on either side of it."""
+    """Bounded fits end at the null value. The formulas hold on both sides of it."""
     effect, _ = CASES[name]
     nulls = [item.null for item in effect.effect.parameters]
     assert_derivatives([effect], nulls, 1, [SCALES[name]] * len(nulls))
@@ -129,7 +131,8 @@ def test_at_the_null_value(name):
 @pytest.mark.parametrize(("mass", "frequency"), [(0.0, 2.0), (0.7, 3.1), (0.7, 12.0)])
 @pytest.mark.parametrize("number", range(len(NAMES)))
 def test_an_attached_mass(mass, frequency, number):
-    """Two parameters and a motion of its own, alone and with everything else, a second attachment among them."""
+    """An attached mass has two parameters and its own motion. Test it alone and with all other effects, including a
+    second one."""
     there = placed("attached_mass", floor=3)
     assert_derivatives([there], [mass, frequency], number, [1.0, 1.0])
     more = placed("attached_mass", floor=1)
@@ -142,7 +145,8 @@ def test_an_attached_mass(mass, frequency, number):
 @pytest.mark.parametrize("frequency", [3.1, 25.0])
 @pytest.mark.parametrize("number", range(len(NAMES)))
 def test_loads_on_mountings(frequency, number):
-    """One parameter and as many motions as there are loads, alone and with everything else."""
+    """The load mounting has one parameter, and one additional motion per load. Test it alone and with all other
+    effects."""
     there = placed("load_mounting")
     assert_derivatives([there], [frequency], number, [1.0])
     effects = [effect for effect, _ in CASES.values()]
@@ -152,7 +156,7 @@ def test_loads_on_mountings(frequency, number):
 
 @pytest.mark.parametrize("with_others", [False, True])
 def test_beams_of_each_floor_by_themselves(with_others):
-    """The class alone does nothing: it stands beside joints that turn."""
+    """This class changes a matrix only together with joint rotation."""
     (effect,) = (each.bound(experiment()) for each in open_classes() if each.name == "other_beams")
     cases = list(CASES.values()) if with_others else [CASES["joint_rotation"]]
     own, scales = flat(cases)
@@ -169,7 +173,8 @@ def test_derivatives_are_symmetric():
 
 
 def test_every_effect_of_the_catalogue_is_tested():
-    """Statements about masses and priors change no matrix; forces are in `tests/loop/test_open_classes.py`."""
+    """Every effect is tested, except statements about masses and priors, which change no matrix.
+    `tests/loop/test_open_classes.py` tests the forces."""
     elsewhere = {
         "attached_mass", "load_mounting", "total_mass", "wrong_prior", "wrong_exact_prior", "shape_scale", "force_scale"
     }  # fmt: skip

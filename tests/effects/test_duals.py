@@ -1,4 +1,5 @@
-"""Frequencies alone cannot tell a chain from its dual: stories 1 / m from the top down, floors 1 / k likewise."""
+"""Frequencies alone cannot distinguish a chain from its dual: stories 1 / m from the top down, floors 1 / k
+likewise."""
 
 import numpy as np
 import pytest
@@ -10,11 +11,11 @@ from cvxshear.measurement.experiment import Experiment
 
 STORIES = 4
 CHANGE = -0.2
-"""Of a stiffness; the dual's mass changes by -0.2 / 0.8 of itself, downwards a quarter up."""
+"""Relative change of a stiffness. The dual's mass changes by 0.2 / 0.8, a quarter."""
 
 
 def bare(name="after"):
-    """Two states without any added mass."""
+    """Return two states without any added mass."""
     tests = [{"name": state, "frequencies": [1.0]} for state in ("before", name)]
     return Experiment.from_dict({"frame": {"stories": STORIES, "total_mass": 4.0}, "configuration": tests})
 
@@ -39,7 +40,7 @@ def test_the_dual_has_the_same_frequencies(effect, place):
     np.testing.assert_allclose(eigenvalues(dual_mass, dual_stiffness), eigenvalues(mass, stiffness), rtol=1e-12)
     name, there = effect.dual(place, STORIES)
     (other,) = named([name])
-    # The factor f on a stiffness is 1 / f on the mass of the dual, and the other way round.
+    # A factor f on a stiffness is a factor 1 / f on a mass of the dual, and conversely.
     factor, inverse = 1.0 + CHANGE, 1.0 / (1.0 + CHANGE) - 1.0
 
     def own(placed, floors, change):

@@ -1,4 +1,4 @@
-"""The forward model: the frame's matrices, its modes, and their derivatives."""
+"""Test the forward model: the frame's matrices, its modes, and their derivatives."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,8 @@ def random_frame(rng, stories):
 
 @pytest.mark.parametrize("stories", [1, 2, 5, 9])
 def test_stiffness_is_tridiagonal_and_in_equilibrium(stories):
-    """Moving one floor meets its own two stories, pulls at the neighbours, and leaves the rest alone."""
+    """A displaced floor deforms its two adjacent stories, pulls at the neighboring floors, and does not load the
+    others."""
     _, k = random_frame(np.random.default_rng(stories), stories)
     K = stiffness_matrix(k)
     for floor in range(stories):
@@ -48,7 +49,7 @@ def test_mass_matrix():
 
 
 def test_frequencies_of_the_papers_three_story_frame():
-    """Its section 5, to the four decimals printed."""
+    """Compare with section 5 of the paper, to its four printed decimals."""
     found = modes(mass_matrix(MASS), stiffness_matrix(STIFFNESS))
     np.testing.assert_allclose(found.frequencies, [1.0336, 2.2099, 3.2812], rtol=0, atol=5e-5)
 
@@ -102,7 +103,7 @@ def test_a_mass_matrix_that_is_not_positive_is_refused(least):
 
 
 def test_shear_system_is_linear_in_its_parameters():
-    """So that the derivatives, times the parameters, add up to the matrices."""
+    """The derivatives times the parameters add up to the matrices."""
     system = shear_system(MASS, STIFFNESS)
     every = np.concatenate([MASS, STIFFNESS])
     np.testing.assert_allclose(np.einsum("p,pij->ij", every, system.dM), system.M, rtol=1e-14)
@@ -117,7 +118,7 @@ def test_shear_system_is_linear_in_its_parameters():
 
 
 def full_system(rng, stories, parameters):
-    """Matrices with couplings everywhere, linear in some parameters."""
+    """Return full matrices, linear in some parameters."""
 
     def symmetric(scale):
         A = rng.standard_normal((parameters, stories, stories))
@@ -129,7 +130,7 @@ def full_system(rng, stories, parameters):
 
 @pytest.mark.parametrize("which", [slice(None), slice(0, 2), [0, 3], np.array([1, 2, 4])])
 def test_derivatives_of_modes(which):
-    """Against central differences of the eigenproblem, whose error at this step is some 1e-7 of the values."""
+    """Compare with central differences of the eigenproblem. Their error at this step is about 1e-7 of the values."""
     system = full_system(np.random.default_rng(11), 5, 4)
     at = modes(system.M, system.K)
     dlam, dphi = mode_derivatives(at, system, which)
@@ -146,7 +147,8 @@ def test_derivatives_of_modes(which):
 
 
 def test_derivatives_of_frequencies_scale_as_they_must():
-    """Twice all masses or all stiffnesses: sum m dlam/dm = -lambda, sum k dlam/dk = lambda; shapes by masses only."""
+    """Scaling all masses or all stiffnesses gives sum m dlam/dm = -lambda and sum k dlam/dk = lambda; shapes scale with
+    the masses only."""
     system = shear_system(MASS, STIFFNESS)
     at = modes(system.M, system.K)
     dlam, dphi = mode_derivatives(at, system, slice(None))

@@ -1,4 +1,4 @@
-"""Effects of one's own are checked when they come in: each fault by itself, in a sentence that names it."""
+"""A custom effect is checked when it is added. Each fault is tested by itself and must be named in one sentence."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from cvxshear.util.errors import InputError
 
 
 class Cable(Effect):
-    """A cable from the top to the ground and a mass there: what is wrong in each test is changed in a subclass."""
+    """A cable from the top to the ground, with a mass at the top. Each test spoils one method in a subclass."""
 
     name = "cable"
     summary = "A cable holds the top."
@@ -36,12 +36,12 @@ class Cable(Effect):
 
 
 def changed(state, **arrays):
-    """The state of a sound cable with other matrices."""
+    """Return the state of a sound cable with other matrices."""
     return dataclasses.replace(state, system=dataclasses.replace(state.system, **arrays))
 
 
 def after(change):
-    """An `apply` that spoils the result of the sound one."""
+    """Return an `apply` that spoils the result of the sound one."""
 
     def apply(self, state, place, values, own):
         return change(Cable.apply(self, state, place, values, own), values, own)
@@ -56,7 +56,7 @@ def twice(state, values, own):
 
 
 def by_masses(state, values, own):
-    """Something that depends on a floor mass, and whose derivative does not."""
+    """Depend on a floor mass, but return a derivative that does not."""
     K = state.system.K.copy()
     K[0, 0] += values[0] * state.floor_mass[0]
     dK = state.system.dK.copy()
@@ -147,7 +147,7 @@ def test_the_first_thing_that_is_wrong_is_said(fault):
 
 
 def complaint(*of):
-    """What is said against an effect; empty where nothing is."""
+    """Return the complaint about an effect; the text is empty if there is no complaint."""
     try:
         refuse_faulty(*of)
     except InputError as error:
@@ -198,7 +198,7 @@ def test_a_faulty_effect_is_not_registered():
 
 
 def test_what_an_experiment_lacks_is_not_tried():
-    """An effect of which the experiment lacks something does nothing there, right or wrong."""
+    """An effect is not checked if the experiment lacks data that the effect needs."""
     alone = Experiment.from_dict(
         {"frame": {"total_mass": 1.0, "stories": 1}, "configuration": [{"frequencies": [1.0]}]}
     )

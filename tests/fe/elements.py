@@ -1,7 +1,7 @@
-"""Matrices of a plane beam-column, integrated numerically from its shape functions.
+"""Compute the matrices of a plane beam-column by numerical integration of its shape functions.
 
-Nothing here is written down from a table: the Hermite cubics are found from their end conditions and every
-matrix is a Gauss-Legendre sum of their derivatives, so that a coefficient such as 6/5 is a result.
+No coefficient is copied from a table. The Hermite cubics follow from their end conditions, and every matrix is a
+Gauss-Legendre sum of their derivatives. A coefficient such as 6/5 is therefore a result.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 ACROSS = [1, 2, 4, 5]
-"""Of the six end displacements (along, across, turn at either end) those that bend the element."""
+"""End displacements that bend the element, among the six (along, across, turn at either end)."""
 ALONG = [0, 3]
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
-"""Exact to degree 9; the mass of a cubic has degree 6."""
+"""Points and weights of a quadrature that is exact to degree 9; the mass of a cubic has degree 6."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A member's cross section, its material included.
+    """A member's cross section, including its material.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Section:
 
 
 def hermite(length: float) -> tuple[Polynomial, ...]:
-    """The four cubics on [0, length] of unit displacement or slope at one end and none of the other three."""
+    """Return the four cubics on [0, length] with unit displacement or slope at one end and zero in the other three."""
     ends = []
     for x in (0.0, length):
         ends.append([x**power for power in range(4)])
@@ -53,7 +53,7 @@ def hermite(length: float) -> tuple[Polynomial, ...]:
 
 @cache
 def integral(family: Callable[[float], tuple[Polynomial, ...]], order: int, length: float) -> Floats:
-    """The integrals over the element of all products of the derivatives of this order of a family of shapes."""
+    """Integrate over the element all products of the derivatives of this order of a family of shapes."""
     shapes = family(length)
     x = 0.5 * length * (POINTS + 1.0)
     values = np.array([shape.deriv(order)(x) if order else shape(x) for shape in shapes])
@@ -61,7 +61,7 @@ def integral(family: Callable[[float], tuple[Polynomial, ...]], order: int, leng
 
 
 def stiffness(section: Section, length: float) -> Floats:
-    """Elastic stiffness in the element's own axes, shape (6, 6)."""
+    """Return the elastic stiffness in the element's own axes, shape (6, 6)."""
     K = np.zeros((6, 6))
     K[np.ix_(ACROSS, ACROSS)] = section.bending * integral(hermite, 2, length)
     K[np.ix_(ALONG, ALONG)] = section.axial * integral(linear, 1, length)
@@ -69,7 +69,7 @@ def stiffness(section: Section, length: float) -> Floats:
 
 
 def consistent_mass(section: Section, length: float) -> Floats:
-    """Consistent mass in the element's own axes, shape (6, 6)."""
+    """Return the consistent mass in the element's own axes, shape (6, 6)."""
     M = np.zeros((6, 6))
     M[np.ix_(ACROSS, ACROSS)] = section.line_mass * integral(hermite, 0, length)
     M[np.ix_(ALONG, ALONG)] = section.line_mass * integral(linear, 0, length)
@@ -77,19 +77,20 @@ def consistent_mass(section: Section, length: float) -> Floats:
 
 
 def geometric_stiffness(compression: float, length: float) -> Floats:
-    """What a compressive force, N, takes from the stiffness as the cubic leans and bends, shape (6, 6)."""
+    """Return the stiffness lost by a compressive force, N, if the cubic leans and bends, shape (6, 6)."""
     K = np.zeros((6, 6))
     K[np.ix_(ACROSS, ACROSS)] = -compression * integral(hermite, 1, length)
     return K
 
 
 def linear(length: float) -> tuple[Polynomial, ...]:
-    """The two straight lines on [0, length], one at one end and zero at the other."""
+    """Return the two straight lines on [0, length], one at one end and zero at the other."""
     return Polynomial([1.0, -1.0 / length]), Polynomial([0.0, 1.0 / length])
 
 
 def own_axes(run: float, rise: float) -> Floats:
-    """From (ux, uy, turn) at both ends to (along, across, turn), shape (6, 6); run and rise point to the far end."""
+    """Return the matrix from (ux, uy, turn) at both ends to (along, across, turn), shape (6, 6); run and rise point to
+    the far end."""
     length = np.hypot(run, rise)
     cos, sin = run / length, rise / length
     one_end = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])

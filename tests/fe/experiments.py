@@ -1,4 +1,4 @@
-"""Measurements of finite-element frames, with noise, in the shape of a measurement file."""
+"""Simulate measurements of finite-element frames, with noise, in the form of a measurement file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FREQUENCY_STD = 0.001
 MODE_SHAPE_STD = 0.01
 GRAVITY = 9.81
 HEIGHT = 0.39
-"""m, of every story; the order of a laboratory frame, as are the masses and stiffnesses drawn below."""
+"""Height of every story, m. It is typical for a laboratory frame, like the masses and stiffnesses drawn below."""
 
 AT_FLOOR = ("ground_spring", "added_mass", "sensor_gain", "joint_release")
 AT_TWO_FLOORS = ("spring",)
@@ -43,7 +43,7 @@ def simulated(
     declare_heights: bool = True,
     declare_total_mass: bool = True,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame that has one effect, or none, which the shear model lacks.
+    """Test a frame with one effect that the shear model lacks, or without an effect.
 
     Parameters
     ----------
@@ -51,18 +51,18 @@ def simulated(
         A name of the catalogue.
     stories, configurations : int
     rng : numpy.random.Generator
-        Draws floor masses, story stiffnesses, the effect's place where none is given, and the noise, in this order.
+        Draws floor masses, story stiffnesses, the effect's place if not given, and the noise, in this order.
     size : float, optional
         The effect's parameter in the catalogue's unit; see `practical_size` for the default.
     floor, story, configuration : int, optional
-        Where it sits, counted from 1.
+        Place of the effect, counted from 1.
     added_mass : array_like, shape (configurations, stories), optional
         kg; by default nothing in configuration 1 and 6 kg on one floor in each other, from the top down.
     noise : float, optional
-        Times the declared standard deviations: 0.1 % of each frequency, 1 % of each mode's largest entry.
+        Factor on the declared standard deviations: 0.1 % of each frequency, 1 % of each mode's largest entry.
     measured_floors : sequence of int, optional
     modes : int, optional
-        How many, from the lowest.
+        Number of modes, from the lowest.
     declare_heights, declare_total_mass : bool, optional
 
     Returns
@@ -71,8 +71,8 @@ def simulated(
         For `cvxshear.Experiment.from_dict`.
     truth : dict
         `floor_mass`, `story_stiffness`, `effect`, `floor`, `to`, `story`, `configuration` (its name), `size`, and
-        one entry a configuration of `frequencies` and `mode_shapes` (all modes, all floors, no noise; as the
-        sensors would show them).
+        `frequencies` and `mode_shapes` with one entry per configuration (all modes, all floors, no noise; with the
+        sensors' gains).
     """
     frame = _drawn(stories, rng)
     floor_mass = frame.floor_mass
@@ -116,9 +116,9 @@ def simulated_pair(
     rng: np.random.Generator,
     added_mass: Sequence[Sequence[float]] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame that has several effects of practical size, at places drawn one after the other.
+    """Test a frame that has several effects of practical size, with places drawn in sequence.
 
-    Parameters and results are those of `simulated`; of the truth only what does not speak of one effect alone.
+    Parameters and results are those of `simulated`; the truth leaves out the keys for a single effect.
     """
     frame = _drawn(stories, rng)
     added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
@@ -167,7 +167,7 @@ def simulated_as_drawn(
     measured_floors: Sequence[int] | None = None,
     modes: int | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame of which everything was drawn elsewhere: masses, stiffnesses, effects with their sizes, the noise.
+    """Test a frame with given masses, stiffnesses, effects and noise.
 
     Parameters
     ----------
@@ -181,15 +181,15 @@ def simulated_as_drawn(
         Standard deviations of frequencies and of shapes.
     noise_declared : bool, optional
     total_mass_error : float, optional
-        sum of m = declared total (1 + this).
+        Relative error: sum of m = declared total (1 + this).
     measured_floors : sequence of int, optional
     modes : int, optional
-        How many, from the lowest.
+        Number of modes, from the lowest.
 
     Raises
     ------
     ValueError
-        Where such a frame does not stand.
+        If the frame is unstable.
     """
     stories = len(floor_mass)
     frame = Building(np.full(stories, HEIGHT), story_stiffness, floor_mass)
@@ -225,14 +225,14 @@ def simulated_as_drawn(
 
 
 def placed_at_random(effect: str, stories: int, configurations: int, rng: np.random.Generator) -> dict[str, int | None]:
-    """Where an effect sits: anywhere it can be."""
+    """Draw a possible place of an effect."""
     return _placed(effect, stories, configurations, rng, floor=None, story=None, configuration=None)
 
 
 def simulated_attachment(
     *, stories: int, configurations: int, rng: np.random.Generator, floor: int, part: float, tuning: float
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame that carries a mass on a spring, whose own mode nobody measured.
+    """Test a frame that carries a mass on a spring, whose own mode is not measured.
 
     Parameters
     ----------
@@ -240,14 +240,14 @@ def simulated_attachment(
     rng : numpy.random.Generator
     floor : int
     part : float
-        The mass, in parts of all floors' masses.
+        The mass, relative to the mass of all floors.
     tuning : float
-        Its frequency on a floor that stands still, in parts of the first of the frame without it.
+        Its frequency on a fixed floor, relative to the first frequency of the frame without it.
 
     Returns
     -------
     experiment, truth : dict
-        As of `simulated`; of the truth `floor_mass`, `story_stiffness`, `mass`, `frequency`.
+        See `simulated`; the truth has `floor_mass`, `story_stiffness`, `mass`, `frequency`.
     """
     frame = _drawn(stories, rng)
     mass, frequency = part * frame.floor_mass.sum(), tuning * sway_modes(frame).frequencies[0]
@@ -266,13 +266,13 @@ def simulated_attachment(
 
 
 def _drawn(stories: int, rng: np.random.Generator) -> Building:
-    """A laboratory frame: masses drawn first, then stiffnesses that fall with the height."""
+    """Draw a laboratory frame: masses first, then stiffnesses that decrease with height."""
     floor_mass = rng.uniform(9.0, 13.0, stories)
     return Building(np.full(stories, HEIGHT), np.sort(rng.uniform(20e3, 28e3, stories))[::-1], floor_mass)
 
 
 def _all_tested(frame: Building, added: Floats, there: Sequence[Put]) -> list[SwayModes]:
-    """What the sensors show of each configuration, with the effects that are in it."""
+    """Return the sensors' modes of each configuration, with the effects that act in it."""
     return [
         _tested(frame, extra, [item for item in there if item[2]["configuration"] in (None, number)])
         for number, extra in enumerate(added, 1)
@@ -280,7 +280,7 @@ def _all_tested(frame: Building, added: Floats, there: Sequence[Put]) -> list[Sw
 
 
 def _put(name: str, where: dict[str, int | None]) -> tuple[str, int | None, int | None, int | None, str | None]:
-    """An effect and its place, the configuration by name."""
+    """Return an effect and its place, with the configuration by name."""
     number = where["configuration"]
     return name, where["floor"], where["to"], where["story"], None if number is None else _name(number)
 
@@ -295,7 +295,8 @@ def measured(
     floors: Sequence[int] | None = None,
     modes: int | None = None,
 ) -> dict[str, Any]:
-    """One configuration as its test reports it: frequencies 0.1 %, shapes 1 % of each mode's largest entry."""
+    """Return one configuration in the form of a test report: noise 0.1 % of frequencies, 1 % of each mode's largest
+    entry."""
     count = len(seen.frequencies)
     floors = list(range(1, count + 1)) if floors is None else list(floors)
     modes = count if modes is None else modes
@@ -315,10 +316,10 @@ def measured(
 
 
 def practical_size(effect: str, frame: Building) -> float:
-    """A size of the effect that practice meets, in the catalogue's unit, for this frame.
+    """Return a practical size of the effect, in the catalogue's unit, for this frame.
 
-    Those that make the frame more flexible add a tenth to the sway of its top under a force there (joints that
-    turn: eta = 0.1); a spring, a mass, a gain or a change of stiffness is a tenth of what it acts on.
+    An effect that makes the frame more flexible adds a tenth to the sway of its top under a force there (turning
+    joints: eta = 0.1). A spring, a mass, a gain or a change of stiffness is a tenth of the changed quantity.
     """
     top = float(frame.heights.sum())
     sway = 0.1 * float(np.sum(1.0 / frame.story_stiffness))
@@ -343,25 +344,25 @@ def practical_size(effect: str, frame: Building) -> float:
 
 
 def with_gravity(frame: Building, gamma: float, at: int | None = None) -> Building:
-    """The share of the weight on the frame's own columns that makes the factor gamma: none 1, all 6/5."""
+    """Set the share of the weight on the frame's own columns for the factor gamma: none 1, all 6/5."""
     return dataclasses.replace(frame, gravity=GRAVITY, on_frame=(gamma - 1.0) / 0.2)
 
 
 def with_turning_joints(frame: Building, eta: float, at: int | None = None) -> Building:
-    """Beams of one bay that resist a turn of both their joints with mean(k h^2) / eta in all.
+    """Add beams of one bay that resist a turn of both their joints with mean(k h^2) / eta in all.
 
-    By slope and deflection each end of a beam of span L takes 6 EI / L when both turn alike.
+    By the slope-deflection equations, each end of a beam of span L takes 6 EI / L if both ends turn alike.
     """
     resistance = float(np.mean(frame.story_stiffness * frame.heights**2)) / eta
     return dataclasses.replace(frame, beam_bending=np.full(frame.stories, resistance * bay(frame) / 12))
 
 
 def with_long_columns(frame: Building, inverse_EI: float, at: int | None = None) -> Building:
-    """Two columns a bay apart that stretch and shorten, so that the frame bends with 1 / inverse_EI as a whole.
+    """Add two columns, a bay apart, that stretch and shorten; the whole frame bends with 1 / inverse_EI.
 
-    The floors stay rigid and tilt. The story between two of them is then a beam whose bending stiffness is the
-    columns' axial one, EA b^2 / 2, and their own two EI; and whose sway stiffness at equal tilts is that of the
-    columns alone. Their EA is what makes EI the same in every story.
+    The floors stay rigid and tilt. Each story is then a beam. Its bending stiffness is the sum of the columns' axial
+    part, EA b^2 / 2, and their own two EI; its sway stiffness at equal tilts comes from the columns alone. EA is chosen
+    so that EI is the same in every story.
     """
     columns = frame.story_stiffness * frame.heights**3 / 12
     axial = 2.0 * (1.0 / inverse_EI - columns) / bay(frame) ** 2
@@ -395,7 +396,7 @@ def with_softer_state(frame: Building, e: float, at: int | None = None) -> Build
 
 
 def with_tie(frame: Building, spring: float, floors: tuple[int, int]) -> Building:
-    """A diagonal from column to column whose horizontal stiffness EA cos^2 / L is that of the spring."""
+    """Add a diagonal between columns whose horizontal stiffness EA cos^2 / L equals the spring's."""
     low, high = floors
     run, rise = bay(frame), float(frame.heights[low:high].sum())
     length = float(np.hypot(run, rise))
@@ -403,7 +404,7 @@ def with_tie(frame: Building, spring: float, floors: tuple[int, int]) -> Buildin
 
 
 def with_braces(frame: Building, beta: float, at: int | None = None) -> Building:
-    """Two crossing diagonals a story, of EA cos^2 / L each, carry a part beta of its stiffness."""
+    """Add two crossing diagonals per story, EA cos^2 / L each, which carry a part beta of its stiffness."""
     run = bay(frame)
     length = np.hypot(run, frame.heights)
     return dataclasses.replace(
@@ -414,7 +415,7 @@ def with_braces(frame: Building, beta: float, at: int | None = None) -> Building
 
 
 def with_loose_joints(frame: Building, rho: float, at: int) -> Building:
-    """Springs of mean(k h^2) / rho in all between a floor and its columns, or under their feet."""
+    """Add springs of mean(k h^2) / rho in all between a floor and its columns, or under their feet."""
     each = float(np.mean(frame.story_stiffness * frame.heights**2)) / rho / len(frame.column_x)
     if at == 0:
         return dataclasses.replace(frame, column_base=each)
@@ -422,7 +423,7 @@ def with_loose_joints(frame: Building, rho: float, at: int) -> Building:
 
 
 def with_soft_feet(frame: Building, rho: float, _at: int | None) -> Building:
-    """Springs of mean(k h^2) / rho in all under the feet."""
+    """Add springs of mean(k h^2) / rho in all under the feet."""
     return with_loose_joints(frame, rho, 0)
 
 
@@ -440,14 +441,14 @@ CHANGES: dict[str, Callable[..., Building]] = {
     "soft_feet": with_soft_feet,
     "bracing": with_braces,
 }
-"""What each effect makes of the frame; a sensor's gain changes the reading, not the frame."""
+"""Function of each effect that changes the frame. A sensor's gain changes the reading, not the frame."""
 
 OF_MASSES = ("state_mass", "load_scale")
 """Effects on the frame's own masses, or on the added ones alone."""
 
 
 def _tested(frame: Building, added: Floats, there: Sequence[Put]) -> SwayModes:
-    """What the sensors show of one configuration."""
+    """Return the modes of one configuration as the sensors measure them."""
     gain = np.ones(frame.stories)
     sizes = {name: size for name, size, _ in there}
     own = frame.floor_mass * (1.0 + sizes.get("state_mass", 0.0))
@@ -474,7 +475,7 @@ def _placed(
     story: int | None,
     configuration: int | None,
 ) -> dict[str, int | None]:
-    """Where the effect sits: where it was put, or anywhere it can be."""
+    """Return the place of the effect: the given place, or a random possible one."""
     lowest = 2 if effect == "ground_spring" else 0 if effect == "joint_release" else 1
     if lowest > stories:
         raise ValueError("a ground spring needs two stories")
@@ -503,6 +504,6 @@ def _name(number: int) -> str:
 
 
 def bay(frame: Building) -> float:
-    """The distance between the two columns, m."""
+    """Return the distance between the two columns, m."""
     left, right = frame.column_x
     return right - left

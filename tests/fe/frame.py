@@ -15,48 +15,48 @@ from tests.fe.model import Model, Motion, Node
 
 RIGID = np.inf
 LEAST_IN_SWAY = 0.6
-"""Of a sway mode's kinetic energy; where two modes share one motion evenly it is half."""
+"""Smallest share of a sway mode's kinetic energy in sway. If two modes share one motion evenly, it is one half."""
 
 
 @dataclass(frozen=True, eq=False)
 class Building:
-    """A frame of n stories; what is left at its default is rigid, fixed or absent, which makes it a shear frame.
+    """A frame of n stories. Parts left at their defaults are rigid, fixed or absent: a shear frame.
 
     Parameters
     ----------
     heights : ndarray, shape (n,)
         Story heights, m.
     story_stiffness : ndarray, shape (n,)
-        12 EI / h^3, summed over a story's columns, N/m: what gives the columns their EI.
+        12 EI / h^3, summed over a story's columns, N/m. The columns' EI follows from it.
     floor_mass : ndarray, shape (n,)
         All mass that moves with a floor, kg: added mass, and half the columns of either adjoining story.
     column_x : tuple of float, optional
-        Where the columns stand, m; two at least.
+        Positions of the columns, m; at least two.
     column_share : tuple of float, optional
-        The columns' shares of each story's stiffness, of its own mass and of the weight; equal where empty.
+        The columns' shares of each story's stiffness, of its own mass and of the weight; equal if empty.
     beam_bending : ndarray, shape (n,), optional
-        EI of a floor's beams, the same in every bay, N m2; rigid where None.
+        EI of a floor's beams, the same in every bay, N m2; rigid if None.
     column_axial : ndarray, shape (n,), optional
-        EA of each column of a story, N; inextensible where None.
+        EA of each column of a story, N; inextensible if None.
     rocking_stiffness : float, optional
-        Of the spring under the rigid base, N m/rad.
+        Stiffness of the spring under the rigid base, N m/rad.
     column_base : float, optional
-        Of the spring under each column's foot, N m/rad; 0 is a hinge.
+        Stiffness of the spring under each column's foot, N m/rad; 0 is a hinge.
     ground_springs : mapping of int to float, optional
-        From a floor to the ground, N/m.
+        Springs from a floor to the ground, N/m.
     column_mass : float, optional
-        All columns of one story together, kg, the same in every story.
+        Mass of all columns of one story, kg, the same in every story.
     gravity : float, optional
         m/s2; 0 leaves the weight out.
     on_frame : float, optional
         The part of the weight that the frame's own columns carry; the rest stands on rigid props, hinged at
         both ends, that lean with the floors.
     vertical_inertia : bool, optional
-        Whether floor masses also move up and down, shared among the joints as the columns' shares are.
+        Whether floor masses also move up and down. Their distribution over the joints follows the columns' shares.
     pieces : int, optional
-        Elements a column.
+        Number of elements per column.
     connections : mapping of int to float, optional
-        Of a floor: the spring between each column and that floor's beams, N m/rad; stiff where not named.
+        For a floor: the spring between each column and the floor's beams, N m/rad; rigid if absent.
     ties : tuple of (int, int, float), optional
         Diagonals from the first column at a lower floor to the last column at a higher one: the floors and EA, N.
     brace_axial : ndarray, shape (n,), optional
@@ -91,25 +91,25 @@ class Building:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """The columns' shares, which add up to one."""
+        """The columns' shares, with a sum of one."""
         count = len(self.column_x)
         return self.column_share or (1.0 / count,) * count
 
     @property
     def weight(self) -> Floats:
-        """Of all mass at and above each floor, shape (n,), N."""
+        """Weight of all mass at and above each floor, shape (n,), N."""
         return self.gravity * np.cumsum(self.floor_mass[::-1])[::-1]
 
 
 class SwayModes(NamedTuple):
-    """The n sway modes of a frame, ascending.
+    """The n sway modes of a frame, in ascending order.
 
     Attributes
     ----------
     frequencies : ndarray, shape (n,)
         Hz.
     shapes : ndarray, shape (n, n)
-        Sway of the floors, one column a mode, mass-normalized over all the frame's mass, largest entry positive.
+        Sway of the floors, one column per mode, normalized by all mass of the frame, largest entry positive.
     """
 
     frequencies: Floats
@@ -117,12 +117,12 @@ class SwayModes(NamedTuple):
 
 
 def sway_modes(building: Building) -> SwayModes:
-    """The modes that move the floors sideways: the n with the largest share of their kinetic energy in sway.
+    """Return the modes with sideways motion of floors: the n modes with the largest share of kinetic energy in sway.
 
     Raises
     ------
     ValueError
-        Where the frame is unstable, or sway cannot be told from other motion.
+        If the frame is unstable, or sway modes mix with other motion.
     """
     model = assemble(building)
     eigenvalues, shapes = model.modes()
@@ -139,7 +139,7 @@ def sway_modes(building: Building) -> SwayModes:
 
 
 def assemble(building: Building) -> Model:
-    """The finite-element model of a building; floor i sways by the coordinate ("sway", i)."""
+    """Return the finite-element model of a building; the coordinate ("sway", i) is the sway of floor i."""
     model = Model()
     joints = [[joint(building, floor, x) for x in building.column_x] for floor in range(building.stories + 1)]
     for floor, (below, above) in enumerate(pairwise(joints), 1):
@@ -158,12 +158,12 @@ def assemble(building: Building) -> Model:
 
 
 def elevation(building: Building, floor: int) -> float:
-    """Of a floor above the ground, m."""
+    """Return the elevation of a floor above the ground, m."""
     return float(building.heights[:floor].sum())
 
 
 def joint(building: Building, floor: int, x: float) -> Node:
-    """The joint of a column at x with a floor, or its foot where the floor is 0."""
+    """Return the joint of a column at x with a floor, or the column's foot for floor 0."""
     y = elevation(building, floor)
     rises, turns = rigid_base(building, x)
     if floor == 0:
@@ -182,14 +182,14 @@ def joint(building: Building, floor: int, x: float) -> Node:
 
 
 def rigid_base(building: Building, x: float) -> tuple[Motion, Motion]:
-    """How a base that rocks lifts and turns what stands on it at x."""
+    """Return the vertical displacement and the rotation at x of a base that rocks."""
     if building.rocking_stiffness == RIGID:
         return {}, {}
     return {"rock": x}, {"rock": 1.0}
 
 
 def stand_column(model: Model, building: Building, place: tuple[int, int], foot: Node, head: Node) -> None:
-    """One column, its place given by story and column, in as many elements as the building says."""
+    """Add one column, given by story and column number, with the building's number of elements."""
     story, column = place
     height = float(building.heights[story - 1])
     share = building.shares[column]
@@ -204,7 +204,7 @@ def stand_column(model: Model, building: Building, place: tuple[int, int], foot:
 
 
 def within(building: Building, place: tuple[int, int], foot: Node, head: Node) -> list[Node]:
-    """The nodes of a column between its ends."""
+    """Return the nodes of a column between its ends."""
     nodes = []
     for part in range(1, building.pieces):
         y = foot.y + (head.y - foot.y) * part / building.pieces
@@ -214,7 +214,7 @@ def within(building: Building, place: tuple[int, int], foot: Node, head: Node) -
 
 
 def lay_beams(model: Model, building: Building, floor: int, joints: list[Node]) -> None:
-    """The beams of a floor, which stay as long as they are; none where they are rigid."""
+    """Add the beams of a floor, which keep their length. Rigid beams need no elements."""
     if building.beam_bending is None:
         return
     section = Section(bending=float(building.beam_bending[floor - 1]), axial=0.0)
@@ -223,7 +223,7 @@ def lay_beams(model: Model, building: Building, floor: int, joints: list[Node]) 
 
 
 def held_joints(model: Model, building: Building, floor: int, joints: list[Node]) -> list[Node]:
-    """Where the beams of a floor end: at the columns, or behind the springs that connect them to these."""
+    """Return the end nodes of a floor's beams: at the columns, or behind the connecting springs."""
     if floor not in building.connections:
         return joints
     rigid = building.beam_bending is None
@@ -236,9 +236,9 @@ def held_joints(model: Model, building: Building, floor: int, joints: list[Node]
 
 
 def load_floor(model: Model, building: Building, floor: int, joints: list[Node]) -> None:
-    """A floor's mass, the spring that holds it, and the props that carry their part of the weight."""
+    """Add a floor's mass, its spring, and the props that carry their part of the weight."""
     sway: Motion = {("sway", floor): 1.0}
-    # The consistent mass of the columns brings along what floor_mass holds of them.
+    # floor_mass includes a part of the columns' mass, which the consistent mass already contains.
     columns = building.column_mass * (1.0 if floor < building.stories else 0.5)
     lumped = float(building.floor_mass[floor - 1]) - columns
     model.mass(sway, lumped)
@@ -260,7 +260,7 @@ def load_floor(model: Model, building: Building, floor: int, joints: list[Node])
 
 
 def hold_base(model: Model, building: Building, feet: list[Node]) -> None:
-    """The springs under the base and under each column's foot."""
+    """Add the springs under the base and under each column's foot."""
     _, turns = rigid_base(building, 0.0)
     if turns:
         model.spring(turns, building.rocking_stiffness)

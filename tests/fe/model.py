@@ -1,7 +1,7 @@
-"""A plane frame whose nodes move as coordinates tell them, its matrices, and its modes.
+"""Model a plane frame with displacements that are linear in coordinates; compute its matrices and its modes.
 
-Every displacement of a node is a combination of coordinates that have names, so that supports, rigid
-diaphragms, rigid beams and a base that rocks are exact: none of them needs a penalty.
+Every displacement of a node is a linear combination of named coordinates. Supports, rigid diaphragms, rigid beams and a
+rocking base are therefore exact and need no penalty.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from scipy import linalg
 from tests.fe.elements import Floats, Section, consistent_mass, geometric_stiffness, own_axes, stiffness
 
 Motion = dict[Hashable, float]
-"""Coordinate names and their factors; empty where nothing moves."""
+"""Coordinate names and their factors; empty for no motion."""
 
 
 @dataclass(frozen=True)
 class Node:
-    """A point of the frame, and how it moves with the coordinates.
+    """A point of the frame, and its displacements in terms of the coordinates.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ class Node:
 
 @dataclass
 class Model:
-    """Members, springs and masses between them, gathered over named coordinates."""
+    """Members, springs and masses between them, assembled over named coordinates."""
 
     coordinates: dict[Hashable, int] = field(default_factory=dict)
     _stiff: list[tuple[Floats, list[Motion]]] = field(default_factory=list)
     _heavy: list[tuple[Floats, list[Motion]]] = field(default_factory=list)
 
     def member(self, near: Node, far: Node, section: Section, *, compression: float = 0.0) -> None:
-        """A beam-column between two nodes, under a compressive force, N."""
+        """Add a beam-column between two nodes, under a compressive force, N."""
         run, rise = far.x - near.x, far.y - near.y
         length = float(np.hypot(run, rise))
         axes = own_axes(run, rise)
@@ -57,11 +57,11 @@ class Model:
             self._gather(self._heavy, axes.T @ consistent_mass(section, length) @ axes, motions)
 
     def spring(self, motion: Motion, constant: float) -> None:
-        """A spring that this motion stretches, N/m (N m/rad where the motion is a rotation)."""
+        """Add a spring that this motion stretches, N/m (N m/rad if the motion is a rotation)."""
         self._gather(self._stiff, np.array([[constant]]), [motion])
 
     def mass(self, motion: Motion, amount: float) -> None:
-        """A mass that moves so, kg (kg m2 where the motion is a rotation)."""
+        """Add a mass with this motion, kg (kg m2 if the motion is a rotation)."""
         self._gather(self._heavy, np.array([[amount]]), [motion])
 
     def _gather(self, where: list[tuple[Floats, list[Motion]]], matrix: Floats, motions: list[Motion]) -> None:
@@ -70,7 +70,7 @@ class Model:
         where.append((matrix, motions))
 
     def matrices(self) -> tuple[Floats, Floats]:
-        """M and K over the coordinates, each of shape (n, n)."""
+        """Return M and K over the coordinates, each of shape (n, n)."""
         return self._sum(self._heavy), self._sum(self._stiff)
 
     def _sum(self, parts: list[tuple[Floats, list[Motion]]]) -> Floats:
@@ -86,7 +86,8 @@ class Model:
         return total
 
     def modes(self) -> tuple[Floats, Floats]:
-        """Eigenvalues, (rad/s)^2, ascending, and mass-normalized shapes, one column a mode, over the coordinates.
+        """Return eigenvalues, (rad/s)^2, ascending, and mass-normalized shapes, one column per mode, over the
+        coordinates.
 
         Coordinates without mass follow the others statically, which is exact.
         """

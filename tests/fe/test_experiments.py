@@ -1,4 +1,5 @@
-"""Simulated experiments: read by the package, true to what they say, and as noisy as they declare."""
+"""Test simulated experiments: the package reads them, the truth explains them, and their noise is the declared
+noise."""
 
 import numpy as np
 import pytest
@@ -10,11 +11,11 @@ from tests.fe.experiments import CHANGES, FREQUENCY_STD, MODE_SHAPE_STD, OF_MASS
 from tests.fe.frame import SwayModes
 
 EFFECTS = sorted({*CHANGES, *OF_MASSES, "sensor_gain", "spring"} - {"bracing"})
-"""Braces show beside another effect alone."""
+"""Effects that an experiment can have. Braces are excluded: they are visible only with another effect."""
 TALL = {"ground_spring", "spring"}
-"""What a frame of one or two stories has no place for."""
+"""Effects without a place in a frame of one or two stories."""
 EXACT = 1e-8
-"""Standard deviations, of 1e-3 and 1e-2: rounding."""
+"""Rounding errors in standard deviations of 1e-3 and 1e-2."""
 
 
 def test_no_effect_is_a_shear_frame():
@@ -26,7 +27,7 @@ def test_no_effect_is_a_shear_frame():
 @pytest.mark.parametrize("stories", [3, 5])
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_without_noise_the_truth_explains_the_data(effect, stories):
-    """And the shear frame alone does not: some frequency or shape entry is off by three standard deviations."""
+    """The shear frame alone does not: some frequency or shape entry is off by three standard deviations."""
     declared, truth = simulated(effect, stories=stories, configurations=3, rng=np.random.default_rng(2), noise=0.0)
     assert_explained(declared, truth)
     with pytest.raises(AssertionError):
@@ -47,7 +48,7 @@ def test_an_effect_sits_where_it_was_put(effect):
     (found,) = named([effect])
     parts = {"floor": "floor", "story": "story", "configuration": "state"}
     if effect == "sensor_gain":
-        # These experiments have it in every test.
+        # These experiments have the effect in every test.
         parts["configuration"] = ""
     names = {**place, "configuration": "test 1"}
     assert {part: truth[part] for part in names} == {
@@ -73,7 +74,7 @@ def test_the_same_seed_is_the_same_experiment():
 
 
 def test_noise_is_what_it_is_declared_to_be():
-    """Standardized differences of 400 tests: zero mean and unit deviation, each within four standard errors."""
+    """Standardized differences of 400 tests have zero mean and unit deviation, each within four standard errors."""
     true = SwayModes(np.array([2.0, 5.0]), np.array([[0.1, 0.4], [0.2, -0.3]]))
     scaled = np.array([[0.5, 1.0], [1.0, -0.75]])
     rng = np.random.default_rng(6)
@@ -113,10 +114,10 @@ def place_of(truth):
 
 
 def assert_explained(declared, truth, within=EXACT):
-    """The composed model of the truth is within so many standard deviations of every datum."""
+    """Assert that the composed model of the truth is within these standard deviations of every datum."""
     tested = Experiment.from_dict(declared)
     effects = [Placed(named([truth["effect"]])[0], place_of(truth))] if truth["effect"] else []
-    # Further parameters of an effect, as a clamp's that grips less, are at their null values.
+    # Further parameters of an effect (the grip of a clamp) are at their null values.
     own = [truth["size"], *(item.null for item in effects[0].effect.parameters[1:])] if effects else []
     theta = np.concatenate([truth["floor_mass"], truth["story_stiffness"], own])
     for test in tested.configurations:

@@ -1,4 +1,4 @@
-"""The finite-element frame itself, against the strength of materials."""
+"""Compare the finite-element frame with formulas of structural mechanics."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -13,7 +13,7 @@ from tests.fe.model import Model, Node
 
 
 def upright(section, length, pieces, compression=0.0):
-    """A column clamped at its foot; its nodes sway, stretch and turn."""
+    """Return a column clamped at its foot; its nodes sway, stretch and turn."""
     model = Model()
     nodes = [Node(0.0, 0.0, {}, {}, {})]
     for part in range(1, pieces + 1):
@@ -25,7 +25,7 @@ def upright(section, length, pieces, compression=0.0):
 
 
 def test_a_cantilever_under_loads_at_its_tip():
-    """L^3 / 3EI, L / EI and L / EA; a force to the right turns the tip clockwise, by L^2 / 2EI."""
+    """Check L^3 / 3EI, L / EI and L / EA; a force to the right turns the tip clockwise, by L^2 / 2EI."""
     EI, EA, length = 7.0, 90.0, 2.0
     model = upright(Section(EI, EA), length, 3)
     _, K = model.matrices()
@@ -37,7 +37,7 @@ def test_a_cantilever_under_loads_at_its_tip():
 
 
 def test_vibration_of_a_cantilever():
-    """omega = 1.875^2 sqrt(EI / m L^4); cubics find it too high, by the fourth power of their size."""
+    """Check omega = 1.875^2 sqrt(EI / m L^4); with cubics it is too high, by the fourth power of their length."""
     EI, line_mass, length = 7.0, 3.0, 2.0
     omega = 1.875104068711961**2 * np.sqrt(EI / (line_mass * length**4))
     errors = []
@@ -49,7 +49,7 @@ def test_vibration_of_a_cantilever():
 
 
 def test_buckling_of_a_cantilever():
-    """Euler's load is pi^2 EI / 4 L^2; the stiffness loses its definiteness just there."""
+    """Euler's load is pi^2 EI / 4 L^2; at this load the stiffness stops being positive definite."""
     EI, length = 7.0, 2.0
     euler = np.pi**2 * EI / (4 * length**2)
     least = [
@@ -73,14 +73,15 @@ def test_a_beam_between_posts_does_not_depend_on_where_it_points():
 
 
 def test_a_portal_on_hinges():
-    """Rigid beam, hinged feet: a column is then a cantilever from the beam, 3 EI / h^3 in place of 12."""
+    """With a rigid beam and hinged feet, a column is a cantilever from the beam: 3 EI / h^3 instead of 12."""
     clamped = Building(np.array([0.5]), np.array([1200.0]), np.array([3.0]))
     ratio = sway_modes(replace(clamped, column_base=0.0)).frequencies / sway_modes(clamped).frequencies
     assert ratio == pytest.approx(0.5, rel=1e-12)
 
 
 def test_a_portal_with_a_bending_beam():
-    """12 EI/h^3 (6s + 1) / (6s + 4) for two columns, s = (EI_b / L) / (EI / h): Kleinlogel's portal, feet clamped."""
+    """Check 12 EI/h^3 (6s + 1) / (6s + 4) for two columns, s = (EI_b / L) / (EI / h): Kleinlogel's portal, feet
+    clamped."""
     height, span, column, beam = 0.5, 0.8, 11.0, 4.0
     stiffness = 2 * 12 * column / height**3
     frame = Building(
@@ -92,7 +93,7 @@ def test_a_portal_with_a_bending_beam():
 
 
 def test_sway_is_told_from_other_motion():
-    """Masses on columns that stretch also move up and down; stiff columns put those modes far above."""
+    """Masses on columns that stretch also move up and down; axially stiff columns put those modes far above."""
     heights, stiffness, mass = np.full(3, 0.4), np.full(3, 20e3), np.full(3, 10.0)
     stiff = Building(heights, stiffness, mass, column_axial=np.full(3, 1e7), vertical_inertia=True)
     eigenvalues, _ = assemble(stiff).modes()
@@ -104,7 +105,7 @@ def test_sway_is_told_from_other_motion():
 
 
 def test_sway_mixed_with_other_motion_is_refused():
-    """Columns so soft along their axes that the floor tilts about as fast as it sways."""
+    """The columns are so soft axially that the frequencies of floor tilt and sway are close."""
     frame = Building(
         np.array([0.4]),
         np.array([1e5]),

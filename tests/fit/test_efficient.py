@@ -1,4 +1,4 @@
-"""The efficient estimator: incomplete data, scales, uncertainty, refusals."""
+"""Test the efficient estimator: incomplete data, scales, uncertainty, refusals."""
 
 import dataclasses
 import tracemalloc
@@ -132,7 +132,7 @@ def test_no_step_makes_the_fit_worse_and_the_reason_is_named():
             return found
 
     fit = gauss_newton(Watching(of), theta, domain_of(of, (), theta), backends.get("auto"))
-    # What the certificate evaluates beside the final point comes after.
+    # The certificate's evaluations near the final point follow after this one.
     path = seen[: fit.evaluations]
     assert len(path) > 3
     assert np.all(np.diff(path) < 0)
@@ -151,7 +151,7 @@ def test_gradient_vanishes_at_the_fit_within_the_known_total():
 @pytest.mark.parametrize("std", [1e-6, 1e-9, 1e-12, 1e-13])
 @pytest.mark.parametrize("quantity", ["floor_mass", "story_stiffness"])
 def test_a_ratio_known_ever_better_ends_where_the_exact_one_does(quantity, std):
-    """It does not concern the common size of the two, and must not hold it back."""
+    """The ratio does not concern the common size of the two, and must not slow its change."""
     tables = noisy6().to_dict()["configuration"]
     true = MASS6 if quantity == "floor_mass" else STIFFNESS6
     prior = {"kind": "ratio", "quantity": quantity, "of": 3, "to": 2, "value": 1.02 * true[2] / true[1]}
@@ -240,7 +240,7 @@ def test_covariance_against_one_computed_by_finite_differences_and_elimination()
         [(residual(free + e) - residual(free - e)) / (2 * h) for h, e in zip(steps, np.diag(steps), strict=True)]
     ).T
     covariance = np.linalg.inv(J.T @ J)
-    # The differenced Jacobian has the term along the residual that Gauss-Newton leaves out, of the order of the noise.
+    # The differenced Jacobian has the term along the residual that Gauss-Newton omits; it is of the order of the noise.
     np.testing.assert_allclose(np.delete(found.std, 5), np.sqrt(np.diag(covariance)), rtol=0.02)
 
 
@@ -254,7 +254,7 @@ def test_an_undeclared_noise_is_estimated():
         del table["frequency_std"], table["mode_shape_std"]
     found = efficient(of6(*tables), backends.get("auto"))
     factors = dict(found.noise.noise.factors)
-    # The defaults are 0.2 % and 1 %, and each factor is known within its own stated deviation.
+    # The defaults are 0.2 % and 1 %, and each factor is correct within its own stated deviation.
     assert factors["frequency"] == pytest.approx(3.0, rel=0.4)
     assert factors["mode_shape"] == pytest.approx(3.0, rel=0.2)
     stds = found.noise.to_dict()
@@ -290,7 +290,7 @@ def test_the_fit_reports_its_degrees_of_freedom():
 
 
 def test_where_nothing_is_left_over_there_is_no_probability_of_a_worse_fit():
-    """One story: 4 pi^2 f^2 m is its stiffness, with twice the relative deviation of its frequency."""
+    """For one story the stiffness is 4 pi^2 f^2 m, with twice the relative deviation of its frequency."""
     table = {"frequencies": [2.0], "mode_shapes": [[1.0]], "frequency_std": 0.01, "mode_shape_std": 0.01}
     found = identify(Experiment.from_dict({"frame": {"stories": 1, "total_mass": 10.0}, "configuration": [table]}))
     assert (found.fit.dof, found.fit.p_value) == (0, None)
@@ -310,7 +310,7 @@ def test_frequencies_are_those_of_an_independent_eigenvalue_solution():
 
 
 def test_a_fit_that_needs_too_much_memory_is_refused_before_it_is_made():
-    """Two thousand stories in one mode: 32 million entries of squares in the parameters, several times over."""
+    """Two thousand stories in one mode need 32 million entries, squared in the parameters, several times."""
     stories = 2000
     declared = {
         "frame": {"stories": stories, "total_mass": 1e6},

@@ -1,4 +1,4 @@
-"""Programs without pair rows, fewer iterations, many at once: the same numbers as the plain way."""
+"""Programs without pair rows, with fewer iterations or in batches give the same numbers as the plain method."""
 
 import contextlib
 import os
@@ -90,7 +90,7 @@ def test_factors_and_rows_have_the_same_answer(stories, noise):
 
 
 def test_a_centred_program_gives_back_the_digits_that_the_square_has_cost():
-    """Forty nearly proportional modes: the square of the condition number takes eight digits."""
+    """Forty modes are nearly proportional: the square of the condition number loses eight digits."""
     rng = np.random.default_rng(0)
     P = rng.standard_normal((40, 40))
     P = P[:, :1] + 0.01 * P
@@ -150,7 +150,7 @@ def test_a_thousand_stories_fit_into_300_mb_and_keep_ten_digits(method):
 
 
 def test_a_tall_frame_has_the_same_modes_from_the_tridiagonal_solver():
-    """Checked by what modes are, since the general solver is not used at that size."""
+    """The test checks the eigenvalue equations, since the general solver is not used at that size."""
     mass, stiffness, _ = random_frame(60)
     M, K = mass_matrix(mass), stiffness_matrix(stiffness)
     found = modes(M, K)
@@ -221,7 +221,7 @@ def test_a_number_of_jobs_that_means_nothing_is_refused():
 
 
 def _twice_deadly(item, folder):
-    """Ends the worker it runs in, the first two times, as the system does for want of memory."""
+    """End its worker the first two times, as the system does if memory is short."""
     for marker in ("first", "second"):
         with contextlib.suppress(FileExistsError):
             os.close(os.open(os.path.join(folder, marker), os.O_CREAT | os.O_EXCL))
@@ -261,7 +261,7 @@ def test_candidates_fitted_over_processes_close_the_loop_the_same_way():
 
 
 def test_design_values_are_where_a_large_fit_starts():
-    """Sixty stories, eight modes at fifteen floors: only the design values say where between the floors to begin."""
+    """Sixty stories, eight modes at fifteen floors: only the design values give a start between the floors."""
     mass, stiffness, rng = random_frame(60, seed=4, spread=0.05)
     table = configuration(
         mass, stiffness, rng=rng, shape_noise=0.01, frequency_noise=0.001, modes=list(range(1, 9)),

@@ -1,4 +1,4 @@
-"""Gauss-Newton on problems of one and two unknowns: where it ends and why, with steps put in by hand."""
+"""Test Gauss-Newton on problems of one and two unknowns: its end and the reason, with given steps."""
 
 from types import SimpleNamespace
 
@@ -33,7 +33,7 @@ def free(n, **more):
 
 
 class Problem:
-    """Residuals that are a function of the unknowns, with difference quotients for derivatives."""
+    """Residuals that are a function of the unknowns, with difference quotients as derivatives."""
 
     def __init__(self, function, beyond=np.inf):
         self.function, self.beyond = function, beyond
@@ -109,7 +109,7 @@ def test_a_linear_problem_ends_with_a_step_of_nothing():
 
 
 def test_a_valley_that_bends_is_followed_to_its_end():
-    """Rosenbrock's, a thousand deviations wide: residuals 1e4 (y - x^2) and 1e3 (1 - x)."""
+    """Rosenbrock's valley is a thousand deviations wide: residuals 1e4 (y - x^2) and 1e3 (1 - x)."""
     valley = Problem(lambda x: np.array([1e4 * (x[1] - x[0] ** 2), 1e3 * (1 - x[0])]))
     found = gauss_newton(valley, np.array([-1.2, 1.0]), free(2), AUTO)
     np.testing.assert_allclose(found.theta, 1.0, atol=1e-6)
@@ -125,7 +125,7 @@ def test_too_long_a_step_is_halved():
         if taken is not None:
             assert (taken[0], taken[1].objective) == (-factor * size, pytest.approx((2 - factor * size) ** 2))
     assert halved(Problem(lambda x: x + 2.0), np.zeros(1), np.array([-4.0]), at, free(1), 0) == (None, 1)
-    # Beyond where there are modes it counts, beyond where a step may reach it was not tried.
+    # A step to a point without modes counts as a trial; a step beyond the domain is not tried.
     up = PlainResiduals(np.array([-2.0]), np.eye(1))
     taken, trials = halved(Problem(lambda x: x - 2.0, beyond=1.5), np.zeros(1), np.array([2.0]), up, free(1), 2)
     assert (taken[0], trials) == (1.0, 2)
@@ -135,7 +135,7 @@ def test_too_long_a_step_is_halved():
 
 
 def test_a_hopeless_fit_is_given_up_after_three_steps_that_bring_little():
-    """The misfit falls by one part in a hundred a step, from residuals of ten deviations: a fifth of that is wanted."""
+    """The misfit falls by one part in a hundred per step, from residuals of ten deviations; the limit is a fifth."""
 
     class Slow:
         name = "slow"
@@ -159,7 +159,7 @@ def test_a_backend_that_refuses_is_asked_again_with_more_damping_six_times():
         assert found.theta[0] == pytest.approx(3.0)
         expected = np.cumprod([1e-7, 1e5, *(2.0 ** np.arange(2, 7))])[: refusals + 1]
         np.testing.assert_allclose(backend.weights[: refusals + 1], expected, rtol=1e-6)
-    # After six the step is held back to nearly nothing, and another solver's is better; a seventh is the end.
+    # After six steps the step is very short and another solver's step is better; the seventh ends the fit.
     for refusals, said in ((6, "a step of another solver"), (7, "gave up")):
         backend = Refusing(refusals)
         with pytest.raises(NoSolutionError, match=said):
@@ -172,7 +172,8 @@ def test_a_backend_that_refuses_is_asked_again_with_more_damping_six_times():
 
 
 def test_a_start_that_breaks_a_statement_is_moved_to_the_nearest_that_keeps_it():
-    """Relative to each unknown's size: of x + y = 3 from (1, 1), sizes 1 and 2, (1.2, 1.8)."""
+    """Distances are relative to each unknown's size: for x + y = 3 from (1, 1), sizes 1 and 2, the result is (1.2,
+    1.8)."""
     said = Constraints(A=np.ones((1, 2)), b=np.array([3.0]))
     domain = Domain([NamedConstraints("sum", said)], np.array([1.0, 2.0]), np.full(2, np.inf))
     np.testing.assert_allclose(made_feasible(np.ones(2), domain, AUTO), [1.2, 1.8])

@@ -1,4 +1,4 @@
-"""Identification: data that each method needs, effects of priors, results."""
+"""Test identification: the data that each method needs, effects of priors, results."""
 
 import json
 import re
@@ -35,12 +35,13 @@ TAKE_A_PATH = {
     "check": lambda source: Screening.of(source).to_dict(),
     "damping_of": lambda source: str(damping_of(source, Fitted.of_identification(identify(source)))),
 }
-"""What takes an experiment, as a function of the experiment alone."""
+"""Public functions that take an experiment, with all other arguments fixed."""
 
 
 @pytest.mark.parametrize("function", TAKE_A_PATH)
 def test_every_public_function_takes_a_path(tmp_path, function):
-    """A path, a Path, the experiment itself: one result. A built-in's name will do, and what is neither is refused."""
+    """A path, a Path and the experiment itself give one result. The name of a built-in is accepted; other values are
+    refused."""
     table = configuration(MASS, STIFFNESS, damping_ratios=[0.01, 0.02, 0.03])
     path = tmp_path / "three.toml"
     write_measurement(path, experiment(MASS, STIFFNESS, table))
@@ -195,7 +196,7 @@ def test_what_a_declared_bound_holds_is_at_a_bound_and_has_no_deviation():
 
 
 def test_the_least_that_counts_as_positive_is_shown_as_a_bound():
-    """Modes 1, 2, 4 and 5 of seven given as the first four, from which floor 5 comes out without mass."""
+    """Modes 1, 2, 4 and 5 of seven are given as the first four. The estimate of floor 5 then has no mass."""
     declared = {
         "frame": {"story_heights": 3.2, "total_mass": 133e3},
         "configuration": [

@@ -1,4 +1,4 @@
-"""Undeclared noise: its marginal, its estimates, and what it must leave alone."""
+"""Test undeclared noise: its marginal, its estimates, and the quantities that it must not change."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -24,7 +24,7 @@ DEFAULTS = {"frequency": 0.002, "mode_shape": 0.01}
 
 
 def experiment_with(seed, frequency, shape, *, declare=(), frame=None, prior=()):
-    """Three tests with this noise; only the named standard deviations are declared, as the true ones."""
+    """Return three tests with this noise; only the named standard deviations are declared, with their true values."""
     rng = np.random.default_rng(seed)
     true = {"frequency_std": frequency, "mode_shape_std": shape}
     tables = []
@@ -59,7 +59,7 @@ def test_the_marginal_s_derivative(u):
 
 
 def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
-    """-2 log of the integral of exp(-|W(u)(J x + r)|^2 / 2) over x, by the full matrices, at two noises."""
+    """Compare -2 log of the integral of exp(-|W(u)(J x + r)|^2 / 2) over x with the full matrices, at two noises."""
     of = experiment_with(2, 0.004, 0.008)
     estimate = efficient(of, backends.get("auto"))
     at = estimate.misfit.evaluate(estimate.theta)
@@ -85,7 +85,8 @@ def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
 
 @pytest.mark.parametrize(("frequency", "shape"), [(0.002, 0.01), (0.006, 0.005), (0.001, 0.02), (0.005, 0.03)])
 def test_two_unknown_noises_are_each_found_by_itself(frequency, shape):
-    """Root mean square of the errors in their stated standard deviations, six simulated tests a pair of noises."""
+    """Use the root mean square of the errors in their stated standard deviations, over six simulated tests per pair of
+    noises."""
     z = []
     for seed in range(3):
         found = identify(experiment_with(seed, frequency, shape)).to_dict()
@@ -107,7 +108,7 @@ def test_only_what_is_undeclared_is_estimated():
 
 
 def test_a_declared_standard_deviation_is_never_rescaled():
-    """Errors four times what was declared leave the stated deviations where the declaration puts them."""
+    """Errors four times the declared noise do not change the stated deviations."""
     declare = ["frequency_std", "mode_shape_std"]
     honest = experiment_with(4, 0.001, 0.01, declare=declare).to_dict()
     worse = experiment_with(4, 0.004, 0.04, declare=declare).to_dict()
@@ -121,7 +122,7 @@ def test_a_declared_standard_deviation_is_never_rescaled():
 
 @pytest.mark.parametrize(("frequency", "shape"), [(0.0002, 0.001), (0.008, 0.04)])
 def test_a_prior_s_standard_deviation_is_never_rescaled(frequency, shape):
-    """One floor's mass, known to 5 %, is all that tells the scale: it stays so, whatever the noise."""
+    """One floor's mass, known to 5 %, alone determines the scale. Its deviation stays 5 % for any noise."""
     rng = np.random.default_rng(5)
     table = configuration(MASS, STIFFNESS, rng=rng, shape_noise=shape, frequency_noise=frequency)
     del table["frequency_std"], table["mode_shape_std"]
@@ -145,7 +146,7 @@ def test_the_rows_of_a_prior_and_of_declared_data_carry_no_factor():
 
 
 def test_noise_that_no_instrument_has_is_improbable():
-    """Modes 1 and 3 swapped: the factors grow, but not beyond what is counted as noise."""
+    """Modes 1 and 3 are exchanged: the factors grow, but not beyond the limit for noise."""
     table = configuration(MASS, STIFFNESS)
     del table["frequency_std"], table["mode_shape_std"]
     shapes = table["mode_shapes"]
@@ -160,7 +161,7 @@ def test_noise_that_no_instrument_has_is_improbable():
 
 
 def test_a_mode_that_cannot_be_ends_in_numbers():
-    """A frequency of 3e12 Hz makes the noise of frequencies unbounded, and its curvature 1e20 times that of shapes."""
+    """A frequency of 3e12 Hz makes the frequency noise unbounded; its curvature is 1e20 times the shape noise's."""
     declared = {
         "frame": {"stories": 3, "total_mass": 22.5},
         "configuration": [
@@ -181,7 +182,7 @@ def test_a_mode_that_cannot_be_ends_in_numbers():
 
 
 def test_the_gain_of_two_unknown_noises_is_their_integral_on_a_grid():
-    """Of exp(-|W(u)(J x + r)|^2 / 2) and the priors of both logarithms over x and u, by full matrices."""
+    """Integrate exp(-|W(u)(J x + r)|^2 / 2) and the priors of both logarithms over x and u, with full matrices."""
     rng = np.random.default_rng(8)
     tables = [
         configuration([10.0, 8.0, 6.0], [9e3, 7e3, 5e3], added, rng=rng, shape_noise=0.02, frequency_noise=0.003)
@@ -196,7 +197,7 @@ def test_the_gain_of_two_unknown_noises_is_their_integral_on_a_grid():
     free = estimate.uncertainty.root_of(at.triangle[0])
     found = estimated_noise(misfit, at, free)
     here = np.log([misfit.noise.of(kind) for kind in ("frequency", "mode_shape")])
-    # Rows of the frequencies are those that change when their noise is doubled: six, beside 2 x 3 x (3 - 1) ratios.
+    # Rows that change with doubled frequency noise belong to frequencies: six, and 2 x 3 x (3 - 1) ratios.
     doubled = NoiseFactors((("frequency", 2 * np.exp(here[0])), ("mode_shape", np.exp(here[1]))))
     moved = np.linalg.norm(misfit.replaced(noise=doubled).evaluate(theta).J, axis=1)
     is_frequency = moved < 0.75 * np.linalg.norm(at.J, axis=1)
@@ -222,7 +223,7 @@ def test_the_gain_of_two_unknown_noises_is_their_integral_on_a_grid():
     ("values", "floored"),
     [
         ([3.0, 40.0], [3.0, 40.0]),
-        # A marginal that is flat or bends upwards is as wide as ten times what was known of it beforehand.
+        # If the marginal is flat or bends upwards, its width is ten times the prior width.
         ([-2.0, 40.0], [0.1 / 1.5**2, 40.0]),
         ([3.0, 1e15], [1e3, 1e15]),
     ],
@@ -237,7 +238,8 @@ def test_the_curvature_of_the_marginal_has_an_inverse(values, floored):
 
 
 def test_factors_taken_as_they_are_have_the_gain_of_laplace_there():
-    """log of the integral over u of a Gaussian of the marginal's own height and curvature, its prior normalized."""
+    """Compare with the log of the integral over u of a Gaussian with the marginal's height and curvature and a
+    normalized prior."""
     of = experiment_with(1, 0.004, 0.008)
     estimate = efficient(of, backends.get("auto"))
     noise = NoiseFactors((("frequency", 1.7), ("mode_shape", 0.9)))
@@ -266,7 +268,7 @@ def test_factors_taken_as_they_are_have_the_gain_of_laplace_there():
 
 @pytest.mark.parametrize("left_out", [STDS, (*STDS, "mode_shapes", "measured_floors")])
 def test_shapes_of_a_single_sensor_tell_nothing_whatever_their_noise(left_out):
-    """Each shape's scale is free: one entry of it is no datum, and frequencies fix the frame."""
+    """Each shape's scale is free, so its single entry carries no information; frequencies determine the frame."""
     tables = [configuration(MASS, STIFFNESS, added, measured_floors=[3], modes=[1, 2, 3]) for added in ADDED]
     tables = [{key: value for key, value in table.items() if key not in left_out} for table in tables]
     declared = experiment(MASS, STIFFNESS, *tables, frame={"floor_masses": MASS.tolist()})
@@ -277,7 +279,7 @@ def test_shapes_of_a_single_sensor_tell_nothing_whatever_their_noise(left_out):
 
 @dataclasses.dataclass
 class Reached:
-    """A fit in a noise, which says nothing but that."""
+    """A fit with given noise, without other results."""
 
     misfit: object
     noise: object = None
@@ -287,7 +289,7 @@ class Reached:
 
 
 class InNoise:
-    """A misfit of one unknown deviation, whose factors are noted as they are tried."""
+    """A misfit with one unknown deviation. It records the tried factors."""
 
     unknown = (SimpleNamespace(key="frequency"),)
 
@@ -301,7 +303,7 @@ class InNoise:
 
 @pytest.mark.parametrize(("aims", "last"), [([1e6, 1e-6], None), ([8.0], 8.0)])
 def test_steps_of_an_unknown_noise_become_shorter_until_its_aim_stays(monkeypatch, aims, last):
-    """An aim to and fro is followed less far each time, by the same part; one that stays at once."""
+    """If the target alternates, each step is shorter by the same factor. A constant target is reached at once."""
     tried, asked = [], []
 
     def estimated(misfit, at, free, here=False):
@@ -322,7 +324,7 @@ def test_steps_of_an_unknown_noise_become_shorter_until_its_aim_stays(monkeypatc
 
 @pytest.mark.parametrize(("above_one", "expected"), [(False, np.log(3.0)), (True, np.log(np.sqrt(8.0)))])
 def test_a_factor_has_the_value_that_is_normal_beforehand(above_one, expected):
-    """The logarithm of the factor 3 itself, or of s in 3 = sqrt(1 + s^2)."""
+    """The value is the logarithm of the factor 3 itself, or of s in 3 = sqrt(1 + s^2)."""
     size = UnknownSize("frequency", 5.0, 0.7, above_one)
     assert size.coordinate(3.0) == pytest.approx(expected, rel=1e-12)
     assert size.log_factor(expected)[0] == pytest.approx(np.log(3.0), rel=1e-12)

@@ -1,4 +1,4 @@
-"""The certificate of a fit, on problems whose residuals are linear, against closed forms and another solver."""
+"""Compare the certificate of a fit with closed forms and another solver, on problems with linear residuals."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,8 @@ WEIGHT = 1e-7
 
 
 class Linear:
-    """r = J theta - s, with derivatives that may be wrong by a factor, and no residuals where `refused` says so."""
+    """Residuals r = J theta - s. The derivatives may be wrong by a factor, and `refused` marks points without
+    residuals."""
 
     def __init__(self, J, s, *, factor=1.0, refused=lambda theta: False):
         self.J, self.s, self.factor, self.refused = np.asarray(J), np.asarray(s), factor, refused
@@ -42,7 +43,7 @@ def test_sensitivities_are_lengths_of_columns_up_to_a_limit():
 @pytest.mark.parametrize(
     ("said", "expected"),
     [
-        # Sizes: 2 and its unit 1 / 5; a thousandth of 40 and the same for want of a sensitivity; 3 and 1 / 10.
+        # Sizes plus units: 2 and 1 / 5; a thousandth of 40, twice, because the sensitivity is zero; 3 and 1 / 10.
         ({"A": [[1.0, 0.0, 0.0]], "b": [2.1]}, 0.1 / 2.2),
         ({"A": [[0.0, 2.0, 0.0]], "b": [-0.02]}, 0.04 / (2 * (0.01 + 0.04))),
         ({"G": [[1.0, 0.0, -2.0]], "h": [7.5]}, 0.5 / (2.2 + 2 * 3.1)),
@@ -55,7 +56,7 @@ def test_a_violation_is_relative_to_the_sizes_of_its_terms(said, expected):
     theta = np.array([2.0, 0.01, -3.0])
     at = Linear(np.diag([5.0, 0.0, 10.0]), np.ones(3)).evaluate(theta)
     said = {key: np.array(value) for key, value in said.items()}
-    # Of a parameter without sensitivity the unit is its size, a thousandth of what it can be.
+    # If a parameter has no sensitivity, its unit is its size: a thousandth of its maximum.
     assert violation(theta, at, domain([1.0, 40.0, 1.0], **said)) == pytest.approx(expected, rel=1e-9)
 
 
@@ -66,7 +67,8 @@ def test_the_best_step_is_the_solution_of_the_constrained_program():
     free, length = best_step(theta, at, domain(np.ones(4)), WEIGHT)
     np.testing.assert_allclose(free, np.linalg.lstsq(J, s, rcond=None)[0] - theta, rtol=1e-6)
     assert length @ length == pytest.approx(at.objective - np.sum((J @ (theta + free) - s) ** 2))
-    # On a bound that the step would cross, and on one that it leaves; others are too far away to matter.
+    # One parameter is on a bound that the step would cross, one on a bound that it leaves. Other bounds are too far
+    # away.
     lower, upper = np.where(free < 0, theta, -1e9), np.where(free > 0, theta, 1e9)
     lower[2], upper[2], lower[3], upper[3] = -1e9, 1e9, -1e9, 1e9
     lower[3 if free[3] > 0 else 2] = theta[3 if free[3] > 0 else 2]
@@ -88,7 +90,7 @@ def test_a_step_keeps_equalities_those_said_twice_included(twice):
 
 @pytest.mark.parametrize("factor", [1.0, 1.1, 0.8, 1.01])
 def test_the_error_of_derivatives_that_are_wrong_by_a_factor(factor):
-    """At residuals of zero: the stated slope of |r|^2 is off by 2 (f - 1) |J d|^2, compared with what it states."""
+    """At residuals of zero, the slope of |r|^2 is wrong by 2 (f - 1) |J d|^2, relative to the stated slope."""
     J, s = drawn()
     theta = np.linalg.lstsq(J, s, rcond=None)[0]
     problem = Linear(J, J @ theta, factor=factor)
@@ -122,7 +124,7 @@ def test_the_certificate_has_all_three():
 
 
 def test_derivatives_are_compared_over_a_tenth_of_a_deviation():
-    """Or a thousandth of residuals that are large; and over a hundredth of a parameter at most."""
+    """For large residuals the step is a thousandth of them; it is at most a hundredth of a parameter."""
     for theta, residual, farthest in ((1e3, 0.0, 0.1), (1e3, 400.0, 0.4), (3.0, 0.0, 0.03)):
         seen = []
 

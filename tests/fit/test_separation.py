@@ -1,4 +1,4 @@
-"""How far a test would set fits apart: against the formula written out, and numerical derivatives of other modes."""
+"""Compare the distance between fits in a planned test with the explicit formula and numerical derivatives."""
 
 import dataclasses
 
@@ -35,7 +35,7 @@ def fits(**keys):
 
 
 def predictions(theta, added, floors, modes, gravity):
-    """Logarithms of frequencies, and shapes at some floors with a first entry of 1."""
+    """Return logarithms of frequencies, and shapes at some floors with a first entry of 1."""
     mass, stiffness = theta[:4] + added, theta[4:8].copy()
     if gravity:
         above = np.cumsum(mass[::-1])[::-1]
@@ -47,7 +47,7 @@ def predictions(theta, added, floors, modes, gravity):
 
 @pytest.mark.parametrize("floors", [[0, 3], [0, 1, 3], [0, 1, 2, 3]])
 def test_the_distance_is_that_of_numerical_derivatives_with_the_scale_a_parameter(floors):
-    """Of two fits, floors 1 and 4 measured: also at floors that had no sensor."""
+    """Two fits with floors 1 and 4 measured are compared, also at floors without a sensor."""
     plain, heavy = fits(measured_floors=[1, 4], modes=[1, 2], frequency_std=0.002, mode_shape_std=0.02)
     first = plain.experiment.configurations[0]
     added = np.array([0.0, 6.0, 0.0, 0.0])
@@ -56,7 +56,7 @@ def test_the_distance_is_that_of_numerical_derivatives_with_the_scale_a_paramete
 
     def said(estimate, theta, scale):
         frequency, shapes = predictions(theta, added, np.arange(4), 2, len(theta) > 8)
-        # On the scale of the first model's shapes; the largest entry of those at the first sensors is the noise's unit.
+        # Scale to the first model's shapes. The unit of noise is the largest entry at the first sensors.
         own = predictions(plain.theta, added, np.arange(4), 2, False)[1]
         shapes = shapes * (np.sum(own * shapes, axis=1) / np.sum(shapes**2, axis=1))[:, None]
         unit = 0.02 * np.abs(own[:, [0, 3]]).max(axis=1, keepdims=True)
@@ -105,9 +105,9 @@ def test_an_entry_that_no_sensor_showed_is_not_counted_on():
 
 
 def test_every_effect_says_something_of_a_test_with_more_sensors_and_no_priors():
-    """The effects are those of three instrumented floors and a soft prior; the imagined test has four floors and none.
+    """The fits have three instrumented floors and a soft prior; the planned test has four floors and no prior.
 
-    What changes neither masses nor stiffnesses nor sensors says what the shear model says.
+    An effect that changes neither masses nor stiffnesses nor sensors predicts the shear model's values.
     """
     keys = {"measured_floors": [1, 3, 4], "frequency_std": 0.002, "mode_shape_std": 0.02}
     tests = [
@@ -136,5 +136,5 @@ def test_every_effect_says_something_of_a_test_with_more_sensors_and_no_priors()
     assert {"other_gains", "other_stiffness", "attached_mass"} <= set(apart)
     assert np.all(np.isfinite(list(apart.values())))
     assert apart["other_shapes"] == pytest.approx(0.0, abs=1e-6)
-    # Where the prior holds the fit may move by what the prior and exact data differ in rounding.
+    # If the prior is exact, the fit may move by the rounding difference between the prior and exact data.
     assert apart["wrong_prior"] == pytest.approx(0.0, abs=1e-3)

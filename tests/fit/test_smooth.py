@@ -1,4 +1,4 @@
-"""Tall frames from few floors: the start among smooth frames, and damped steps, where plain ones lead astray."""
+"""Test tall frames measured at few floors: the start among smooth frames, and damped steps if plain steps fail."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.frames import configuration, experiment
 
 
 def tall(stories, modes, every, seed=3, *, rough=True, frame=None):
-    """A frame that grows lighter and softer upwards, measured at some floors, with its true parameters."""
+    """Return a frame that grows lighter and softer upwards, measured at some floors, with its true parameters."""
     rng = np.random.default_rng(seed)
     mass, stiffness = np.linspace(3e4, 2e4, stories), np.linspace(8e8, 3e8, stories)
     if rough:
@@ -29,7 +29,7 @@ def tall(stories, modes, every, seed=3, *, rough=True, frame=None):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("stories", "modes", "every"), [(20, 5, 2), (30, 8, 3), (50, 10, 4)])
 def test_a_tall_frame_measured_at_few_floors_is_fitted_to_its_noise(stories, modes, every, seed):
-    """From any start, and from the smooth frame alone; the truth leaves a chi-square of about the number of data."""
+    """Start from any point, and from the smooth frame alone. The truth has a chi-square near the number of data."""
     of, truth = tall(stories, modes, every, seed)
     found = identify(of)
     at_truth = Misfit(of).evaluate(truth).chi2
@@ -40,7 +40,7 @@ def test_a_tall_frame_measured_at_few_floors_is_fitted_to_its_noise(stories, mod
 
 
 def test_what_few_floors_leave_open_is_said():
-    """Ten frequencies and shapes at twelve floors do not determine a hundred numbers."""
+    """Ten frequencies and shapes at twelve floors do not determine a hundred parameters."""
     found = identify(tall(50, 10, 4)[0])
     assert found.undetermined
     assert None in found.to_dict()["frame"]["story_stiffness"]
@@ -62,7 +62,7 @@ def test_known_floor_masses_stay_as_they_are():
 
 
 def test_a_step_that_a_plain_one_would_take_too_far_is_damped():
-    """Gauss-Newton alone stands still at this start: no halving of its step lowers the misfit enough to get away."""
+    """Gauss-Newton alone makes no progress at this start: no halving of its step lowers the misfit enough."""
     of, truth = tall(30, 8, 3)
     misfit, start = Misfit(of), uniform(of, taper=0.6)
     fit = gauss_newton(misfit, start, domain_of(of, (), start), backends.get("auto"))
@@ -76,7 +76,7 @@ def test_a_solver_that_gives_up_is_asked_again_with_more_damping():
     daqp = backends.get("daqp")
 
     class Fragile(backends.Backend):
-        """Gives up on badly conditioned programs, as solvers do."""
+        """Refuse badly conditioned programs, like real solvers."""
 
         name = "fragile"
         refused = 0

@@ -1,4 +1,4 @@
-"""Where a fit starts from: each starting point has the property that it is made for."""
+"""Each starting point of a fit has its intended property."""
 
 from types import SimpleNamespace
 
@@ -29,7 +29,7 @@ def two_tests(**keys):
 
 
 def mean_log_ratio(of, theta):
-    """Mean over the tests of the mean log(measured / modelled) of the eigenvalues."""
+    """Return the mean over the tests of the mean log(measured / modeled) of the eigenvalues."""
     found = []
     for each in of.configurations:
         M, K = chain(theta[: of.stories] + each.added_mass, theta[of.stories :])
@@ -44,7 +44,7 @@ def mean_log_ratio(of, theta):
     [
         ({"total_mass": 32.0}, [], [8.0] * 4),
         ({"floor_masses": MASS.tolist()}, [], MASS),
-        # Nothing said of masses: all that was added in the test with the most.
+        # No mass is declared: use the largest total of added mass in a test.
         ({}, [], [1.25] * 4),
         ({}, [{"kind": "nominal", "quantity": "floor_mass", "values": MASS.tolist(), "std": 0.1}], MASS),
         ({}, [{"kind": "value", "quantity": "floor_mass", "at": 2, "value": 9.0, "std": 0.1}], [9.0] * 4),
@@ -60,7 +60,7 @@ def test_a_uniform_frame_has_the_known_masses_and_the_mean_frequency(frame, prio
 
 
 def test_scaled_shapes_tell_the_mass_of_a_uniform_frame():
-    """phi' M phi = 1 of a single floor: m = 1 / phi^2; of four, each largest entry is taken for one."""
+    """For a single floor phi' M phi = 1 gives m = 1 / phi^2; for four floors each largest entry is taken as one."""
     table = configuration(MASS, STIFFNESS, modes=[1, 2])
     table |= {"mass_normalized": True, "mode_shapes": [[0.1, 0.2, 0.3, 0.4], [0.3, 0.2, np.nan, -0.2]]}
     found = uniform(measured(table, frame={}))
@@ -91,7 +91,7 @@ def test_design_values_come_first_at_the_right_total_and_frequency():
 
 @pytest.mark.parametrize("keys", [{}, {"modes": [1, 2, 4]}, {"measured_floors": [1, 3, 4]}, {"modes": [2, 4]}])
 def test_the_story_equations_lead_to_the_frame_of_exact_modes(keys):
-    """Where entries are missing the last pass is near it, nearer than a frame of equal stories."""
+    """If entries are missing, the last pass is nearer than a frame of equal stories."""
     of, truth = measured(*two_tests(**keys)), np.concatenate([MASS, STIFFNESS])
     found = starts(of)[0]
     off, of_uniform = (np.max(np.abs(np.log(each / truth))) for each in (found, uniform(of)))
@@ -100,7 +100,7 @@ def test_the_story_equations_lead_to_the_frame_of_exact_modes(keys):
 
 @pytest.mark.parametrize("weighed", [False, True])
 def test_story_equations_weigh_each_by_what_its_errors_amount_to(weighed):
-    """Entries in error by one size e: an equation by e lambda (sum m_l^2)^(1/2), and by e sqrt(2) k besides."""
+    """Entries have errors of one size e. An equation has the error e lambda (sum m_l^2)^(1/2), plus e sqrt(2) k."""
     rng = np.random.default_rng(4)
     frequencies, shapes = modes_of(MASS + ADDED, STIFFNESS)
     shapes, lam = shapes + 0.02 * rng.standard_normal((4, 4)), (2 * np.pi * frequencies) ** 2
@@ -133,7 +133,7 @@ def test_a_start_is_positive_and_keeps_what_is_exact():
 
 
 def test_a_mode_is_filled_in_by_the_nearest_modes_of_the_model():
-    """Three entries: one mode alone, scaled to them by least squares; five would be two modes."""
+    """Three entries determine one mode, scaled by least squares; five entries determine two modes."""
     table = configuration(MASS, STIFFNESS, measured_floors=[1, 2, 4])
     table["mode_shapes"][1] = [np.nan] * 3
     of = measured(table)
@@ -163,7 +163,7 @@ def test_the_nearest_starting_point_comes_first():
     found = [misfit.evaluate(each).chi2 for each in nearest_first(misfit, np.zeros(0))]
     assert found == sorted(found)
     assert len(found) == 3
-    # Where the story equations say nothing, and equal stories are far off, a smooth frame leads.
+    # If the story equations give no values and equal stories are far off, a smooth frame gives a better start.
     alone = measured(configuration(MASS, STIFFNESS, mode_shapes=[[np.nan] * 4] * 4, frequency_std=1e-5))
     misfit = Misfit(alone)
     smooth, *others = (misfit.evaluate(each).chi2 for each in nearest_first(misfit, np.zeros(0)))
@@ -188,7 +188,7 @@ def test_smooth_frames_keep_what_is_known_and_have_their_derivatives(frame, colu
     found = problem.evaluate(c)
     np.testing.assert_array_equal(problem.evaluate(c, derivatives=False).r, found.r)
     np.testing.assert_allclose(found.r[-len(c) :], 3 * c)
-    # The scales of shapes leave part of the derivatives out, to which the residual is orthogonal.
+    # The free scales of shapes remove a part of the derivatives; the residual is orthogonal to this part.
     for at, direction in enumerate(np.eye(len(c))):
         ends = [problem.evaluate(c + sign * h * direction).objective for sign in (1, -1)]
         assert 2 * found.r @ found.J[:, at] == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-5)
@@ -205,7 +205,8 @@ def test_smooth_frames_keep_what_is_known_and_have_their_derivatives(frame, colu
     ],
 )
 def test_a_smooth_frame_leads_where_no_starting_point_is_near(monkeypatch, chi2, smooth, expected):
-    """Far are hundred times what chance leaves of ten data; a start is known here by what it leaves."""
+    """A start is far if its misfit is a hundred times the expected value for ten data. The misfit identifies each start
+    here."""
 
     def evaluate(theta, derivatives):
         if np.isinf(theta[0]):

@@ -1,4 +1,4 @@
-"""Covariances and what is undetermined, and what is expected beforehand, against closed forms."""
+"""Compare covariances, undetermined directions and priors with closed forms."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def drawn():
 
 
 def covariance(J, held=None):
-    """Z (Z' J'J Z)^-1 Z' with Z a basis of what the held rows leave free."""
+    """Return Z (Z' J'J Z)^-1 Z', with Z a basis of the null space of the held rows."""
     Z = np.eye(4) if held is None else linalg.null_space(np.array(held))
     return Z @ np.linalg.inv(Z.T @ J.T @ J @ Z) @ Z.T
 
@@ -61,7 +61,8 @@ def test_a_covariance_is_that_within_the_constraints_that_are_active(said, held,
 
 
 def test_an_interval_counts_as_knowledge_and_its_end_is_not_held():
-    """A bound of an interval that is touched: the covariance has 1 / std^2 in its place; other bounds hold."""
+    """At an active bound of an interval, the covariance has the information 1 / std^2; other active bounds hold the
+    parameter."""
     J = drawn()
     said = {"lower": [2.0, -9.0, -9.0, -9.0], "upper": [2.6, 9.0, 9.0, 3.0]}
     found = uncertainty(J, THETA, domain([0.17, np.inf, np.inf, np.inf], **said), NAMES)
@@ -93,7 +94,7 @@ def test_what_nothing_depends_on_is_open_and_what_is_seen_little_is_not():
 
 @pytest.mark.parametrize(("share", "names"), [(0.5, {"a", "b", "c"}), (0.1, {"b", "c"})])
 def test_a_direction_that_is_open_is_named_by_those_with_a_share_in_it(share, names):
-    """In units of each column's length; from a tenth of the largest on; the largest first."""
+    """Shares are in units of each column's length; list shares above a tenth of the largest, the largest first."""
     J = drawn()
     unit = J / np.linalg.norm(J, axis=0)
     J[:, 2] = 7.0 * (share * unit[:, 0] + 2.0 * unit[:, 1])
@@ -120,7 +121,8 @@ def put(name, **place):
 
 
 def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_documented():
-    """Logarithms of masses within 1 and of stiffnesses within 2; effects by Student's t; a common size, normal."""
+    """Logarithms of masses have the deviation 1, of stiffnesses 2; effects have Student's t; a common size has a normal
+    prior."""
     scale = Scale(10.0, 5e3, np.full(2, 3.0))
     gain, mass = put("sensor_gain", floor=1), put("added_mass", floor=2, state="x")
     (other_gains,) = (each for each in open_classes() if each.name == "other_gains")

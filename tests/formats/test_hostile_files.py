@@ -1,4 +1,4 @@
-"""Harmful files are refused at once, with a message that says what to do."""
+"""Harmful files are refused at once, with a message that contains the remedy."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_links_of_a_mat_file_are_not_followed(tmp_path):
 
 
 def test_flipped_bits_of_a_compressed_file_are_seen(tmp_path):
-    """Each element has a checksum of what it holds: what is read in spite of a flip is what was written."""
+    """Each element has a checksum of its content. If a file with a flipped bit is read, its content is unchanged."""
     path = tmp_path / "a.mat"
     io.savemat(path, {"t": np.arange(40.0)}, do_compression=True)
     sound = path.read_bytes()
@@ -143,7 +143,7 @@ def test_the_files_that_a_command_reads(tmp_path):
 
 
 def test_a_function_whose_numbers_are_of_no_type(tmp_path):
-    """pyuff reads it without a word, and gives neither abscissa nor values."""
+    """pyuff reads it without a message, and returns neither abscissa nor values."""
     content = files.universal(tmp_path, binary=True)
     (tmp_path / "a.uff").write_bytes(content.replace(b"         4       200", b"         0       200", 1))
     with pytest.raises(InputError, match="a data set 58 lacks its numbers"):

@@ -1,4 +1,4 @@
-"""Modes from tables and universal files in a measurement file, and results as spreadsheets."""
+"""Test modes from tables and universal files in a measurement file, and results in spreadsheets."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_a_new_file_from_a_table(tmp_path):
 
 @pytest.mark.parametrize("write", [write_csv, write_xlsx])
 def test_the_scale_goes_out_and_comes_in(tmp_path, write):
-    """Mass-normalized modes give the masses of the frame that made them, with no total declared on the way."""
+    """Mass-normalized modes give the masses of the original frame, without a declared total."""
     pytest.importorskip("openpyxl")
     masses, stiffnesses = np.array([12.7, 18.6]), np.array([26e3, 25e3])
     stiffness = np.array([[stiffnesses.sum(), -stiffnesses[1]], [-stiffnesses[1], stiffnesses[1]]])

@@ -1,4 +1,4 @@
-"""A record file begun from what a logger wrote: its columns, units and rate, and a record that can be read."""
+"""Create a record file from a logger's file: its columns, units and rate, and a readable record."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tests.fuzz.files import columns
 from tests.records.shared import TWO_STORY_FREQUENCIES, csv, two_story_frf
 
 GRAVITY = 9.80665
-"""m/s2 (CGPM 1901)."""
+"""Standard gravity, m/s2 (CGPM 1901)."""
 
 
 @pytest.fixture(scope="module")
 def values():
-    """Time, ground and three floors, m/s2, 20 Hz."""
+    """Return time, ground and three floors, m/s2, 20 Hz."""
     return columns()
 
 
@@ -88,7 +88,7 @@ def test_headers(kind, values, run, tmp_path):
     (tmp_path / "a.csv").write_text(text(header, values, **options), encoding=encoding)
     said, record = begun(run, tmp_path, "a.csv")
     check(record, values, factor)
-    # Every guess says that it is one: the kind of input, the time, four floors, and the units where there are some.
+    # Every guess is marked: the kind of input, the time, four floors, and the units if there are any.
     assert said.count("GUESSED") == 1 + 6 + 4 * (factor != 1.0 or "m/s²" in header)
 
 
@@ -138,7 +138,7 @@ CLOCKS = {
 
 @pytest.mark.parametrize("kind", CLOCKS)
 def test_stamps(kind, values, run, tmp_path):
-    """Dates and times over midnight, in steps of 50 ms."""
+    """Dates and times pass midnight, in steps of 50 ms."""
     header, form = CLOCKS[kind]
     start = datetime(2024, 5, 1, 23, 59, 45)
     stamps = [start + timedelta(seconds=0.05 * place) for place in range(len(values))]
@@ -162,7 +162,7 @@ def test_a_date_and_a_time_in_a_workbook(values, run, tmp_path):
 
 @pytest.mark.parametrize(("header", "form"), [("time_s", "{:.4g}"), ("T_ms", "{:.4g}"), ("stamp no", "{:.4g}")])
 def test_a_column_of_time_with_few_digits(header, form, values, run, tmp_path):
-    """Stamps with four significant digits, as a logger's printf leaves them."""
+    """Stamps have four significant digits, like those of a logger's printf."""
     factor = 1e3 if header == "T_ms" else 1.0
     stamps = [form.format(factor * 0.05 * place) for place in range(len(values))]
     body = "\n".join(
@@ -219,7 +219,7 @@ def test_a_rate_as_a_number_of_its_own(ending, name, values, run, tmp_path):
     said, record = begun(run, tmp_path, f"a.{ending}")
     check(record, values)
     assert f'sampling_rate = 20  # Hz, GUESSED from "{name}" in the file' in said
-    # A record file that says nothing of the rate takes it as well.
+    # A record file without a rate accepts it as well.
     (tmp_path / "b.toml").write_text("\n".join(each for each in said.splitlines() if "sampling_rate" not in each))
     check(read_record(tmp_path / "b.toml").record, values)
 
@@ -270,7 +270,7 @@ def test_a_release_and_a_roof_over_floors_without_sensors(values, run, tmp_path)
 
 
 def test_functions(run, tmp_path):
-    """Accelerances of a two-story frame with floors of 2 and 1 kg, a file for each floor that was driven."""
+    """Accelerances of a two-story frame with floors of 2 and 1 kg, with one file per driven floor."""
     frequencies = np.arange(0.0, 32.0, 1 / 64)
     for floor in (1, 2):
         functions = two_story_frf(frequencies, 0.01, floor)
@@ -329,7 +329,7 @@ def test_kinds_of_files(ending, write, values, run, tmp_path):
     ],
 )
 def test_floors_as_they_are_called_in_japan(names, floors, ground, said, values, run, tmp_path):
-    """2F is the first floor above ground where 1F is the ground; either way the file says what else it may be."""
+    """2F is the first floor above ground if 1F is the ground. The file always mentions the other reading."""
     (tmp_path / "a.csv").write_text(text(f"time,{names}\n", values))
     written, record = begun(run, tmp_path, "a.csv")
     assert (record.input, record.floors.tolist()) == ("base", floors)
@@ -365,7 +365,7 @@ def test_text_of_a_logger_is_no_toml(header, values, run, tmp_path):
 
 
 def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
-    """One more line in the table, and record files, `new` and messages know it."""
+    """One more line in the table is enough for record files, `new` and messages."""
 
     def read(path, limit):
         return Columns(str(path), ("time", "ground", "a1", "a2", "a3"), np.frombuffer(path.read_bytes()).reshape(-1, 5))
@@ -395,7 +395,7 @@ def test_a_format_of_ones_own(values, run, tmp_path, monkeypatch):
     ],
 )
 def test_what_a_reader_of_ones_own_stumbles_on_is_an_error_of_the_file(tmp_path, content, said):
-    """The file does not exist, holds no number, or has too few cells a line."""
+    """The file does not exist, holds no number, or has too few cells in a line."""
 
     def read(path):
         first, second = path.read_text().split()

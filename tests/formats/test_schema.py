@@ -1,4 +1,4 @@
-"""The published JSON schemas hold for what is written, and refuse what is not."""
+"""The published JSON schemas accept all written results, and refuse invalid ones."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def validator(name):
 
 
 def faults(name, said):
-    """What the schema has against it."""
+    """Return the errors found by the schema."""
     return [error.message for error in validator(name).iter_errors(said)]
 
 
@@ -114,7 +114,7 @@ def test_plans(more):
 
 
 def test_motions_in_a_record():
-    """Predicted and reconstructed, with a measured base and without, with limits and without."""
+    """Motions are predicted and reconstructed, with and without a measured base, with and without limits."""
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=10.0)
     declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
     declared["frame"] |= {"story_heights": 0.3}
@@ -126,7 +126,7 @@ def test_motions_in_a_record():
     assert faults("reconstruct", found) == []
     found["limits"][0]["probability"][0] = 1.0000000000000002
     assert not validator("reconstruct").is_valid(found)
-    # Without a fit the sensors are left out in turn in a moment.
+    # Without a fit, the sensors are left out in turn very quickly.
     left_out = cvxshear.reconstruct(plain, record, fit=False).to_dict()
     assert left_out["checks"]
     assert faults("reconstruct", left_out) == []

@@ -1,4 +1,4 @@
-"""The measurement file to fill in, beside the page that lists every key."""
+"""Compare the template of a measurement file with the page that lists every key."""
 
 import re
 import tomllib
@@ -16,11 +16,11 @@ EXCLUSIVE = (
     "csv", "xlsx", "uff", "modes", "other_modes", "mass_normalized", "exclude", "total_mass_std",
     "total_mass_placeholder",
 )  # fmt: skip
-"""Keys in place of others, or of modes that the file's own are not."""
+"""Keys that replace others, or that need other modes than those in the file."""
 
 
 def keys_of_the_page(table):
-    """The keys in the first column of a table's section, in their order."""
+    """Return the keys in the first column of a table's section, in their order."""
     section = re.split(r"^## ", PAGE, flags=re.MULTILINE)
     (found,) = (part for part in section if re.match(rf"`\[+{table}\]+`", part))
     rows = re.findall(r"^\| (`.*?) \|", found, flags=re.MULTILINE)
@@ -28,7 +28,7 @@ def keys_of_the_page(table):
 
 
 def in_use(text, left_out=()):
-    """The template with its comments taken for what they comment out."""
+    """Return the template with its commented keys activated."""
     lines = [re.sub(r"^# (?=\[+\w+\]+|\w+ = )", "", line) for line in text.splitlines()]
     return "\n".join(line for line in lines if line.partition(" = ")[0] not in left_out)
 

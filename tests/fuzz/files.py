@@ -1,4 +1,4 @@
-"""Sound files of every kind that a reader takes, to be damaged."""
+"""Make sound files of every kind that a reader accepts, to be damaged by the tests."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ direction = "decreasing"
 
 
 def columns() -> np.ndarray:
-    """Time, ground and three floors of the paper's frame shaken for half a minute."""
+    """Return time, ground and three floors of the paper's frame, shaken for half a minute."""
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=30.0)
     time = np.arange(record.runs[0].samples) / record.sampling_rate
     return np.column_stack([time, record.runs[0].excitation, record.runs[0].responses])
@@ -70,7 +70,8 @@ def _variables(values: np.ndarray) -> dict[str, object]:
 
 
 def mat5(folder: Path, *, compressed: bool) -> bytes:
-    """With compression several variables, without it a single one, whose element can be compressed anew."""
+    """Write several variables with compression, or a single one without. The tests can compress the single one
+    again."""
     held = _variables(columns()[:200])
     io.savemat(folder / "sound.mat", held if compressed else {"all": held}, do_compression=compressed)
     return (folder / "sound.mat").read_bytes()
@@ -109,7 +110,7 @@ def universal(folder: Path, *, binary: bool) -> bytes:
         for node, column in zip((9, 1, 2, 3), values.T[1:], strict=True)
     ]  # fmt: skip
     with warnings.catch_warnings():
-        # pyuff leaves the file to the garbage collector.
+        # pyuff does not close the file; the garbage collector does.
         warnings.simplefilter("ignore", ResourceWarning)
         pyuff.UFF(str(path)).write_sets(sets, mode="add")
         gc.collect()

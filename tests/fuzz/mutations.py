@@ -1,4 +1,4 @@
-"""Files that went wrong: damage to bytes, as disks and mail do it, and to words, as people and programs do."""
+"""Damage files: bytes, like disks and mail do, and words, like people and programs do."""
 
 from __future__ import annotations
 
@@ -59,21 +59,21 @@ PLACES = st.floats(0, 1, exclude_max=True)
 
 
 def damaged(most: int = 4) -> st.SearchStrategy:
-    """Edits, each a kind, a place as a share of the file, another one and a number."""
+    """Return edits. Each is a kind, two places as shares of the file, and a number."""
     kinds = ("flip", "cut", "drop", "double", "swap", "byte", "number", "word", "junk")
     edit = st.tuples(st.sampled_from(kinds), PLACES, PLACES, st.integers(0, 2**16))
     return st.lists(edit, min_size=1, max_size=most)
 
 
 def apply(content: bytes, edits: list[tuple[str, float, float, int]]) -> bytes:
-    """The file after the edits, one after the other."""
+    """Apply the edits in order and return the file."""
     for edit in edits:
         content = _edited(content, *edit)
     return content
 
 
 def _edited(content: bytes, kind: str, place: float, other: float, value: int) -> bytes:
-    """One edit; each puts something in the place of what stands between two places."""
+    """Apply one edit, which replaces the bytes between two places."""
     at = int(place * len(content))
     words = list(WORD.finditer(content)) if kind == "word" else []
     word = words[int(place * len(words))].span() if words else (at, at)
@@ -81,7 +81,7 @@ def _edited(content: bytes, kind: str, place: float, other: float, value: int) -
     start, end, put = {
         "flip": (at, at + 1, bytes([here[0] ^ 1 << value % 8]) if here else b""),
         "byte": (at, at + 1, bytes([value % 256])),
-        # As sizes and counts are written.
+        # Sizes and counts are written like this.
         "number": (aligned, aligned + 4, NUMBERS[value % len(NUMBERS)].to_bytes(4, "little")),
         "cut": (at, len(content), b""),
         "drop": (at, at + 1 + value % 64, b""),
@@ -94,7 +94,7 @@ def _edited(content: bytes, kind: str, place: float, other: float, value: int) -
 
 
 def deflated(content: bytes, edits: list[tuple[str, float, float, int]]) -> bytes:
-    """A MAT file of version 5, damaged inside its compressed elements, whose checksums are right again."""
+    """Damage a MAT file of version 5 inside its compressed elements, and correct their checksums."""
     inside = apply(content[128:], edits)
     packed = zlib.compress(inside)
     return content[:128] + (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed

@@ -1,4 +1,5 @@
-"""What the readers take goes through the commands: a result in finite numbers, or a message; status 0, 1 or 2."""
+"""Run commands on every file that the readers accept. A command gives finite numbers or a message; its status is 0, 1
+or 2."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ from tests.fuzz.mutations import JUNK, PLACES, WORD, apply, damaged
 from tests.records.shared import csv
 
 SHARE = 5
-"""One mutated file in so many of the budget is tried; a command takes far longer than a reader."""
+"""Ratio of the budgets of readers and commands. A command takes far longer than a reader."""
 
 VALUES = (0.0, -1.0, 1e-30, 1e30, 1e-12, 1e12, 0.5, 2.0, 100.0, 1e6)
 
@@ -46,7 +47,7 @@ def numbers(value):
 
 
 def run(capsys, *arguments: str) -> int:
-    """The status of a command, once what it printed is known to be sound."""
+    """Return the status of a command after checking its printed text."""
     with pytest.raises(SystemExit) as stopped:
         main([*arguments, "--json", "-"])
     status, shown = stopped.value.code, capsys.readouterr()
@@ -61,7 +62,7 @@ def run(capsys, *arguments: str) -> int:
 
 
 def with_value(content: bytes, place: float, value: float) -> bytes:
-    """The text with one of its numbers multiplied or replaced."""
+    """Multiply or replace one of the numbers in the text."""
     words = [found for found in WORD.finditer(content) if found.group().replace(b".", b"").isdigit()]
     found = words[int(place * len(words))]
     text = f"{float(found.group()) * value:.9g}" if value > 0 else f"{value:.9g}"

@@ -1,4 +1,5 @@
-"""Names made to do harm, through every output of every command: no formula, no control character, no traceback."""
+"""Put harmful names through every output of every command. No output may contain a formula, a control character or a
+traceback."""
 
 from __future__ import annotations
 
@@ -26,26 +27,27 @@ from cvxshear.util.text import cell_text
 from tests.campaign.shared import write_records
 
 NAMES = (
-    # What a spreadsheet takes for a formula, and what hides one.
+    # Spreadsheets read these as formulas; some hide the formula.
     "=1+1", "+1+1", "-1+1", "@SUM(1+1)", '=HYPERLINK("http://x.y","z")', "=cmd|' /C calc'!A0", "＝1+1", "＋1", "－1",
     "＠A1", " =1+1", "'=1+1", "a,=1+1", "a;=1+1", 'a",=1+1', "a\t=1+1", "a\n=1+1", "\t=1+1", "\r=1+1", "\n=1+1",
     "0x1p3", "1e5",
-    # What steers a terminal, or no file of its kind can hold.
+    # These control a terminal, or some file types cannot hold them.
     "a\x00b", "a\x01b", "\x07", "\x1b[31mred", "\x1b]0;t\x07", "a\x7fb", "a\x85b", "a\x9bb", "a\u2028b", "a\u202eb",
     "a\u200bb", "\ufeffa", "a\ufffe", "a\r\nb",
-    # What ends a string, a comment or an element, or is markup.
+    # These end a string, a comment or an element, or are markup.
     '"""', "'''", "\\", "a\\", "*/", "]]>", "--><script>alert(1)</script>", "<b>&amp;", "[bold]a[/bold]", "$\\frac{$",
     "{title}", "{0}", "%s", "[/]", "#",
-    # What no sheet can be called, or two not at the same time.
+    # These are invalid as names of a sheet, or two of them collide.
     "History", "history", "a/b\\c?*[1]:", "'a'", "x" * 40, "x" * 41, "X" * 40,
 )  # fmt: skip
 WORST = ("$\\frac{$", "a\x00b", "\x1b[31mred", "a\u202eb", "<b>&amp;", "]]>", "--><script>alert(1)</script>", "x" * 41)
-"""One of each kind that a drawing or a page cannot hold as it is: these go through every figure of every report."""
+"""One name of each kind that a drawing or a page cannot hold unchanged. These go through every figure of every
+report."""
 
 MASSES = (10.0, 8.0)
 STIFFNESSES = (20e3, 15e3)
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠", "\t", "\r")
-"""First letters of a formula, as spreadsheet programs read them (OWASP)."""
+"""First letters of a formula in spreadsheet programs (OWASP)."""
 
 
 def test_the_names_are_many():
@@ -54,12 +56,12 @@ def test_the_names_are_many():
 
 
 def toml_string(name: str) -> str:
-    """A string of TOML, every letter by its number, so that nothing that is tested has written it."""
+    """Write a TOML string with every letter as a number, without the writer under test."""
     return '"' + "".join(f"\\U{ord(each):08x}" for each in name) + '"'
 
 
 def configuration(name: str, added: float) -> str:
-    """A configuration of two floors with its exact modes to six digits."""
+    """Return a configuration of two floors with its exact modes to six digits."""
     m1, m2 = MASSES[0], MASSES[1] + added
     k1, k2 = STIFFNESSES
     # The quadratic in omega^2 of two floors.
@@ -82,7 +84,8 @@ def measurement(path, names):
 
 
 def sound_text(text: str, kind: str) -> None:
-    """No control character and nothing that turns or hides text; of its kind, sound."""
+    """Assert that a text has no control character and no character that reverses or hides text, and is valid for its
+    kind."""
     found = {each for each in text if unicodedata.category(each) in ("Cc", "Cf", "Zl", "Zp", "Cs") and each != "\n"}
     assert not found, (kind, found)
     if kind == ".json":
@@ -100,7 +103,7 @@ def sound_text(text: str, kind: str) -> None:
 
 
 def formula(cell: str) -> bool:
-    """Whether a program would take a cell for one; a number with its sign is none."""
+    """Return whether a program would read a cell as a formula. A number with its sign is no formula."""
     try:
         float(cell)
     except ValueError:
@@ -135,7 +138,7 @@ def sound(path) -> None:
 
 
 def check(run, folder, *arguments, outputs, printed=True) -> None:
-    """Run a command with all its outputs, and look into each; where asked, into JSON on standard output as well."""
+    """Run a command with all its outputs and check each; if `printed`, also check JSON on standard output."""
     options = [part for option, name in outputs for part in (option, name.replace("OUT", str(folder / "out")))]
     status, out, err = run(*arguments, *options)
     assert (status, err) == (0, "")
@@ -152,18 +155,18 @@ OPTIONS = {".json": "--json", ".csv": "--csv", ".xlsx": "--xlsx", ".html": "--re
 
 
 def into(*endings: str, figures=()) -> list[tuple[str, str]]:
-    """The options that ask for files of these endings, and for these figures."""
+    """Return the options that request files of these endings, and these figures."""
     drawn = [("--figure", f"{kind}:OUT-{kind}.svg") for kind in figures]
     return [(OPTIONS[ending], f"OUT{ending}") for ending in endings] + drawn
 
 
 SOUND: set[tuple[bytes, bytes]] = set()
-"""Added masses and frequencies of the tests in which nothing is wrong, whatever they are called."""
+"""Added masses and frequencies of sound tests, whatever their names."""
 
 
 @pytest.fixture(autouse=True)
 def looked_at_once(monkeypatch):
-    """Mistakes are looked for in one test of many that differ in their names alone."""
+    """Search for mistakes only once in tests that differ in names alone."""
 
     def found(test):
         key = test.added_mass.tobytes(), test.frequencies.tobytes()
@@ -190,7 +193,7 @@ def test_identify(start, run, tmp_path):
 
 @pytest.fixture
 def one_comparison(monkeypatch):
-    """Every report has the same comparison of backends: it names none of what a file names."""
+    """Reuse one comparison of backends in every report; it contains no name of a file."""
     page = pytest.importorskip("cvxshear.report.html")
     monkeypatch.setattr(page, "compare_backends", lambda *_, **__: comparison())
 
@@ -202,7 +205,7 @@ def comparison():
 
 @pytest.mark.parametrize("start", range(6))
 def test_loop(start, run, tmp_path, one_comparison, monkeypatch):
-    """Two figures with all names; the report is written round its own, which the next test draws."""
+    """Draw two figures with all names. The next test checks the figures of the report."""
     file = measurement(tmp_path / "a.toml", few(start))
     monkeypatch.setattr("cvxshear.report.html.drawings", lambda *_: {})
     kinds = into(".json", ".csv", ".xlsx", ".html", figures=["frame", "mac"])
@@ -210,7 +213,7 @@ def test_loop(start, run, tmp_path, one_comparison, monkeypatch):
 
 
 def test_a_report_of_a_loop(run, tmp_path, one_comparison, shared_loops):
-    """A figure that shows a name as it stands fails with these."""
+    """A figure fails on these names if it does not escape them."""
     file = measurement(tmp_path / "a.toml", WORST)
     check(run, tmp_path, "loop", file, "--effects", "ground_spring", outputs=into(".html"))
 
@@ -233,10 +236,10 @@ def test_plan(start, run, tmp_path):
 
 
 SAMPLES = 960
-"""A quarter of a minute: what is identified is of no matter here, what it is called is."""
+"""Samples of the record. It is short because the identified values do not matter here; the names do."""
 
 PIECES = 6
-"""Pieces of the record that are left out in turn for the standard deviations; what they come to is of no matter."""
+"""Number of pieces left out in turn for the standard deviations. Their values do not matter here."""
 
 
 @pytest.fixture
@@ -246,7 +249,7 @@ def few_pieces(monkeypatch):
 
 @functools.cache
 def shaken():
-    """A record file and its table, cut short."""
+    """Return a shortened record file and its table."""
     with tempfile.TemporaryDirectory() as folder:
         (file,) = write_records(Path(folder), "\n[frame]\ntotal_mass = 22.5\n", ("bare",))
         text = file.read_text(encoding="utf-8")
@@ -254,7 +257,8 @@ def shaken():
 
 
 def records(folder, names, states=(), others=()) -> list:
-    """Record files of one record, whose name, file, state, third and second channel are called so."""
+    """Write record files of one record with these names for the record, file, state, third channel and second
+    channel."""
     text, (header, *rows) = shaken()
     made = []
     for place, name in enumerate(names):
@@ -277,7 +281,7 @@ def records(folder, names, states=(), others=()) -> list:
 
 
 def quoted(name: str) -> str:
-    """A cell of CSV on one line."""
+    """Return a cell of CSV on one line."""
     return '"' + name.replace('"', '""').replace("\n", " ").replace("\r", " ") + '"'
 
 
@@ -292,7 +296,7 @@ def test_modes(start, run, tmp_path, few_pieces):
 
 
 def test_a_report_of_modes(run, tmp_path, few_pieces):
-    """It draws four figures a record, of any width: here every name of a record file has a name to itself."""
+    """A report of modes draws four figures per record. Here each name in a record file is hostile in turn."""
     made = records(tmp_path, WORST[:2], WORST[2:4], WORST[4:6])
     check(run, tmp_path, "modes", *made, outputs=into(".html"), printed=False)
 
@@ -306,12 +310,12 @@ def test_figures_and_files_of_one_record(start, run, tmp_path, few_pieces):
 
 MODELS = ("npz", "mat", "json", "py", "xlsx")
 PLACED = (*WORST, "=1+1", '=HYPERLINK("http://x.y","z")', "＠A1", "a\n=1+1", '"""', "\\", "{0}", "[/]")
-"""What drawings, pages, tables, scripts and terminals stumble over, for the four places of a prediction."""
+"""Names that can break drawings, pages, tables, scripts and terminals, for the four names in a prediction."""
 
 
 @pytest.mark.parametrize("start", range(4))
 def test_predict(start, run, tmp_path):
-    """The frame's file and configuration, the record, its state and a channel have a name to themselves."""
+    """Each hostile name is used for the frame's file and configuration, the record, its state and a channel."""
     four = PLACED[start::4]
     name, of_record, state, channel = (*four[start:], *four[:start])
     record = records(tmp_path, [of_record], [state], [channel])[0]
@@ -339,7 +343,7 @@ def test_new_names_a_file(name, run, tmp_path):
 
 
 def test_a_name_of_no_letters_is_refused(run, tmp_path):
-    """A file whose name is no UTF-8 cannot be named in TOML."""
+    """A file name that is no UTF-8 cannot be written in TOML."""
     table = tmp_path / "a\udcff.csv"
     table.write_text("frequency,floor 1,floor 2\n3.5,0.6,1\n9.1,1,-0.7\n")
     status, out, err = run("new", "--from", table, "-o", tmp_path / "new.toml")
@@ -350,7 +354,7 @@ def test_a_name_of_no_letters_is_refused(run, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_cell_holds_the_name(name):
-    """A name without what does harm is left as it is, and no two become one by the apostrophe alone."""
+    """Harmless names stay unchanged, and the apostrophe never makes two names equal."""
     shown = cell_text(name)
     assert not formula(shown)
     if name.isprintable() and not formula(name.lstrip(" '")):

@@ -1,4 +1,4 @@
-"""Measurements of every sort that a file may hold: commands end in results or in words, never in a traceback."""
+"""Commands accept every sort of valid measurement. They end in results or in a message, never in a traceback."""
 
 import json
 
@@ -14,7 +14,7 @@ STDS = ("frequency_std", "mode_shape_std")
 
 
 def odd(seed):
-    """A frame tested at some of its floors, in some states, what a file may leave out left out at random."""
+    """Return a frame tested at some floors and in some states. Optional keys are left out at random."""
     rng = np.random.default_rng(seed)
     stories, configurations = int(rng.integers(2, 4)), int(rng.integers(1, 3))
     floors = sorted((rng.choice(stories, int(rng.integers(1, stories + 1)), replace=False) + 1).tolist())
@@ -51,7 +51,7 @@ def test_a_loop_ends_in_a_verdict_or_in_words(seed):
 
 
 def written(declared, path):
-    """A measurement as TOML; JSON's numbers, texts and lists are TOML's too."""
+    """Write a measurement as TOML. Numbers, texts and lists are the same in JSON and TOML."""
     tables = [("[frame]", declared["frame"])]
     tables += [(f"[[{key}]]", table) for key in ("configuration", "prior") for table in declared[key]]
     lines = [line for head, table in tables for line in (head, *(f"{k} = {json.dumps(v)}" for k, v in table.items()))]
@@ -61,7 +61,7 @@ def written(declared, path):
 
 @pytest.mark.parametrize(("seed", "report"), [(105, True), (106, False)])
 def test_commands_end_in_results_or_in_words(seed, report, run, shared_loops, tmp_path):
-    """A soft prior, configurations without shapes, a single sensor."""
+    """The files include a soft prior, configurations without shapes, and a single sensor."""
     path = written(odd(seed), tmp_path / "odd.toml")
     written_to = ["--report", tmp_path / "report.html"] if report else []
     for command in (["check"], ["identify"], ["plan"], ["loop", *written_to]):

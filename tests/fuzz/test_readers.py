@@ -1,6 +1,6 @@
-"""Whatever a file holds, its reader gives finite numbers or refuses it with a message.
+"""Each reader returns finite numbers or refuses the file with a message, whatever the file contains.
 
-`pytest tests/fuzz --fuzz-budget 20000` tries that many mutations a reader. A warning is an error here too.
+`pytest tests/fuzz --fuzz-budget 20000` tries 20000 mutations per reader. A warning is an error here too.
 """
 
 from __future__ import annotations

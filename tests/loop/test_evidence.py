@@ -1,4 +1,4 @@
-"""Evidence against brute-force integration: importance sampling of two-story frames, and quadrature."""
+"""Compare evidence with brute-force integration: importance sampling of two-story frames, and quadrature."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -43,7 +43,7 @@ TOTAL = put("total_mass")
 
 
 def matrices(mass, stiffness, added, effect, x):
-    """M (..., 2, 2), K and sensor gains of many frames at once, written out."""
+    """Return M (..., 2, 2), K and sensor gains of many frames at once, from explicit formulas."""
     M = np.zeros((len(mass), 2, 2))
     M[:, 0, 0], M[:, 1, 1] = mass[:, 0] + added[0], mass[:, 1] + added[1]
     k = stiffness.copy()
@@ -62,7 +62,7 @@ def matrices(mass, stiffness, added, effect, x):
 
 
 def chi2s(of, mass, stiffness, effect, x):
-    """Sums of squares of frequencies and of shapes in the default standard deviations, (S,) each."""
+    """Return sums of squares of frequencies and of shapes in the default standard deviations, (S,) each."""
     frequency, shape = np.zeros(len(mass)), np.zeros(len(mass))
     for each in of.configurations:
         M, K, gain = matrices(mass, stiffness, each.added_mass, effect, x)
@@ -79,7 +79,8 @@ def chi2s(of, mass, stiffness, effect, x):
 
 
 def log_prior_of(effect, x):
-    """The densities that docs/theory/loop.md states: Student's t with four degrees of freedom, half of it, uniform."""
+    """Evaluate the densities of docs/theory/loop.md: Student's t with four degrees of freedom, its positive half,
+    uniform."""
     if effect is SPRING:
         return np.where(x >= 0, np.log(2.0) + stats.t.logpdf(x, 4, scale=2200.0), -np.inf)
     if effect is GRAVITY:
@@ -88,10 +89,11 @@ def log_prior_of(effect, x):
 
 
 def sampled(of, estimate, effect, seed, *, undeclared=False):
-    """log of the integral of likelihood times prior over all that is free, by importance sampling, and its error.
+    """Return the log of the integral of likelihood times prior over all free parameters, by importance sampling, and
+    its error.
 
-    The frame's masses move along (1, -1) / sqrt(2) in units of a typical floor, their sum being declared; with an
-    effect that releases it they shift evenly besides.
+    The sum of the floor masses is declared, so they vary along (1, -1) / sqrt(2) in units of a typical floor. If an
+    effect releases the sum, they also shift uniformly.
     """
     dims = 3 + (effect is not None) + 2 * undeclared
     unit, own = 10.0 / np.sqrt(2), 2200.0 if effect is SPRING else 1.0
@@ -127,7 +129,7 @@ def sampled(of, estimate, effect, seed, *, undeclared=False):
     rng = np.random.default_rng(seed)
     spread = np.diag([0.02, 0.02, 0.02, *([0.05] * (effect is not None)), *([0.3] * 2 * undeclared)]) ** 2
     for _ in range(20):
-        # Adapted to the weighted samples, so that the last round is drawn from nearly the right shape.
+        # Adapt to the weighted samples, so that the last round has nearly the right distribution.
         z = stats.multivariate_t.rvs(center, spread, df=FREEDOM, size=SAMPLES, random_state=rng)
         logs = log_posterior(z) - stats.multivariate_t.logpdf(z, center, spread, df=FREEDOM)
         weights = np.exp(logs - logs.max())
@@ -184,7 +186,7 @@ CASES = {
 @pytest.mark.parametrize("undeclared", [False, True], ids=["declared", "undeclared"])
 @pytest.mark.parametrize("case", CASES)
 def test_the_evidence_of_an_effect_is_the_ratio_of_the_integrals(case, undeclared):
-    """Laplace's approximation is good to some hundredths of a unit here, a little less with the noise unknown."""
+    """Laplace's approximation is accurate to some hundredths of a unit here, slightly less with unknown noise."""
     effect, keys = CASES[case]
     of = measured(3, undeclared=undeclared, **keys)
     without, with_it = fit(of, None), fit(of, effect)
@@ -196,7 +198,7 @@ def test_the_evidence_of_an_effect_is_the_ratio_of_the_integrals(case, undeclare
 
 
 def test_a_spring_below_its_bound_is_pressed_on_it():
-    """So that the case above is the one it says."""
+    """Confirm that the case above tests an active bound."""
     assert fit(measured(3, spring=-500.0), SPRING).theta[4] == pytest.approx(0.0, abs=1e-6)
     assert fit(measured(3, spring=900.0), SPRING).theta[4] > 300
 
@@ -209,7 +211,7 @@ def test_a_spring_below_its_bound_is_pressed_on_it():
     ],
 )  # fmt: skip
 def test_the_integral_over_an_interval_far_tails_included(lower, upper, slope, std):
-    """Against adaptive quadrature of the integrand relative to its largest value on the interval."""
+    """Compare with adaptive quadrature of the integrand relative to its largest value on the interval."""
 
     def exponent(t):
         return -slope * t - t**2 / (2 * std**2)
@@ -226,7 +228,7 @@ def test_the_integral_over_an_interval_far_tails_included(lower, upper, slope, s
     ("a", "b"), [(-1.0, 2.0), (5.0, 6.0), (-40.0, -39.0), (39.0, 40.0), (-np.inf, -30.0), (0.0, 0.1)]
 )
 def test_the_normal_between_two_points_keeps_its_digits_in_either_tail(a, b):
-    """By the complementary error function, scaled, which loses nothing far out."""
+    """Compare with the scaled complementary error function, which is accurate in the tails."""
     low, high = (a, b) if b <= 0 else (-b, -a) if a >= 0 else (None, None)
     if low is None:
         expected = np.log(stats.norm.cdf(b) - stats.norm.cdf(a))
@@ -238,7 +240,7 @@ def test_the_normal_between_two_points_keeps_its_digits_in_either_tail(a, b):
 
 
 def test_a_frame_a_thousand_times_as_heavy_and_stiff_has_the_same_odds():
-    """Its modes are the same, and stories that must not stiffen upwards are pressed on that as much in other units."""
+    """The modes are the same. Stories that must not stiffen upwards are at their limit in both unit systems."""
     mass, stiffness = np.array([10.0, 8.0, 6.0]), np.array([9e3, 9.3e3, 5e3])
     rng = np.random.default_rng(5)
     added = (np.zeros(3), np.array([0.0, 4.0, 0.0]))
@@ -257,7 +259,8 @@ def test_a_frame_a_thousand_times_as_heavy_and_stiff_has_the_same_odds():
 
 @pytest.mark.parametrize("placed", [SPRING, GAIN, put("story_change", story=1), put("wrong_prior")])
 def test_the_constant_of_a_prior_is_that_of_its_density_between_its_bounds(placed):
-    """Student's t of four degrees of freedom, cut off; a normal distribution where one size is common to several."""
+    """The density is Student's t of four degrees of freedom, truncated, or normal if several parameters share one
+    size."""
     said, value = EffectPrior(SCALE), 0.0
     for item, size in zip(placed.effect.parameters, said.of(placed), strict=True):
         scaled = stats.norm(item.null, size) if placed.effect.common_size else stats.t(4, item.null, size)
@@ -270,7 +273,7 @@ def test_the_constant_of_a_prior_is_that_of_its_density_between_its_bounds(place
 
 
 def test_what_the_equalities_leave_free_keeps_them():
-    """The total goes with its error; the frame takes it up by the least change, in units of a floor and a story."""
+    """The total changes with its error. The frame follows with the least change, in units of a floor and a story."""
     of = measured(3, total=0.93)
     total, estimate = of.frame.total_mass, fit(of, TOTAL)
     B = free_basis(estimate, EffectPrior(SCALE))
@@ -280,13 +283,14 @@ def test_what_the_equalities_leave_free_keeps_them():
     own = B[:4, :3] / np.array([10.0, 10.0, 22e3, 22e3])[:, None]
     np.testing.assert_allclose(own.T @ own, np.eye(3), atol=1e-9)
     np.testing.assert_array_equal(B[4, :3], 0.0)
-    # An effect that no equality speaks of changes nothing but itself.
+    # If no equality contains an effect, its direction changes the effect alone.
     free = free_basis(fit(measured(3), GAIN), EffectPrior(SCALE))
     np.testing.assert_allclose(free[:, 3], [0.0, 0.0, 0.0, 0.0, 1.0], atol=1e-9)
 
 
 def test_the_prior_of_a_parameter_is_taken_as_it_is_where_it_is_students():
-    """Not where it is held, where nothing is expected of it, or where one size is common to all."""
+    """The exact density is not used if the parameter is fixed, has no prior, or shares a common size with all
+    others."""
     held, common = put("sensor_gain", floor=2), put("other_stiffness")
     effects = GAIN, GRAVITY, dataclasses.replace(held, fixed=(0.1,)), common
     theta = np.concatenate([MASS, STIFFNESS, [0.03, 1.1, 0.1], np.zeros(len(common.effect.parameters))])

@@ -1,4 +1,4 @@
-"""The linearised model at a fit, against fits, evidences and finite differences."""
+"""Compare the linearized model with fits, evidences and finite differences."""
 
 from types import SimpleNamespace
 
@@ -37,7 +37,7 @@ EXPECTED = EffectPrior(SCALE)
 
 @pytest.fixture(scope="module")
 def base():
-    """The shear model fitted to two tests, the second with a small mass at floor 3 that nobody wrote down."""
+    """Fit the shear model to two tests. The second has a small undeclared mass at floor 3."""
     rng = np.random.default_rng(0)
     added = np.array([0.0, 2e3, 4e3, 0.0, 6e3])
     first, second = (
@@ -63,7 +63,7 @@ def refitted(base, *effects):
 
 
 def test_a_candidate_s_own_column_gives_the_slope_of_chi_square(base):
-    """By finite differences; the column itself leaves out what the free scales of the shapes follow."""
+    """Compare with finite differences. The column excludes the part that the free scales of the shapes follow."""
     column = Linearised(base, [MASS_3], EXPECTED)._columns
     misfit = Misfit(base.experiment, [MASS_3])
     ahead, behind = (misfit.evaluate(np.append(base.theta, at), derivatives=False).chi2 for at in (1.0, -1.0))
@@ -73,7 +73,7 @@ def test_a_candidate_s_own_column_gives_the_slope_of_chi_square(base):
 
 @pytest.mark.parametrize("placed", LACKING, ids=lambda placed: placed.label)
 def test_the_gain_is_the_difference_of_evidences(base, linear, placed):
-    """Within what the model's curvature leaves: a tenth of a unit of the logarithm, where the gains are of some."""
+    """The difference is at most a tenth of a log unit, caused by the model's curvature; the gains are some units."""
     expected = log_evidence(refitted(base, placed), EXPECTED) - log_evidence(base, EXPECTED)
     assert linear.gain(placed) == pytest.approx(expected, abs=0.1)
 
@@ -86,7 +86,8 @@ class Alike(SensorGain):
 
 
 def test_parameters_that_the_data_cannot_part_promise_nothing():
-    """One does what the others do together, and rounding makes their curvature negative in that direction."""
+    """One parameter equals a combination of the others, and rounding makes their curvature negative in that
+    direction."""
     rng = np.random.default_rng(0)
     own = next(
         columns
@@ -94,7 +95,7 @@ def test_parameters_that_the_data_cannot_part_promise_nothing():
         if np.linalg.slogdet((columns := np.column_stack([rows, rows.sum(axis=1)])).T @ columns)[0] < 0
     )
     placed = Placed(Alike(), Place(floor=1))
-    # Each is even between its bounds, so that nothing is added to the curvature.
+    # The priors are uniform between the bounds, so they add no curvature.
     linear = SimpleNamespace(expectation=EffectPrior(SCALE, {placed: np.full(3, np.inf)}))
     for r in rng.standard_normal((3, 6)):
         assert Linearised._gain_of_several(linear, placed, own, r) == -np.inf
@@ -126,7 +127,7 @@ def test_the_promised_decrease_and_the_predicted_minimum_are_those_of_the_fit_fo
 
 
 def test_the_predicted_minimum_with_a_total_mass_keeps_what_it_says(base, linear):
-    """sum m = total (1 + e), and near the fit."""
+    """The prediction keeps sum m = total (1 + e) and lies near the fit."""
     found = linear.predicted([TOTAL])
     assert found[:5].sum() == pytest.approx(MASS.sum() * (1 + found[10]), rel=1e-9)
     fitted = refitted(base, TOTAL)
@@ -151,7 +152,7 @@ def test_the_triangle_of_an_evaluation_stands_for_its_rows(base):
 
 
 def test_how_much_surer_an_effect_is_known_is_the_ratio_of_precisions(base, linear):
-    """1 + (expected size / deviation from the data alone)^2, by a fit of which nothing is expected."""
+    """Compare 1 + (expected size / deviation from the data alone)^2 with a fit without a prior on the effect."""
     for placed in (MASS_3, GAIN_2, CHANGE_4):
         wide = EffectPrior(SCALE, {placed: np.array([1e9])})
         free = fitted_with(
@@ -171,32 +172,33 @@ def test_what_a_frame_changes_instead_of_a_story_is_first_of_all_that_story(line
 
 
 def drawn_columns(seed):
-    """Columns of two parameters, a residual, and the sizes that are expected of them."""
+    """Return columns of two parameters, a residual, and the expected sizes."""
     rng = np.random.default_rng(seed)
     return rng.standard_normal((6, 2)) * [3.0, 0.5], rng.normal(0.0, 2.0, 6), np.array([0.4, 1.5])
 
 
 def drawn_normal(seed):
-    """The slope b and information h of the same, and their sizes."""
+    """Return the slope b and the information h of these columns, and their sizes."""
     columns, r, stds = drawn_columns(seed)
     return -columns.T @ r, columns.T @ columns, stds
 
 
 def gained(b, h, stds):
-    """log of the integral of exp(b'x - x'h x / 2) over x normal about zero with these deviations."""
+    """Return the log of the integral of exp(b'x - x'h x / 2) over x, normal about zero with these deviations."""
     H = h + np.diag(stds**-2.0)
     return 0.5 * b @ np.linalg.solve(H, b) - 0.5 * np.linalg.slogdet(np.diag(stds**2) @ H)[1]
 
 
 def over_log_sizes(log_gain, points=4001):
-    """log of the mean of a gain over a normal variable, and where gain times density is largest."""
+    """Return the log of the mean of a gain over a normal variable, and the point with the largest gain times
+    density."""
     t = np.linspace(-9.0, 9.0, points)
     logs = np.array([log_gain(each) for each in t]) + stats.norm.logpdf(t)
     return np.log(integrate.trapezoid(np.exp(logs - logs.max()), t)) + logs.max(), t[np.argmax(logs)]
 
 
 def gain_of_two(seed, *, tail=np.inf, lower=-np.inf):
-    """What the linearised model says of an effect of these two, the first bounded below."""
+    """Return the linearized model's gain for an effect of these two parameters; the first has a lower bound."""
     columns, r, stds = drawn_columns(seed)
     parameters = [SimpleNamespace(lower=each, upper=np.inf, null=1.0) for each in (lower, -np.inf)]
     effect = SimpleNamespace(rescales=(), common_size=False, tail=tail, parameters=parameters)
@@ -208,10 +210,10 @@ def gain_of_two(seed, *, tail=np.inf, lower=-np.inf):
 def test_the_gain_by_several_parameters_is_the_integral_over_them(seed):
     b, h, stds = drawn_normal(seed)
     assert gain_of_two(seed) == pytest.approx(gained(b, h, stds), rel=1e-9)
-    # A bound at half a deviation leaves a prior that is as much higher.
+    # A bound at half a deviation increases the prior density by the truncated part.
     bounded = gained(b, h, stds) - stats.norm.logcdf(0.5)
     assert gain_of_two(seed, lower=1.0 - 0.5 * stds[0]) == pytest.approx(bounded, rel=1e-9)
-    # Student's t with four degrees of freedom, by quadrature.
+    # Integrate Student's t with four degrees of freedom by quadrature.
     x = np.linspace(-25.0, 25.0, 2001)
     first, second = np.meshgrid(x * stds[0], x * stds[1], indexing="ij")
     logs = b[0] * first + b[1] * second - 0.5 * (h[0, 0] * first**2 + h[1, 1] * second**2) - h[0, 1] * first * second
@@ -232,7 +234,7 @@ def test_a_common_size_is_integrated_out(seed, width):
 @pytest.mark.parametrize("size", [0.3, 1.0, 6.0])
 @pytest.mark.parametrize("width", [0.5, 1.5])
 def test_an_accuracy_that_is_left_open_is_integrated_out_the_fit_following(size, width):
-    """Five residuals of twelve have e^2u times their variance, and e^u a normal logarithm beyond one."""
+    """Five of twelve residuals have the variance multiplied by e^2u, and e^u has a log-normal prior above one."""
     rng = np.random.default_rng(1)
     Q = np.linalg.qr(rng.standard_normal((12, 3)))[0]
     r = rng.standard_normal(12) * np.where(np.arange(12) < 5, size, 1.0)

@@ -1,4 +1,4 @@
-"""Closing the loop: on finite-element frames, on the published frame, and where the data cannot tell."""
+"""Test the loop on finite-element frames, on the published frame, and on data that leave several explanations."""
 
 import json
 from typing import ClassVar
@@ -23,11 +23,11 @@ ELSEWHERE = {
     "total_mass", "floor_mass", "wrong_prior", "wrong_exact_prior", "bracing", "attached_mass", "load_mounting",
     "shape_scale", "force_scale", "soft_feet",
 }  # fmt: skip
-"""Declarations and forces that are off, braces and feet, which show beside turning joints alone, and what has two
-parameters: tested by themselves."""
+"""Effects tested elsewhere: wrong declarations and forces, braces and feet (visible only with turning joints), and
+effects with two parameters."""
 EFFECTS = [effect.name for effect in catalogue() if effect.name not in ELSEWHERE]
 OF_STATES = {"joint_release", "state_stiffness", "state_mass", "load_scale"}
-"""What is looked for where states, or the masses added to them, differ."""
+"""Effects that need different states, or different added masses."""
 
 
 def shear(seed=0, added=ADDED, frame=None, **keys):
@@ -44,7 +44,7 @@ def shear(seed=0, added=ADDED, frame=None, **keys):
 
 
 def deviation(result, truth):
-    """Largest error of a mass or stiffness in its stated standard deviations."""
+    """Return the largest error of a mass or stiffness in its stated standard deviations."""
     frame = result["frame"]
     values = np.array(frame["floor_mass"] + frame["story_stiffness"], dtype=float)
     std = np.array(frame["floor_mass_std"] + frame["story_stiffness_std"], dtype=float)
@@ -58,8 +58,8 @@ def closed_trial(trial):
 
 
 WITH_TWIN = {"state_mass": "state_stiffness", "joint_release": "story_change"}
-"""What cannot be told from another effect where the draw put it: heavier floors in the test without added mass from
-softer stories, and loose feet of columns between rigid beams from a softer first story."""
+"""Effects and their twins at the drawn place. Heavier floors in the test without added mass resemble softer stories;
+loose feet of columns between rigid beams resemble a softer first story."""
 
 
 @pytest.mark.parametrize("name", WITH_TWIN)
@@ -99,7 +99,8 @@ def test_what_one_configuration_hides_is_not_found(name):
 
 @pytest.mark.parametrize(("seed", "part", "tuning"), [(1, 0.03, 0.97), (6, 0.05, 1.0), (5, 0.05, 2.2)])
 def test_a_mass_on_a_spring(seed, part, tuning):
-    """A damper on the roof, tuned or nearly so, and a machine: found with its mass and frequency, and the frame too."""
+    """Find the mass and the frequency of a damper on the roof (tuned or nearly tuned) or a machine, and the frame's
+    parameters."""
     floor = 2 if tuning > 2 else 4
     declared, truth = simulated_attachment(
         stories=4, configurations=2, rng=np.random.default_rng(seed), floor=floor, part=part, tuning=tuning
@@ -125,7 +126,7 @@ def test_nothing_is_added_to_a_shear_frame(seed):
 
 
 def test_the_practice_cases():
-    """Verdict, effect and place as in truth.json; masses and stiffnesses within four stated deviations."""
+    """Verdict, effect and place agree with truth.json; masses and stiffnesses are within four stated deviations."""
     folder = shared("cases")
     truth = json.loads((folder / "truth.json").read_text())
     for name, said in truth.items():
@@ -159,7 +160,7 @@ def test_gravity_hides_in_the_stiffnesses_of_one_configuration_and_is_said_to():
     declared, _ = simulated("gravity", stories=4, configurations=1, rng=np.random.default_rng(5))
     table = declared["configuration"][0]
     shapes = np.array(table["mode_shapes"])
-    # Something visible besides, so that candidates are looked at.
+    # Add another visible effect, so that the loop examines candidates.
     table["mode_shapes"] = (shapes * np.array([1.0, 1.3, 1.0, 1.0])).tolist()
     result = close_loop(Experiment.from_dict(declared))
     assert "gravity" not in [item.placed.effect.name for item in result.effects]
@@ -218,7 +219,7 @@ def test_an_assumed_effect_that_the_data_do_not_determine_is_known_to_lie_in_its
     result = close_loop(Experiment.from_dict(declared), assume=["gravity"])
     estimate = result.estimate
     assert result.assumed[0].fixed == ()
-    # Even over 1 to 1.2, whatever the data say.
+    # The prior is uniform from 1 to 1.2, whatever the data.
     assert estimate.std[estimate.own(result.assumed[0])] == pytest.approx(0.2 / np.sqrt(12), rel=1e-3)
     assert deviation(result.to_dict(), truth) < 4
 
@@ -243,7 +244,7 @@ def test_an_unknown_effect_is_refused_with_the_nearest():
 
 
 class Brace(Effect):
-    """A spring between floors 1 and 3, which no effect of the catalogue is."""
+    """A spring between floors 1 and 3, an effect that the catalogue does not have."""
 
     name: ClassVar[str] = "brace_between_floors"
     summary: ClassVar[str] = "A brace joins floors 1 and 3."
@@ -264,7 +265,7 @@ class Brace(Effect):
 
 
 class Boundless(Brace):
-    """The same of any size up to infinity, each as probable."""
+    """The same spring with an unbounded uniform prior of its size."""
 
     def sizes(self, scale):
         return Effect.sizes(self, scale)
@@ -325,7 +326,7 @@ def test_rivals_come_with_the_test_that_parts_them():
 
 
 def test_held_out_error_of_an_exact_frame_is_next_to_nothing():
-    """What is vaguely expected of any frame moves a prediction by a fiftieth of a deviation, 1e-3."""
+    """The weak priors move a prediction by a fiftieth of a deviation, 1e-3."""
     exact = experiment(MASS, STIFFNESS, *(configuration(MASS, STIFFNESS, each) for each in ADDED))
     result = close_loop(Experiment.from_dict(exact))
     assert result.after.held_out < 2e-5
@@ -346,7 +347,8 @@ def test_held_out_error_is_what_leaving_a_configuration_out_predicts():
 
 
 def test_held_out_errors_before_and_after_are_of_the_same_data():
-    """A change of one state cannot be judged by the others: the largest error is of those that have none of it."""
+    """A change in one state cannot be predicted from the other states. The largest error excludes the data with this
+    change."""
     declared, _ = simulated(
         "story_change", stories=4, configurations=3, rng=np.random.default_rng(4), configuration=3, story=2, size=-0.2
     )
@@ -369,7 +371,7 @@ def test_held_out_errors_before_and_after_are_of_the_same_data():
 
 
 def test_a_prediction_that_the_rest_does_not_determine_is_passed_over():
-    """Two tests with different masses give the scale together; either by itself does not give the other."""
+    """Two tests with different masses determine the scale together, but one test alone does not."""
     tables = [configuration(MASS, STIFFNESS, added) for added in ADDED[:2]]
     of = Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame={}))
     result = close_loop(of, effects=[])
@@ -414,7 +416,7 @@ def test_the_json_has_the_documented_keys_and_is_json():
 
 
 def test_a_noise_that_comes_out_as_the_default_is_still_what_the_verdict_rests_on():
-    """The shortest file of the documentation: its noise is the default one, and the fit never left it."""
+    """The shortest file of the documentation has the default noise, and the fit keeps it."""
     shapes = [[0.61071, 1.0], [-1.65840, 1.0]]
     given = Experiment.from_dict({
         "frame": {"total_mass": 31.33},

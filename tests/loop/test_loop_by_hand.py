@@ -1,4 +1,4 @@
-"""Decisions of the loop by themselves: which sets are tried and kept, what is said, with numbers put in by hand."""
+"""Test single decisions of the loop with given numbers: the sets tried, the sets kept, and the messages."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -42,7 +42,7 @@ def test_groups_are_of_a_state_of_a_name_all_and_single_open_classes():
 
 
 def linearised(gains, together, forward=()):
-    """What a linearised model promises of four effects, alone and in pairs."""
+    """Return a linearized model with given gains of four effects, alone and in pairs."""
     gains = np.array(gains, dtype=float)
     pairs = gains[:, None] + gains[None, :] + np.array(together, dtype=float)
     return SimpleNamespace(lacking=[GAIN_1, GAIN_2, MASS_1, CHANGE], gains=gains, pair_gains=lambda: pairs,
@@ -62,10 +62,11 @@ def test_pairs_are_tried_that_promise_more_than_either_and_than_nothing():
     extra = np.zeros((4, 4))
     extra[0, 1], extra[0, 2], extra[1, 2], extra[2, 3], extra[1, 3] = 20.0, 9.0, 6.0, 13.0, -5.0
     linear = linearised([1.0, 0.5, 5.0, -3.0], extra + extra.T)
-    # Each alone: -3, -3.5, 1, -7; together 13.5, 7, 3.5, 7 and less than nothing: the two best, then the order.
+    # Gains of single effects: -3, -3.5, 1, -7; of pairs: 13.5, 7, 3.5, 7 and negative ones. The two best come first,
+    # then the order.
     found = _pairs(model_of(), linear, np.full(4, -4.0))
     assert found == [{GAIN_1, GAIN_2}, {GAIN_1, MASS_1}]
-    # A pair that is worth no more than the better of both is none, and neither is one far behind the best.
+    # A pair needs a larger gain than its better effect alone. Effects far below the best are left out.
     alone = linearised([30.0, 1.0, 5.0, 8.0], np.diag([0.0] * 4))
     assert _pairs(model_of(), alone, np.full(4, -4.0)) == [{GAIN_1, CHANGE}, {GAIN_1, MASS_1}]
     assert _pairs(model_of(), linearised([1.0] * 4, np.zeros((4, 4))), np.full(4, -4.0)) == []
@@ -79,7 +80,7 @@ def test_further_effects_are_tried_as_far_as_they_may_catch_up():
     behind = [set(each) for each in promising(model_of(), linear, FITTER, 9.0 + 7.0) if len(each) == 1]
     assert behind == [{GAIN_1}]
     assert promising(model_of(), linear, FITTER, 0.0)[-1] == {GAIN_1, MASS_1}
-    # Residuals that are out of the question: the order counts alone.
+    # The residuals are impossible, so the order alone counts.
     far = promising(model_of(objective=1e9), linear, FITTER, 0.0)
     assert [set(each) for each in far if len(each) == 1][:3] == [{GAIN_1}, {MASS_1}, {GAIN_2}]
 
@@ -104,7 +105,7 @@ def test_the_strength_of_an_effect_is_its_distance_from_null_in_deviations():
 
 
 def searched(*models, improbable=False):
-    """A search that visited some sets, the first of them the shear model."""
+    """Return a search that visited some sets, starting with the shear model."""
     found = object.__new__(Search)
     found.visited = {each.effects: each for each in models}
     found.base = models[0]
@@ -120,7 +121,8 @@ def test_the_beam_is_of_the_best_and_of_open_classes_that_add_to_no_better_set()
     models += [model_of(others[0], items[0], score=8.9), model_of(others[0], items[1], score=20.0)]
     beam = searched(*models).beam
     assert [each.score for each in beam] == [20.0, 10.0, 9.5, 9.0, 8.5, 8.0, 7.0, 6.0, 5.0]
-    # What only adds to a better one is hardly followed; the best is, and whatever there is where nothing explains.
+    # A set that only extends a better set is rarely expanded. The best set is, and every set if no set explains the
+    # data.
     found = searched(models[0], model_of(items[0], score=9.0), model_of(items[0], items[1], score=6.9),
                      model_of(items[0], items[2], score=7.1), model_of(others[0], score=8.9))  # fmt: skip
     worth = {frozenset(each.effects): found._worth_following(each) for each in found.visited.values()}
@@ -142,7 +144,7 @@ def test_a_better_fit_of_a_set_replaces_the_other_and_its_neighbors_are_looked_a
 
 
 class Probed:
-    """A search whose best set is known beforehand, and what was asked of it."""
+    """A search with a given best set, which records its calls."""
 
     def __init__(self, base, best, *, improbable=False, after=None):
         self.base = SimpleNamespace(score=base, improbable=improbable)
@@ -360,14 +362,14 @@ def test_twins_are_what_makes_the_same_derivatives_with_the_frame():
     assert found.twins(GAIN_1) == [GAIN_2]
     assert found.twins(MASS_2) == []
     assert Invariances(None, np.hstack([frame, frame[:, :1] + 5e-4 * own]), owner, lacking).twins(GAIN_1) == []
-    # An effect of two parameters may have a twin of two.
+    # An effect of two parameters may have a twin of two parameters.
     pair = Invariances(None, np.hstack([frame, two]), (None, None, None, MASS_2, MASS_2),
                        {GAIN_2: two @ [[1.0, 2.0], [3.0, 1.0]] + frame[:, :1], MASS_1: other})  # fmt: skip
     assert pair.twins(MASS_2) == [GAIN_2]
 
 
 class Keyed(list):
-    """Values by the identity of what they belong to."""
+    """A mapping that compares keys by identity."""
 
     def __getitem__(self, key):
         return next(value for own, value in self if own is key)
@@ -417,7 +419,7 @@ def deviation(label, deviations, entries, error=None):
 
 
 def test_a_residual_sits_where_its_parts_are_improbable_among_all_there_are(monkeypatch):
-    """A hundredth over five parts and two floors."""
+    """The probability is a hundredth for five parts and two floors."""
     level = 0.01 / 7
     limit = stats.norm.isf(level / 2)
     of_three, of_two = (np.sqrt(special.chdtri(n, level) / n) for n in (3, 2))
@@ -460,7 +462,7 @@ def test_states_are_tested_again_that_still_stand_and_that_models_disagree_on():
 
 
 def test_sensors_are_added_while_each_is_worth_it(monkeypatch):
-    """A floor more multiplies the distance by 1.5, the fourth by 1.1; three deviations are enough."""
+    """One additional floor multiplies the distance by 1.5, the fourth by 1.1; three deviations are enough."""
     worth = {0: 1.0, 1: 1.5, 2: 1.4, 3: 1.1}
     said = [None]
     monkeypatch.setattr(next_test, "_said", lambda *_: said)
@@ -485,7 +487,7 @@ def test_multipliers_of_active_rows_balance_the_gradient():
 
 
 def test_a_headline_has_the_parts_for_which_there_are_words():
-    """Parts are set off by semicolons; one that names nothing in braces always stands."""
+    """Semicolons separate the parts. A part without a name in braces is always shown."""
     plain = dict.fromkeys(FIELDS, "")
     ambiguous = VERDICTS["ambiguous"]
     said = ambiguous.says(added=True, **plain | {"found": "a spring", "doubt": "a mass would do", "change": ""})
@@ -500,7 +502,7 @@ def test_a_headline_has_the_parts_for_which_there_are_words():
 
 
 def told_by(**more):
-    """A search, the set of its verdict and what is said besides, of which nothing is worth a word."""
+    """Return a search, the set of its verdict and the other facts, with no fact important enough for a message."""
     frame = SimpleNamespace(story_heights=np.ones(2))
     tests = [SimpleNamespace(name="a", other_modes=())]
     experiment = SimpleNamespace(stories=2, configurations=tests, frame=frame)
@@ -557,7 +559,7 @@ def test_that_other_modes_are_hardly_probable_is_said_where_no_numbering_has_the
 
 
 def test_statements_of_effects_that_are_not_there_are_granted_where_the_data_hardly_tell():
-    """Those of the frame and of the states that something was found in; each statement once, with its states."""
+    """Only assumptions about the frame and the affected states are listed, each once, with its states."""
     heavier, softer = put("state_mass", state="b"), put("state_stiffness", state="b")
     elsewhere = put("state_mass", state="c")
     asked = []
@@ -588,7 +590,8 @@ def test_inequalities_that_were_declared_are_granted():
 
 
 def test_candidates_have_the_gain_and_the_odds_of_the_linearised_model_or_of_a_fit(monkeypatch):
-    """Of three hypotheses one is there, one is judged by derivatives and one is not; chance counts them all."""
+    """One of three hypotheses is in the set, one is judged by derivatives and one is not judged. All three count for
+    chance."""
     monkeypatch.setattr(conclusion, "_in_noise_of", lambda final, kept, fitter: SimpleNamespace(chi2=final.chi2 + 12.0))
     monkeypatch.setattr(conclusion, "parameter_names", lambda experiment, effects: [])
     known = [Hypothesis(placed, 0.1) for placed in (GAIN_1, GAIN_2, MASS_1)]
@@ -619,7 +622,8 @@ def test_candidates_have_the_gain_and_the_odds_of_the_linearised_model_or_of_a_f
 
 
 def test_probability_of_an_effect_is_shared_by_its_places_as_the_file_expects_it():
-    """Of any of three floors 2 %; one that is expected there with 30 % has that, excluded ones share nothing."""
+    """The probability for all three floors is 2 %. A floor declared with 30 % has 30 %; excluded floors get no
+    share."""
     mass, stiffness = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
     frame = {"total_mass": 24.0}
     table = experiment(mass, stiffness, configuration(mass, stiffness), frame=frame)

@@ -1,4 +1,4 @@
-"""log Z against nested sampling, three of the problems of tests/benchmarks/nested.py with few points."""
+"""Compare log Z with nested sampling on three problems of tests/benchmarks/nested.py with few points."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from tests.benchmarks.nested import PROBLEMS, compared
 
 LIVE, DRAWS = 100, 2000
 APPROXIMATION = 0.1
-"""What Laplace's approximation itself may be off, beside four standard errors of the sampling."""
+"""Allowed error of Laplace's approximation, in addition to four standard errors of the sampling."""
 
 
 @pytest.mark.parametrize("problem", [PROBLEMS[0], PROBLEMS[2], PROBLEMS[6]], ids=lambda problem: problem.name)

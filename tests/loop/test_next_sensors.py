@@ -1,4 +1,4 @@
-"""The next test may ask for sensors: carried out with them, the verdict is surer."""
+"""The next test may require additional sensors. With them, the verdict is more certain."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ SEED = 2
 
 
 def measured(rng, **keys):
-    """A five-story frame whose joints turn, in a noise three times the usual one, declared as such."""
+    """Return a five-story frame whose joints turn, with three times the usual noise, declared correctly."""
     declared, _ = simulated("joint_rotation", stories=5, rng=rng, noise=NOISE, **keys)
     for each in declared["configuration"]:
         each["frequency_std"] = (NOISE * np.asarray(each["frequency_std"])).tolist()
@@ -23,7 +23,7 @@ def measured(rng, **keys):
 
 
 def kept(table, floors):
-    """A configuration measured at these floors alone."""
+    """Return a configuration measured at these floors alone."""
     shapes = np.asarray(table["mode_shapes"])[:, np.array(floors) - 1]
     return {**table, "measured_floors": list(floors), "mode_shapes": shapes.tolist()}
 

@@ -1,4 +1,4 @@
-"""Which modes of the frame were measured, as a hypothesis of the loop: finite-element frames with a mode overlooked."""
+"""Test hypotheses about mode numbers in the loop, on finite-element frames with one mode overlooked."""
 
 import copy
 import dataclasses
@@ -36,7 +36,7 @@ def measured_frame(effect, seed, *, stories=7, floors=(2, 3, 5, 7), modes=5, con
 
 
 def lose(declared, mode, where=slice(None)):
-    """The same test without one of its modes; nothing says so."""
+    """Remove one mode from the test without declaring this."""
     for each in declared["configuration"][where]:
         for key in ("frequencies", "mode_shapes", "frequency_std", "mode_shape_std"):
             if isinstance(each.get(key), list):
@@ -46,12 +46,12 @@ def lose(declared, mode, where=slice(None)):
 
 
 FIVE = (("stories", 5), ("floors", (2, 3, 5)), ("modes", 4))
-"""A frame that takes a third of the time of that of seven stories."""
+"""A smaller frame, which takes a third of the time of the frame with seven stories."""
 
 
 @functools.cache
 def closed_without(mode, effect, configurations, tests, size, seed):
-    """What is declared of a frame one of whose modes was overlooked, in so many tests; what it is; and its loop."""
+    """Return the file of a frame with one mode overlooked in the first tests, the truth, and the result of the loop."""
     declared, truth = measured_frame(effect, seed, configurations=configurations, **dict(size))
     lose(declared, mode, slice(tests))
     return declared, truth, search_for_effects(Experiment.from_dict(declared))
@@ -70,7 +70,7 @@ def numbers(closure):
 @pytest.mark.parametrize(
     ("effect", "configurations", "lost", "tests", "size", "seed", "verdict"),
     [
-        # A tank's motion of its own would be one mode more too: a single test leaves it a fifth.
+        # A tank's own motion would add a mode too; with a single test, it keeps a probability of a fifth.
         (None, 1, 3, 1, (), 41, "ambiguous"),
         ("gravity", 3, 2, 3, (), 41, "explained"),
         ("ground_spring", 2, 3, 1, FIVE, 42, "ambiguous"),
@@ -119,10 +119,10 @@ def test_right_numbers_stay(effect):
 
 
 def test_the_probability_of_other_modes_is_that_of_their_evidence_and_their_odds():
-    """Two numberings that differ in nothing else: odds beforehand times the ratio of their evidence."""
+    """Two numberings differ in their numbers alone: prior odds times the ratio of their evidence."""
     declared, _ = measured_frame(None, 44, modes=3, floors=(7,))
     (configuration,) = declared["configuration"]
-    # One floor and three frequencies hardly tell; what is said beforehand does.
+    # One floor and three frequencies carry little information, so the prior odds decide.
     sets = []
     for probability in (0.1, 0.6):
         configuration["other_modes"] = [{"modes": [1, 2, 4], "probability": probability}]
@@ -134,7 +134,7 @@ def test_the_probability_of_other_modes_is_that_of_their_evidence_and_their_odds
 
 
 def test_numbers_that_nothing_tells_are_said_to_be_in_doubt():
-    """One floor and three frequencies: whatever was said beforehand stays, and the page says how to find out."""
+    """With one floor and three frequencies the prior odds remain, and the page names a measurement that decides."""
     declared, _ = measured_frame(None, 44, modes=3, floors=(7,))
     declared["configuration"][0]["other_modes"] = [{"modes": [1, 2, 4], "probability": 0.5}]
     closure = search_for_effects(Experiment.from_dict(declared), effects=["total_mass"])
@@ -180,14 +180,14 @@ def test_what_is_in_question():
     assert len(overlooked_in_one(experiment)) == 8
     odds = sum(np.exp(item.log_odds) for item in (*in_all, *overlooked_in_one(experiment)))
     assert odds == pytest.approx(0.05 / 0.95)
-    # All odds are against the numbers as given, whose own are one.
+    # The odds are relative to the given numbers, whose own odds are one.
     assert np.exp(Numbering(experiment).log_odds) == 1.0
     assert named_numberings(experiment) == []
 
 
 @pytest.mark.parametrize("given", [{"floors": range(1, 8)}, {"modes": 7}])
 def test_what_tells_its_number_is_not_in_question(given):
-    """Shapes known at every floor, and tests that hold all the modes there are."""
+    """The numbers are certain if shapes are known at every floor, or if a test contains all modes."""
     declared, _ = measured_frame(None, 46, **given)
     assert overlooked_in_all(Experiment.from_dict(declared)) == []
 
@@ -221,7 +221,7 @@ def test_other_modes_survive_a_file(tmp_path):
 
 
 def shaken(floors, **keys):
-    """The modes of eight stories shaken at floor 7, a node of mode 3, by sensors at some of the floors."""
+    """Return the modes of eight stories, shaken at floor 7 (a node of mode 3), with sensors at some floors."""
     frame = KnownFrame(np.full(8, 10.0), np.linspace(40000.0, 25000.0, 8), 0.01)
     record = shaker_record(frame, 1, noise=0.02, floor=7, sampling_rate=40.0)
     kept = [floor - 1 for floor in floors]
@@ -237,7 +237,7 @@ def test_the_signs_of_a_record_at_some_floors_tell_that_a_mode_is_lacking():
 
 
 def test_a_record_that_lacks_a_mode_is_numbered_by_the_loop_where_its_signs_do_not_tell():
-    # The observer of `okid` bends the highest mode by more than its stated deviation.
+    # The observer of `okid` shifts the highest mode by more than its stated deviation.
     _, modes = shaken([3, 5, 8], count=5, method="subspace")
     assert modes.modes.tolist() == [1, 2, 3, 4, 5]
     rivals = ["attached_mass", "ground_spring", "sensor_gain", "story_change", "gravity"]
@@ -261,7 +261,7 @@ def test_a_resonance_without_a_shape_puts_the_numbers_above_it_in_doubt():
     assert finding.numbers["modes"] == [1, 2, 4]
     assert finding.numbers["probability"] == A_MODE
     assert "between modes 2 and 3 lies a resonance that is not among them, at 5 Hz" in finding.message
-    # One mode is overlooked, if any: two resonances between others share its probability.
+    # At most one mode is overlooked: two resonances between others share its probability.
     two = overlooked_modes(found, np.array([1, 2, 3]), [pole(2.0), weak], floors=3, stories=6)
     assert [(item.numbers["modes"], item.numbers["probability"]) for item in two] == [
         ([1, 3, 4], pytest.approx(A_MODE / 2)), ([1, 2, 4], pytest.approx(A_MODE / 2)),
@@ -272,7 +272,7 @@ def test_a_resonance_without_a_shape_puts_the_numbers_above_it_in_doubt():
 
 
 def test_hopeless_numbers_lose_nothing_that_is_declared():
-    """A misfit that no frame mends must not run off to stories of infinite stiffness, and the total mass with it."""
+    """A misfit that no frame removes must not lead to infinite stiffnesses, nor change the declared total mass."""
     declared, truth = measured_frame(None, 900, stories=8, floors=(1, 2, 3, 5, 6, 8), modes=7)
     for lost in (2, 3, 4):
         theta = efficient(Experiment.from_dict(lose(copy.deepcopy(declared), lost)), backends.get("auto")).theta

@@ -1,4 +1,5 @@
-"""Causes that no effect of the catalogue is, what no datum tells, priors that are wrong, residuals nothing explains."""
+"""Test causes outside the catalogue, quantities that no measurement determines, wrong priors, and unexplained
+residuals."""
 
 import json
 from dataclasses import replace
@@ -27,12 +28,12 @@ from tests.outside import simulated
 
 N = 5
 SEEDS = (25, 27, 30)
-"""Of frames whose first fit leads to another minimum than that of the frame that changed."""
+"""Seeds of frames whose first fit leads to a minimum far from the changed frame."""
 SCALE = Scale(10.0, 2e4, np.ones(N))
 
 
 def measured_in(mass, stiffness, rng, *, name="test", state=None, added=None, shapes=True, K=None, noise=1.0):
-    """A test of a frame, with 0.1 % and 1 % noise."""
+    """Return a test of a frame, with 0.1 % and 1 % noise."""
     n = len(mass)
     added = np.zeros(n) if added is None else np.asarray(added, dtype=float)
     found = modes(mass_matrix(mass + added), stiffness_matrix(stiffness) if K is None else K)
@@ -68,7 +69,8 @@ def test_the_residual_of_student_s_t_is_its_density():
 
 @pytest.mark.parametrize(("centre", "spread"), [(0.0, 50.0), (0.4, 0.1), (3.0, 0.5), (-0.2, 1.0)])
 def test_the_integral_over_a_parameter_is_that_of_likelihood_and_prior(centre, spread):
-    """A normal likelihood times Student's t, by quadrature, about the mode that Laplace takes."""
+    """Compare with quadrature of a normal likelihood times Student's t about the mode used by Laplace's
+    approximation."""
     size = 0.3
     grid = np.linspace(-20, 20, 400_001)
     log_posterior = stats.t(4).logpdf(grid / size) - 0.5 * ((grid - centre) / spread) ** 2
@@ -97,14 +99,14 @@ def test_the_derivatives_of_an_open_class(effect):
     for _ in range(2):
         d = rng.standard_normal(len(theta)) * np.concatenate([mass, stiffness, np.ones(len(own)) * bound.sizes(SCALE)])
         step = 1e-6
-        # The scale of a shape leaves a part of the derivative out that is orthogonal to the residual.
+        # The derivative leaves out the part along the shape's scale, which is orthogonal to the residual.
         up, down = (misfit.evaluate(theta + sign * step * d) for sign in (1, -1))
         slope = (up.objective - down.objective) / (2 * step)
         assert 2 * misfit.evaluate(theta).r @ (J @ d) == pytest.approx(slope, rel=1e-4)
 
 
 def test_every_symmetric_stiffness_matrix_is_a_network_of_springs():
-    """N stories and N(N-1)/2 other springs: as many as a symmetric matrix has entries, and independent."""
+    """N stories and N(N-1)/2 other springs are independent, and a symmetric matrix has this number of entries."""
     rng, mass, stiffness = frame(2)
     given = Experiment.from_dict({
         "frame": {"total_mass": float(mass.sum())}, "configuration": [measured_in(mass, stiffness, rng)],
@@ -117,7 +119,7 @@ def test_every_symmetric_stiffness_matrix_is_a_network_of_springs():
 
 
 def test_a_negative_spring_is_no_place():
-    """A soft foundation needs them all over the frame; a brace is positive where it stands."""
+    """A soft foundation needs negative springs all over the frame; a brace is a positive spring at one place."""
     experiment = Experiment.from_dict(
         {"frame": {"stories": 4, "total_mass": 4.0}, "configuration": [{"frequencies": [1.0, 2.0]}]}
     )
@@ -132,7 +134,7 @@ def test_a_negative_spring_is_no_place():
 
 
 def test_ties_that_the_catalogue_does_not_hold_are_located():
-    """Springs of both signs between several floors at once: no single cause."""
+    """Springs of both signs between several floors at once form no single cause."""
     rng, mass, stiffness = frame(3)
     K, there = stiffness_matrix(stiffness), {(1, 3): 900.0, (1, 4): 1200.0, (2, 5): -900.0, (3, 5): -700.0}
     for (low, high), size in there.items():
@@ -153,7 +155,7 @@ def test_ties_that_the_catalogue_does_not_hold_are_located():
 
 
 def measured_building(building, rng, accuracy=1e-3, **declared):
-    """Two tests of a finite-element frame, without added mass and with masses on floor 2 and the roof."""
+    """Return two tests of a finite-element frame, without added mass and with masses on floor 2 and the roof."""
     tables, n = [], len(building.floor_mass)
     for name, load in (("bare", np.zeros(n)), ("loaded", 3.0 * (np.eye(n)[1] + np.eye(n)[-1]))):
         found = sway_modes(replace(building, floor_mass=building.floor_mass + load))
@@ -167,7 +169,8 @@ def measured_building(building, rng, accuracy=1e-3, **declared):
 
 
 def test_weaker_beams_of_one_floor_are_not_surely_a_sensor():
-    """Finite elements: half as stiff beams at floor 1, which a sensor there that reads 13 % too little resembles."""
+    """The frame has finite elements. Half the beam stiffness at floor 1 resembles a sensor there that reads 13 % too
+    little."""
     rng, mass, stiffness = frame(4)
     building = with_turning_joints(Building(np.full(N, 0.4), stiffness, mass), 0.8)
     building = replace(building, beam_bending=building.beam_bending * np.array([0.5, 1.1, 1.0, 1.0, 0.6]))
@@ -182,7 +185,7 @@ def test_weaker_beams_of_one_floor_are_not_surely_a_sensor():
 
 @pytest.mark.parametrize("rho", [0.8, 1.5, 3.0])
 def test_feet_that_turn_are_told_by_accurate_shapes(rho):
-    """Finite elements: springs under the feet beside beams that bend."""
+    """The frame has finite elements, with springs under the feet and beams that bend."""
     rng, mass, stiffness = frame(5)
     building = with_loose_joints(with_turning_joints(Building(np.full(N, 0.4), stiffness, mass), 0.8), rho, 0)
     closure = close_loop(measured_building(building, rng, 2e-4, total_mass=float(mass.sum())))
@@ -226,7 +229,8 @@ def test_a_state_that_is_softer_or_heavier_is_a_twin_where_no_mass_tells():
 
 @pytest.mark.parametrize("scaled", [False, True])
 def test_a_mass_scale_in_every_state_leaves_nothing_to_take_for_granted(scaled):
-    """One story softer: shapes of unit modal mass tell heavier floors from softer stories, other shapes do not."""
+    """One story is softer. Shapes of unit modal mass distinguish heavier floors from softer stories; other shapes do
+    not."""
     rng, mass, stiffness = frame(11)
     tables = []
     for name, k in (("before", stiffness), ("after", stiffness * [1.0, 1.0, 0.85, 1.0, 1.0])):
@@ -288,7 +292,8 @@ def test_frequencies_alone_name_a_loss_and_the_mass_that_is_its_dual():
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
-    """Bare and with a known mass: one story softer, seen in frequencies alone, fits at least as well as the truth."""
+    """Test the bare frame and a known mass. One softer story, seen in frequencies alone, must fit at least like the
+    truth."""
     rng, mass, stiffness = frame(seed, n=6)
     softer = stiffness * np.where(np.arange(6) == seed % 6, 0.8, 1.0)
     load = 1.5 * np.eye(6)[5]
@@ -312,7 +317,7 @@ def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
 
 @pytest.mark.parametrize("gains", [{}, {2: 0.3, 4: -0.2}])
 def test_entries_that_stand_out_of_a_class_are_proposed_by_their_names(gains):
-    """Sensors that read too much or too little; where none does, nothing is proposed."""
+    """Some sensors read too much or too little. If all sensors are right, nothing is proposed."""
     rng, mass, stiffness = frame(13)
     tables = [measured_in(mass, stiffness, rng, name=f"t{i}", added=i * np.ones(N)) for i in range(2)]
     factors = [1.0 + gains.get(floor, 0.0) for floor in range(1, N + 1)]
@@ -332,7 +337,7 @@ def test_entries_that_stand_out_of_a_class_are_proposed_by_their_names(gains):
     for proposal in found:
         (at,) = proposal.starts
         read = {each.place.floor: float(1.0 + at[own][0]) for each, own in slices(proposal.effects, 2 * N)}
-        # How much all of them read together, only what is expected of sensors tells.
+        # The common gain of all sensors is determined by the prior on sensors alone.
         assert read[2] / read[4] == pytest.approx((1.0 + gains[2]) / (1.0 + gains[4]), rel=0.05)
 
 
@@ -354,7 +359,7 @@ def test_a_prior_that_does_not_hold_is_named():
 
 @pytest.mark.parametrize("quantity", ["floor_mass", "story_stiffness"])
 def test_an_exact_statement_that_does_not_hold_is_named(quantity):
-    """The top value is declared 0.75 of what it is beside the lowest; it is off by a quarter of itself."""
+    """The top value is declared 0.75 of the lowest value, with an error of a quarter of itself."""
     rng, mass, stiffness = frame(8)
     true = mass if quantity == "floor_mass" else stiffness
     wrong = {"kind": "ratio", "quantity": quantity, "of": 5, "to": 1, "value": 0.75 * true[4] / true[0]}
@@ -372,7 +377,8 @@ def test_an_exact_statement_that_does_not_hold_is_named(quantity):
 
 
 def test_an_exact_statement_that_holds_is_no_cause():
-    """Nor one that the data cannot tell from the frame: the verdict rests on that."""
+    """If the data cannot distinguish the statement from the frame, the verdict depends on the statement and no cause is
+    named."""
     rng, mass, stiffness = frame(8)
     right = {"kind": "ratio", "quantity": "floor_mass", "of": 5, "to": 1, "value": mass[4] / mass[0]}
     held = loop([measured_in(mass, stiffness, rng, name="t")], mass.sum(), prior=[right])
@@ -385,7 +391,8 @@ def test_an_exact_statement_that_holds_is_no_cause():
 
 
 def test_what_nothing_explains_is_provisional():
-    """Noise fifty times what was declared, of frequencies alone: no set explains it, and no effect is certain."""
+    """The noise is fifty times the declared noise, and only frequencies are measured. No set explains the data, and no
+    effect is certain."""
     rng, mass, stiffness = frame(9)
     wrong = [measured_in(mass, stiffness, rng, name=f"t{i}", state="one", shapes=False, noise=50.0) for i in range(3)]
     closure = loop(wrong, mass.sum())
@@ -415,7 +422,7 @@ def test_a_test_that_repeats_another_counts_once():
 
 
 def test_where_no_degree_of_freedom_is_left_nothing_is_explained():
-    """Two frequencies of a two-story frame, one of them no mode of it."""
+    """A two-story frame has two measured frequencies, one of them not a mode of the frame."""
     closure = close_loop(
         Experiment.from_dict({
             "frame": {"stories": 2, "total_mass": 20.0},
@@ -450,7 +457,7 @@ def test_one_faulty_effect_of_several_is_left_out_and_said():
 
 
 def normalized(mass, stiffness, rng, gain, **keys):
-    """A test whose shapes are scaled by the modal mass, and misread by a gain."""
+    """Return a test whose shapes are scaled by the modal mass and multiplied by a gain."""
     table = measured_in(mass, stiffness, rng, **keys)
     found = modes(mass_matrix(mass + np.array(table["added_mass"])), stiffness_matrix(stiffness))
     noise = 1.0 + 0.01 * rng.standard_normal(found.shapes.shape)
@@ -458,7 +465,7 @@ def normalized(mass, stiffness, rng, gain, **keys):
 
 
 def pulled(mass, stiffness, rng, part):
-    """A static test at the top whose force is so much larger than declared."""
+    """Return a static test at the top whose true force exceeds the declared one by this part."""
     force = np.eye(len(mass))[-1] * 500.0
     moved = np.linalg.solve(stiffness_matrix(stiffness), part * force)
     noisy = moved + 0.005 * moved.max() * rng.standard_normal(len(mass))
@@ -468,7 +475,8 @@ def pulled(mass, stiffness, rng, part):
 
 @pytest.mark.parametrize("cause", ["shape_scale", "force_scale"])
 def test_a_force_that_was_misread_is_not_two_wrong_masses(cause):
-    """The total and the added masses are right: 5 % too small shapes, or a pull 20 % larger than declared."""
+    """The total and the added masses are right: the shapes are 5 % too small, or the pull is 20 % larger than
+    declared."""
     rng, mass, stiffness = frame(3)
     loads = np.zeros(N), np.array([0.0, 3.0, 0.0, 2.0, 0.0]), np.array([1.0, 0.0, 2.0, 0.0, 3.0])
     make = normalized if cause == "shape_scale" else lambda *given, **keys: measured_in(*given[:3], **keys)
@@ -488,7 +496,7 @@ def test_a_force_that_was_misread_is_not_two_wrong_masses(cause):
 
 @pytest.mark.parametrize("cause", ["shape_scale", "force_scale", "total_mass"])
 def test_residuals_by_a_factor_on_readings_or_masses(cause):
-    """Against difference quotients."""
+    """Compare with difference quotients."""
     rng, mass, stiffness = frame(4)
     tables = [normalized(mass, stiffness, rng, 1.0), normalized(mass, stiffness, rng, 1.0, name="b", added=np.ones(N))]
     declared = {"configuration": tables, "frame": {"floor_masses": mass.tolist()}}
@@ -504,7 +512,8 @@ def test_residuals_by_a_factor_on_readings_or_masses(cause):
 
 
 def test_declared_floor_masses_that_are_all_off_are_the_twin_of_wrong_loads():
-    """All declared 8 % too small, the added masses right: as if these were 7.4 % lighter, to every datum."""
+    """All masses are declared 8 % too small and the added masses are right. Added masses 7.4 % lighter give the same
+    data."""
     rng, mass, stiffness = frame(6)
     loads = np.zeros(N), np.array([0.0, 4.0, 0.0, 3.0, 0.0]), np.array([4.0, 0.0, 2.0, 0.0, 3.0])
     tables = [
@@ -521,7 +530,7 @@ def test_declared_floor_masses_that_are_all_off_are_the_twin_of_wrong_loads():
 
 @pytest.mark.parametrize(("stated", "least", "most"), [(1.25e-5, 30, 200), (2e-4, 2.5, 10)])
 def test_frequencies_that_scatter_more_than_was_declared_are_no_cause(stated, least, most):
-    """0.1 % of scatter where an eightieth or a fifth of it was declared, and nothing else."""
+    """The scatter is 0.1 %, the declared scatter an eightieth or a fifth of this; nothing else is wrong."""
     rng, mass, stiffness = frame(8)
     tables = [
         measured_in(mass, stiffness, rng, name=str(i), state="one", added=added) | {"frequency_std": stated}
@@ -538,7 +547,7 @@ def test_frequencies_that_scatter_more_than_was_declared_are_no_cause(stated, le
 @pytest.mark.parametrize(("lay", "off"), [({3: 3.0}, {2: -3.0, 3: 3.0}), ({2: 1.5}, {2: -1.5}), ({}, {2: -3.0})])
 @pytest.mark.parametrize("state", ["before", "after"])
 def test_a_load_that_was_written_down_wrongly_is_found_in_its_test(lay, off, state):
-    """3 kg declared on floor 2 in one test of a state: they lay on floor 3, half of them, or none."""
+    """One test of a state declares 3 kg on floor 2. The true load was on floor 3, half of this, or zero."""
     rng, mass, stiffness = frame(11)
     softer = stiffness * np.where(np.arange(N) == 1, 0.85, 1.0)
     lain, roof = sum((size * np.eye(N)[at - 1] for at, size in lay.items()), np.zeros(N)), 3.0 * np.eye(N)[-1]
@@ -564,7 +573,7 @@ def test_a_load_that_was_written_down_wrongly_is_found_in_its_test(lay, off, sta
 
 
 def test_a_neighbor_on_the_ground_is_found_by_both_of_its_parts():
-    """Tied to a floor by 0.15 of a story: neither part alone is near (`tests.outside`)."""
+    """The neighbor is tied to a floor by 0.15 of a story. One part of it alone does not fit (`tests.outside`)."""
     declared, true = simulated("neighbor on the ground", 1000)
     found = close_loop(Experiment.from_dict(declared))
     assert found.verdict == "explained"
@@ -575,7 +584,7 @@ def test_a_neighbor_on_the_ground_is_found_by_both_of_its_parts():
 
 @pytest.mark.parametrize(("low", "high"), [(0, 3), (1, 3), (2, 4)])
 def test_a_brace_that_came_with_a_repair_is_found_in_that_state(low, high):
-    """A spring of 0.15 of a story to the ground or between two floors, in the second state alone, one test each."""
+    """The second state has a spring of 0.15 of a story to the ground or between two floors; each state has one test."""
     rng, mass, stiffness = frame(12 + low)
     ends = np.eye(N + 1)[:, 1:]
     d = ends[high] - ends[low]
@@ -593,7 +602,7 @@ def test_a_brace_that_came_with_a_repair_is_found_in_that_state(low, high):
 
 
 def with_attached(mass, stiffness, attached):
-    """M and K of a chain with masses (floor, kg, Hz on a floor that stands still)."""
+    """Return M and K of a chain with attached masses (floor, kg, Hz on a fixed floor)."""
     M, K = np.diag([*mass, *(each[1] for each in attached)]), np.zeros((N + len(attached),) * 2)
     K[:N, :N] = stiffness_matrix(stiffness)
     for at, (floor, own, frequency) in enumerate(attached, N):
@@ -603,7 +612,7 @@ def with_attached(mass, stiffness, attached):
 
 
 def measured_of(M, K, which, rng, **keys):
-    """A test of any frame, on all floors, with 0.1 % and 1 % noise."""
+    """Return a test of any frame, on all floors, with 0.1 % and 1 % noise."""
     found = modes(M, K)
     shapes = found.shapes[which, :N]
     shapes = shapes / np.max(np.abs(shapes), axis=1, keepdims=True)
@@ -618,7 +627,8 @@ def measured_of(M, K, which, rng, **keys):
 
 @pytest.fixture(scope="module")
 def tank_after():
-    """A frame before and after a tank of 1.6 kg at 6.2 Hz, between its first two modes, came to the roof."""
+    """Return a frame before and after a tank of 1.6 kg at 6.2 Hz, between its first two modes, was added on the
+    roof."""
     rng, mass, stiffness = frame(21)
     M, K = with_attached(mass, stiffness, [(5, 1.6, 6.2)])
     found = modes(M, K)
@@ -642,7 +652,8 @@ def test_a_tank_that_came_between_two_tests_is_found_in_that_state(tank_after, r
 
 
 def test_a_neighbor_that_came_between_two_tests_is_no_lighter_floor():
-    """12 kg on 20 kN/m of its own, tied to floor 4 by 4 kN/m: a spring to the ground with a mass behind it."""
+    """The neighbor is 12 kg on a spring of 20 kN/m, tied to floor 4 by 4 kN/m: a ground spring with a mass behind
+    it."""
     rng, mass, stiffness = frame(23)
     M, K = np.diag([*mass, 12.0]), np.pad(stiffness_matrix(stiffness), ((0, 1), (0, 1)))
     tie = np.array([0.0, 0.0, 0.0, 1.0, 0.0, -1.0])
@@ -660,7 +671,7 @@ def test_a_neighbor_that_came_between_two_tests_is_no_lighter_floor():
 
 
 def test_a_pile_of_causes_is_less_probable_than_one_that_nobody_thought_of(tank_after):
-    """Without the tank or doubtful frequencies it takes several kinds of cause in one state to do its work."""
+    """Without the tank or doubtful frequencies, several kinds of cause in one state are needed to explain the data."""
     mass, _, tables = tank_after
     others = [
         effect
@@ -677,7 +688,7 @@ def test_a_pile_of_causes_is_less_probable_than_one_that_nobody_thought_of(tank_
 
 
 def test_a_tank_whose_damping_nobody_measured_leaves_the_verdict_standing(tank_after, run, tmp_path):
-    """The tests declare damping ratios; a frame with a tank has one damping that none of them is."""
+    """The tests declare damping ratios. The tank gives the frame a damping that differs from all of them."""
     mass, _, tables = tank_after
     damped = [table | {"damping_ratios": [0.01] * N} for table in (tables[1], tables[0])]
     path, out = tmp_path / "tank.toml", tmp_path / "out.json"

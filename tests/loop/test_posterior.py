@@ -1,4 +1,4 @@
-"""Probabilities of sets and effects from scores made by hand."""
+"""Test probabilities of sets and effects for given scores."""
 
 from types import SimpleNamespace
 
@@ -23,7 +23,7 @@ PRIOR = 0.02
 
 
 def model(effects, probability, *, mass=10.0, std=0.5, chi2=20.0, dof=20, log_prior=0.0):
-    """A set whose score is the logarithm of a probability."""
+    """Return a set whose score is the logarithm of a probability."""
     frame = IdentifiedFrame(np.full(2, mass), np.full(2, 1e3 * mass), np.full(2, std), np.full(2, 1e3 * std))
     estimate = SimpleNamespace(expected_frame=frame, chi2=chi2, dof=dof)
     return ModelClass(frozenset(effects), estimate, float(np.log(probability)) - log_prior - 300.0, log_prior)
@@ -35,7 +35,8 @@ def posterior(*models, prior=PRIOR, priors=()):
 
 
 def test_probabilities_are_those_of_the_scores():
-    """Far below what an exponential can hold; those of all sets add up to one, an effect's over its sets."""
+    """The scores are far below the range of an exponential. The probabilities of all sets add up to one, and an
+    effect's is the sum over its sets."""
     of = posterior(model([], 0.1), model([A], 0.6, log_prior=-3.0), model([A, B], 0.2), model([C], 0.1))
     np.testing.assert_allclose(of.probabilities, [0.6, 0.2, 0.1, 0.1], rtol=1e-9)
     assert of.best.effects == {A}
@@ -47,9 +48,9 @@ def test_probabilities_are_those_of_the_scores():
 
 
 def test_many_kinds_of_causes_are_weighed_against_one_unknown_cause():
-    """Three kinds of effects in one state; P / (P + u), u = 1e-4 for three kinds.
+    """Three kinds of effects in one state have the probability P / (P + u), u = 1e-4 for three kinds.
 
-    The effect of another state is alone there; effects, sets and the average agree.
+    The other state has a single effect. Effects, sets and the average agree.
     """
     load, change = put("state_mass", state="after"), put("story_change", story=1, state="after")
     other = put("added_mass", floor=2, state="before")
@@ -67,8 +68,8 @@ def test_many_kinds_of_causes_are_weighed_against_one_unknown_cause():
 
 
 def test_the_deviation_of_an_effect_holds_the_scatter_between_its_sets():
-    """A in two sets, 0.12 +- 0.003 and 0.10 +- 0.004 at 3 to 1: about the first, mean squares; a set without A counts
-    for nothing."""
+    """A is in two sets, 0.12 +- 0.003 and 0.10 +- 0.004 at 3 to 1. The deviation is the mean square about the first; a
+    set without A does not count."""
 
     def fitted(value, std):
         return SimpleNamespace(
@@ -93,7 +94,7 @@ def test_sets_that_were_not_fitted_take_no_part():
 
 
 def test_the_median_model_may_be_none_that_is_best():
-    """B is in no set with A, but more probable than not over all."""
+    """B is in no set with A, but its total probability exceeds one half."""
     of = posterior(model([A], 0.4, chi2=20.0), model([B], 0.3, chi2=25.0), model([B, C], 0.3, chi2=24.0))
     assert of.best.effects == {A}
     assert of.verdict_set() == {B}
@@ -102,7 +103,7 @@ def test_the_median_model_may_be_none_that_is_best():
 def test_a_twin_is_added_in_place_of_what_it_is_a_twin_of_never_besides_it():
     of = posterior(model([A], 0.4), model([B], 0.3), model([B, C], 0.3)).with_twins({A: [B], B: [A]})
     assert [item.placed for item in of.rivals(A) if item.twin] == [B]
-    # 0.3 + 0.3 for B, 0.4 for A: the more probable of the two, and not both.
+    # 0.3 + 0.3 for B, 0.4 for A: only B, the more probable one, is chosen.
     assert of.verdict_set() == {B}
 
 
@@ -133,7 +134,7 @@ def test_of_two_replaced_effects_each_has_its_rival_by_state_or_kind():
 
 
 def test_twins_share_what_either_would_have_alone():
-    """Neither has even odds by itself; that one of them is there has."""
+    """The prior odds of each are below even, but those of either one are even."""
     of = posterior(model([A], 0.45, chi2=20.0), model([B], 0.45, chi2=20.0), model([], 0.1, chi2=60.0, dof=21))
     of = of.with_twins({A: [B], B: [A]})
     (best,) = of.best.effects
@@ -150,7 +151,8 @@ def test_a_twin_is_a_rival_however_improbable_it_was():
 
 
 def test_an_effect_with_a_rival_is_added_where_one_of_the_two_is_surely_there():
-    """0.46 and 0.44 at two places: something is there, and where is for the rivals to say."""
+    """The probabilities at two places are 0.46 and 0.44: an effect is present, and the rivals show its possible
+    places."""
     of = posterior(model([A], 0.46, chi2=20.0), model([B], 0.44, chi2=22.0), model([], 0.1, chi2=60.0, dof=21))
     assert not of.rivals(A)[0].twin
     assert of.verdict_set() == {A}

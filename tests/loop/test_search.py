@@ -1,4 +1,4 @@
-"""The search among sets of effects, with effects made to provoke it, and an effect of two parameters."""
+"""Test the search among sets of effects, with effects built to break it and an effect of two parameters."""
 
 import copy
 from collections import Counter
@@ -32,7 +32,7 @@ class GainAgain(SensorGain):
 
 
 class HeldAndLoaded(GroundSpring):
-    """A rod that holds a floor and hangs its own weight on it: a spring, and a mass besides."""
+    """A rod that holds a floor and loads it with its own weight: a spring and a mass."""
 
     name: ClassVar[str] = "held_and_loaded"
     summary: ClassVar[str] = "A rod holds a floor and loads it."
@@ -55,7 +55,7 @@ class HeldAndLoaded(GroundSpring):
 
 
 class Stiffer(Effect):
-    """All stories stiffer by one factor: what the stiffnesses themselves already say."""
+    """One factor on all story stiffnesses. The stiffnesses themselves already contain this change."""
 
     name: ClassVar[str] = "stiffer_throughout"
     summary: ClassVar[str] = "Every story is stiffer by the same part."
@@ -78,9 +78,9 @@ PROVOKING = (SensorGain(), GainAgain(), GroundSpring(), HeldAndLoaded(), Stiffer
 
 @pytest.fixture
 def fits(monkeypatch):
-    """The sets that are fitted while a search looks for them, each with the width of the noise, and how often.
+    """Record the sets that a search fits, the noise width of each, and the number of fits.
 
-    Where nothing explains the data all is judged again under wider noise, by a search of its own.
+    If no set explains the data, a separate search judges all sets again with wider noise.
     """
     counted = Counter()
     plain = fitter_module._fitted
@@ -113,7 +113,8 @@ def test_it_ends_and_visits_no_set_twice(fits, effect, seed):
 
 
 def test_a_hopeless_misfit_ends_after_few_fits():
-    """All standard deviations a hundred times too small, or one test in rad/s: out of the question, and soon told."""
+    """All standard deviations are a hundred times too small, or one test is in rad/s: the search must give up
+    quickly."""
     too_sure, _ = simulated(None, stories=3, configurations=3, rng=np.random.default_rng(3))
     in_rad = copy.deepcopy(too_sure)
     for table in too_sure["configuration"]:
@@ -128,7 +129,7 @@ def test_a_hopeless_misfit_ends_after_few_fits():
     found = search_for_effects(Experiment.from_dict(in_rad))
     assert found.fits <= 250
     assert found.programs <= 1000
-    # A frame (2 pi)^2 times as stiff has just these modes; `check` asks about the unit.
+    # A frame (2 pi)^2 times stiffer has exactly these modes; `check` asks about the unit.
     assert [each.placed.effect.name for each in found.effects] == ["state_stiffness"]
     assert 1 + found.effects[0].parameters["e"] == pytest.approx((2 * np.pi) ** 2, rel=0.02)
 
@@ -158,7 +159,7 @@ def test_what_contains_the_true_effect_and_more_does_not_replace_it(seed):
 
 
 def test_what_the_stiffnesses_say_already_keeps_its_odds():
-    """Where its prior is even, the data have not raised it, and it is said."""
+    """With a uniform prior the data do not raise its odds, and the report states this."""
     of, _ = measured(None, 5)
     result = close_loop(of, effects=[Stiffer().expecting(probability=0.6)])
     assert result.effects == ()
@@ -169,7 +170,7 @@ def test_what_the_stiffnesses_say_already_keeps_its_odds():
 
 
 def rod_modes(mass, k, added, rods):
-    """Frequencies and shapes of largest entry 1, a row a mode, of a frame with rods (floor, s, mass)."""
+    """Return frequencies and shapes of largest entry 1, one row per mode, of a frame with rods (floor, s, mass)."""
     n = len(mass)
     M = mass + added
     T = np.eye(n) - np.eye(n, k=1)
@@ -184,7 +185,7 @@ def rod_modes(mass, k, added, rods):
 
 
 def loaded_and_held(spring=4000.0, configurations=2, seed=8, noise=(0.001, 0.01)):
-    """A frame whose floor 3 carries 3 kg and is held by a spring: nothing in one parameter does both."""
+    """Return a frame whose floor 3 carries 3 kg and is held by a spring. No effect of one parameter does both."""
     rng = np.random.default_rng(seed)
     declared, truth = simulated(
         "ground_spring", stories=4, configurations=configurations, rng=rng, floor=3, size=spring, noise=0.0
@@ -231,7 +232,8 @@ def test_the_linearised_model_of_two_parameters_is_that_of_the_fit():
 
 
 def apart(accepted, rival, floor, mass, noise):
-    """Standard deviations between two models with rods, by numpy alone: D^2 = r' (1 + J C J' + J_r C_r J_r')^-1 r."""
+    """Return the standard deviations between two models with rods, computed with numpy: D^2 = r' (1 + J C J' + J_r C_r
+    J_r')^-1 r."""
     added = mass * (np.arange(1, 5) == floor)
 
     def seen(estimate, theta):
@@ -259,7 +261,7 @@ def apart(accepted, rival, floor, mass, noise):
 
 
 def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
-    """In one noisy test the rod may hold and load floor 2 as well as floor 3."""
+    """In one noisy test the rod may hold and load floor 2 or floor 3."""
     seen = []
 
     def proposing(accepted, rivals):
@@ -271,12 +273,12 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
     result = close_loop(loaded_and_held(1500.0, 1, 9, noise), effects=[HeldAndLoaded()])
     assert result.verdict == "ambiguous"
     (found,) = result.effects
-    # Floor 4 is a rival too, with a probability of 3 %, more than a twentieth of the best set's.
+    # Floor 4 is a rival too: its probability is 3 %, more than a twentieth of the best set's.
     assert {found.placed.place.floor, *(rival.placed.place.floor for rival in found.rivals)} == {2, 3, 4}
     assert [rival.placed.place.floor for rival in found.rivals if rival.probability > 0.1] == [2]
     ((accepted, rivals),) = seen
     assert all(len(each.theta) == 8 + 2 * len(each.effects) for each in (accepted, *rivals))
-    # The parts of the mean floor mass that are tried, on every floor.
+    # Trial masses, relative to the mean floor mass, on every floor.
     mean = np.mean(accepted.theta[:4])
     distances = {
         (floor, part): min(apart(accepted, rival, floor, part * mean, noise) for rival in rivals[:4])
@@ -286,13 +288,13 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
     floor, part = max(distances, key=distances.get)
     proposed = result.next_test
     assert (proposed.floor, proposed.added_mass) == (floor, pytest.approx(part * mean, rel=0.05))
-    # The shapes' scales are held at those of the accepted model in the library's derivative (Kaufman).
+    # The library's derivative holds the shapes' scales at those of the accepted model (Kaufman).
     assert proposed.standard_deviations == pytest.approx(distances[floor, part], rel=0.02)
     assert proposed.standard_deviations > 1.0
 
 
 def test_a_set_fitted_elsewhere_is_worse_by_more_than_what_it_lacks_is_worth():
-    """An effect of two standard deviations explains four units; twice five are the limit."""
+    """An effect of two standard deviations explains four units; the limit is two times five."""
     placed = Placed(GroundSpring(), Place(floor=1))
 
     def model(objective, *effects):
@@ -308,7 +310,7 @@ def test_a_set_fitted_elsewhere_is_worse_by_more_than_what_it_lacks_is_worth():
 
 
 def test_what_leaves_accuracies_open_is_tried_by_its_gain_however_improbable_it_was():
-    """Where the data are not explained, the three that gain most, before their odds."""
+    """If no set explains the data, try the three effects with the largest gain before those with the best odds."""
     effects = [Mock(label=f"e{i}", effect=Mock(rescales=True)) for i in range(5)]
     gains = np.array([1.0, 5.0, 3.0, 4.0, 2.0])
     linear = SimpleNamespace(

@@ -1,4 +1,4 @@
-"""States of a frame, a total mass that is off, what is physically possible, and the next test."""
+"""Test states of a frame, a wrong total mass, physical limits, and the next test."""
 
 import dataclasses
 import re
@@ -27,7 +27,8 @@ def put(name, **place):
 
 
 def damaged(seed=0, *, reference=None, story=2, change=-0.15, missed=0.0, noise=1.0):
-    """Two states, each tested with and without counterweights; one story is softer after, and a mass may be missed."""
+    """Return two states, each tested with and without counterweights. One story is softer after, and a mass may be
+    undeclared."""
     rng = np.random.default_rng(seed)
     tables = []
     for state, factor, extra in (("before", 1.0, 0.0), ("after", 1.0 + change, missed)):
@@ -48,7 +49,7 @@ def test_a_story_softer_after_is_one_change_of_the_state_and_not_one_a_configura
     assert found.parameters["change"] == pytest.approx(-0.15, abs=4 * found.std["change"])
     assert found.std["change"] < 0.01
     assert re.fullmatch(r'story 2 lost 1\d\.\d+ ± 0\.\d+ % of its stiffness in "after"', found.size)
-    # Nothing sits in the reference but a sensor that was mounted otherwise there, or a load of one of its tests.
+    # The reference state has no effects except a sensor mounted otherwise there, or a load of one of its tests.
     assert {
         (item.placed.effect.name, item.placed.place.state)
         for item in result.candidates
@@ -63,7 +64,7 @@ def test_a_story_softer_after_is_one_change_of_the_state_and_not_one_a_configura
 
 
 def test_without_a_reference_softer_after_is_stiffer_before():
-    """Either state may be the one that differs; the data cannot tell, and both are named."""
+    """Either state may have changed. The data cannot distinguish them, and the result names both."""
     result = close_loop(damaged(), effects=["added_mass", "story_change", "sensor_gain"])
     (found,) = result.effects
     (rival,) = found.rivals
@@ -112,7 +113,8 @@ def three_tests(seed, total):
 def test_a_total_mass_declared_ten_percent_low_is_found_as_one_number():
     result = close_loop(three_tests(0, 0.9 * MASS.sum()))
     (found,) = result.effects
-    # With no mass scale but the added masses': these 10 % heavy and everything else too, or the total 10 % low.
+    # The added masses alone set the mass scale. Added masses 10 % too heavy with all else, and a total 10 % too low,
+    # are equivalent.
     (rival,) = [each for each in found.rivals if each.twin]
     assert {found.placed.effect.name, rival.placed.effect.name} == {"load_scale", "total_mass"}
     assert found.probability + rival.probability > 0.95
@@ -132,7 +134,7 @@ def test_a_total_mass_declared_ten_percent_low_is_found_as_one_number():
 
 
 def test_a_total_with_a_standard_deviation_is_weighed_with_the_rest():
-    """No effect then: the declaration itself gives way, and the data's own scale wins where it is the surer."""
+    """The loop adds no effect: the estimate departs from the declared total, and the more accurate source prevails."""
     of = three_tests(0, 0.9 * MASS.sum())
     soft = dataclasses.replace(of, frame=dataclasses.replace(of.frame, total_mass_std=0.1))
     result = close_loop(soft)
@@ -142,7 +144,8 @@ def test_a_total_with_a_standard_deviation_is_weighed_with_the_rest():
 
 
 def heavy_columns(seed):
-    """Floors lighter at every test than a shear frame has it: what only columns too heavy for their floors would do."""
+    """Return floors lighter than a shear frame's in every test. Only columns too heavy for their floors would cause
+    this."""
     rng = np.random.default_rng(seed)
     n = 4
     own = (13 / 35 - 1 / 2) * np.diag([2.0, 2, 2, 1]) + 9 / 70 * (np.eye(n, k=1) + np.eye(n, k=-1))
@@ -165,7 +168,8 @@ BACKENDS = ["auto", *backends.available()]
 
 @pytest.mark.parametrize("backend", [name for name in BACKENDS if name != "kkt"])
 def test_columns_are_no_heavier_than_the_floors_that_hold_them(backend):
-    """mu <= m_i and mu / 2 <= m_N, pressed by data that ask for more; the limit is met, and not passed."""
+    """The limits are mu <= m_i and mu / 2 <= m_N. The data favor larger values; the estimate reaches the limit and does
+    not exceed it."""
     found = efficient(heavy_columns(0), backends.get(backend), [put("mass_coupling")])
     mass, mu = found.theta[:4], found.theta[-1]
     rounding = 1e-6 * mass.mean()
@@ -192,7 +196,7 @@ def test_no_result_of_the_loop_breaks_a_limit(backend):
 
 @pytest.mark.parametrize("backend", [name for name in BACKENDS if name != "kkt"])
 def test_no_floor_loses_more_than_it_holds(backend):
-    """Nearly all of a floor is gone after, and the highest frequency asks for a little more than all of it."""
+    """Nearly all of a floor's mass is lost after. The highest frequency favors a loss slightly above the whole mass."""
     rng = np.random.default_rng(2)
     lost = np.array([0.0, 0.0, 0.97 * MASS[2], 0.0])
     tables = [
@@ -203,7 +207,7 @@ def test_no_floor_loses_more_than_it_holds(backend):
     frame = {"total_mass": float(MASS.sum()), "reference": "before"}
     of = Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame=frame))
     gone = [put("added_mass", floor=3, state="after")]
-    # A solver may give up on so little a mass; what the loop then takes in its place keeps the limit as well.
+    # A solver may fail on such a small mass. The loop's alternative solution keeps the limit as well.
     found, _ = with_stand_in(backends.get(backend), lambda by: efficient(of, by, gone))
     assert found.theta[-1] < -0.5 * MASS[2]
     assert found.theta[2] + found.theta[-1] >= -1e-6 * MASS.mean()
@@ -227,7 +231,8 @@ def test_every_backend_closes_the_loop_on_the_published_frame_or_says_which_stoo
 
 
 def test_carrying_out_the_next_test_tells_the_rivals_apart():
-    """Chord drift of three stories looks like rocking in one configuration; the proposed mass is put up and tested."""
+    """In one configuration, chord drift of three stories resembles rocking. Add the proposed mass and repeat the
+    test."""
     seed, wanted = 21, ["axial_columns", "base_rocking"]
     first, _ = simulated("axial_columns", stories=3, configurations=1, rng=np.random.default_rng(seed))
     before = close_loop(Experiment.from_dict(first), effects=wanted)
@@ -250,7 +255,7 @@ def test_carrying_out_the_next_test_tells_the_rivals_apart():
 
 
 def test_swapped_modes_of_undeclared_noise_are_never_explained():
-    """Frequencies of modes 1 and 3 exchanged with their shapes left: 100 % errors are no noise."""
+    """The frequencies of modes 1 and 3 are exchanged, but not their shapes: errors of 100 % are not noise."""
     table = configuration(MASS, STIFFNESS)
     del table["frequency_std"], table["mode_shape_std"]
     _, shapes = modes_of(MASS, STIFFNESS)
@@ -263,7 +268,7 @@ def test_swapped_modes_of_undeclared_noise_are_never_explained():
 
 
 def test_a_significant_residual_that_nobody_needs_is_called_negligible():
-    """Errors of a millionth under a declared noise of a ten-millionth."""
+    """The errors are a millionth, and the declared noise is a ten-millionth."""
     rng = np.random.default_rng(3)
     table = configuration(MASS, STIFFNESS, rng=rng, shape_noise=1e-6, frequency_noise=1e-6)
     table["frequency_std"], table["mode_shape_std"] = 1e-7, 1e-7
@@ -279,7 +284,7 @@ def test_the_loop_s_own_errors_are_the_library_s():
 
 
 def test_exchanged_sensors_of_one_state_are_refused_from_python_as_from_the_terminal():
-    """Explained by effects instead, they were scattering shapes and a mass at up to 100 %."""
+    """Effects would explain these sensors by scattered shapes and a mass change of up to 100 %."""
     sound = damaged()
     tables = [
         {

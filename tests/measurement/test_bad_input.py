@@ -1,6 +1,6 @@
-"""Ways in which a measurement file can be wrong, and what the library says about each.
+"""Test invalid measurement files and the library's message about each.
 
-A message names the place, the value found and what would be right, so each case gives the whole message.
+A message names the place, the wrong value and the remedy, so each case gives the whole message.
 """
 
 import copy
@@ -32,19 +32,19 @@ MONOTONE = {"kind": "monotone", "quantity": "story_stiffness", "direction": "dec
 
 
 def changed(table, keys):
-    """The table with some keys replaced, added or, where ABSENT, left out."""
+    """Return the table with some keys replaced or added. A key with the value ABSENT is left out."""
     return {key: value for key, value in {**table, **keys}.items() if value is not ABSENT}
 
 
 def declared(*, frame=None, priors=ABSENT, configurations=None, **keys):
-    """A sound two-story file, but for what is handed in."""
+    """Return a sound two-story file with the given changes."""
     sound = {"name": "A", "frequencies": FREQUENCIES, "mode_shapes": SHAPES}
     states = [changed(sound, keys)] if configurations is None else [changed(sound, each) for each in configurations]
     return changed({"frame": changed({"total_mass": 30.0}, frame or {}), "configuration": states}, {"prior": priors})
 
 
 def test_the_sound_file_is_sound():
-    """Else every case below could be refused for a reason that is not its own."""
+    """The file without changes is sound. Otherwise another fault could cause the refusals below."""
     priors = [BOUNDS, RATIO, VALUE, NOMINAL, MONOTONE]
     assert Experiment.from_dict(declared(priors=priors)).stories == 2
 
@@ -528,7 +528,7 @@ def test_prior(prior, message):
     kinds = "value, nominal, ratio, bounds, monotone"
     found = refused(declared(priors=[MONOTONE, prior]))
     assert found.startswith("prior 2: ")
-    # A prior of one's own that another test registers adds its kind to the list.
+    # A custom prior that another test registers adds its kind to the list.
     assert found.removeprefix("prior 2: ").replace(", test-smooth", "") == message.replace("{kinds}", kinds)
 
 
@@ -650,7 +650,7 @@ def test_a_file_used_as_a_folder(tmp_path):
 
 
 def test_an_unreadable_file(tmp_path, monkeypatch):
-    """The refusal is played, as nothing is unreadable to a superuser."""
+    """The test simulates the refusal, because a superuser can read every file."""
     file = tmp_path / "frame.toml"
     file.write_text(SOUND)
 
@@ -695,7 +695,7 @@ def test_a_file_too_large(tmp_path, monkeypatch):
 
 
 def whole():
-    """A file that uses every key."""
+    """Return a file that uses every key."""
     states = [
         {
             "name": "A",
@@ -723,7 +723,7 @@ def whole():
 
 
 def places(value, path=()):
-    """Every place in the nested value, the whole of it first."""
+    """Return every place in the nested value, starting with the whole value."""
     yield path
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
         yield from places(item, (*path, key))
@@ -798,7 +798,7 @@ def test_the_whole_file_is_sound():
 @example(("configuration", 1, "mode_shapes"), None)
 @example(("frame", "floor_masses"), [1.7e308, 1.7e308])
 def test_junk_is_taken_or_refused(path, junk):
-    """Whatever stands in one place, the file is either an experiment or refused with a message of one piece."""
+    """If one value is replaced by junk, the file is either a valid experiment or refused with one message."""
     try:
         found = Experiment.from_dict(put(whole(), path, junk))
     except InputError as error:

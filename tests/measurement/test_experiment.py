@@ -1,4 +1,4 @@
-"""What a measurement file may say, and what each key of it means."""
+"""Test the keys of a measurement file and their meaning."""
 
 import dataclasses
 import re
@@ -21,12 +21,12 @@ SHAPES = [[0.4, 0.8, 1.0], [-1.0, -0.3, 0.9], [0.8, -1.0, 0.5]]
 
 
 def state(**keys):
-    """A three-story configuration with these keys besides, or in place of, the two that are needed."""
+    """Return a three-story configuration. The keys are added to the two required ones or replace them."""
     return {"frequencies": FREQUENCIES, "mode_shapes": SHAPES, **keys}
 
 
 def experiment(*, frame=None, prior=(), **keys):
-    """An experiment of that one configuration, on a frame of 30 kg."""
+    """Return an experiment with that single configuration, on a frame of 30 kg."""
     declared = {"frame": frame or {"total_mass": 30.0}, "configuration": [state(**keys)], "prior": list(prior)}
     return Experiment.from_dict(declared)
 
@@ -243,7 +243,7 @@ def test_nan_in_a_file(tmp_path):
 
 
 def test_two_modes_may_look_alike_where_floors_are_missing():
-    """In a uniform frame of seven stories, modes 1 and 5 stand in one ratio at floors 3 and 6."""
+    """In a uniform frame of seven stories, the entries of modes 1 and 5 at floors 3 and 6 have the same ratio."""
     i, j = np.array([3, 6]), np.array([[1], [5]])
     shapes = np.sin((2 * j - 1) * np.pi * i / 15)
     assert_allclose(shapes[0, 1] / shapes[0, 0], shapes[1, 1] / shapes[1, 0])
@@ -264,7 +264,7 @@ def test_a_shape_may_have_any_scale_and_sign(scale):
     assert np.all(found.entry_std > 0)
 
 
-# What tells how heavy the frame is.
+# The mass scale of the frame.
 
 
 @pytest.mark.parametrize(
@@ -405,7 +405,7 @@ def test_none_in_a_dict_is_a_key_not_given():
     np.testing.assert_equal(found.to_dict(), experiment().to_dict())
 
 
-# Frozen, read-only, and nobody else's.
+# The experiment is frozen and read-only, and shares no arrays with the caller.
 
 
 def test_frozen():
@@ -518,11 +518,11 @@ def test_the_experiment_takes_only_its_own_parts(parts, message):
     assert str(caught.value) == message
 
 
-# The files that come with the library.
+# The built-in files.
 
 
 def test_the_papers_frame():
-    """Tables 4 and 5, the net total mass and the story height as printed; Fig. 8's ratios."""
+    """Compare with the printed Tables 4 and 5, net total mass, story height, and the ratios of Fig. 8."""
     paper = load("paper")
     assert paper.name == "paper"
     assert paper.stories == 2
@@ -558,7 +558,7 @@ def test_every_example_with_a_configuration_is_a_measurement_file(file):
 
 @pytest.mark.parametrize("file", DESIGNS, ids=lambda file: file.name)
 def test_every_example_without_a_configuration_is_a_design_file(file):
-    """Nothing was measured yet: a plan can be made of it, an identification cannot."""
+    """Such a file has no measurement yet: planning accepts it, identification refuses it."""
     declared = tomllib.loads(file.read_text())
     values = {prior["quantity"]: prior["values"] for prior in declared["prior"]}
     design = read_design(file)

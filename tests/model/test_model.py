@@ -1,4 +1,4 @@
-"""The shear frame's matrices, modes and readings, against closed forms and difference quotients."""
+"""Compare the shear frame's matrices, modes and readings with closed forms and difference quotients."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,8 @@ MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 400.0])
 
 @pytest.mark.parametrize("stories", [1, 3, 39, 40, 60])
 def test_a_uniform_frame_has_the_frequencies_of_a_uniform_chain(stories):
-    """omega_r = 2 sqrt(k / m) sin((2 r - 1) pi / (4 N + 2)); shapes go as sin(i (2 r - 1) pi / (2 N + 1))."""
+    """omega_r = 2 sqrt(k / m) sin((2 r - 1) pi / (4 N + 2)); shapes are proportional to sin(i (2 r - 1) pi / (2 N +
+    1))."""
     system = shear_system(np.full(stories, 5.0), np.full(stories, 2e3))
     found, r = modes(system.M, system.K), np.arange(1, stories + 1)
     np.testing.assert_allclose(
@@ -80,7 +81,7 @@ def test_derivatives_of_modes_are_their_difference_quotients(which):
 
 @pytest.mark.parametrize("which", [slice(None), slice(2, 5), slice(6, 8)])
 def test_rank_one_derivatives_are_those_of_the_whole_matrices(which):
-    """With two parameters more, of which nothing depends."""
+    """Two further parameters have no effect on the matrices."""
     whole = shear_system(MASS, STIFFNESS)
     dM, dK = (np.concatenate([each, np.zeros((2, 3, 3))])[which] for each in (whole.dM, whole.dK))
     found = ShearSystem(whole.M, whole.K, 8).by(which)
@@ -95,7 +96,7 @@ def test_rank_one_derivatives_are_those_of_the_whole_matrices(which):
 
 
 def test_the_share_of_attached_masses_adds_up_to_their_number():
-    """Shapes that M makes orthonormal are complete: over all modes each mass has the energy of one."""
+    """Shapes that are orthonormal in M are complete: summed over all modes, each mass has the energy of one mode."""
     M, K = np.diag([4.0, 3.0, 2.0, 0.05, 0.1]), np.zeros((5, 5))
     K[:3, :3] = stiffness_matrix(STIFFNESS)
     for own, floor, stiffness in ((3, 0, 40.0), (4, 2, 2.0)):
@@ -113,7 +114,7 @@ def test_the_share_of_attached_masses_adds_up_to_their_number():
 
 
 def sensors(gains):
-    """Readings of three floors with gains on some of them, and a mass attached that no sensor shows."""
+    """Return readings of three floors with gains on some of them, and an attached mass without a sensor."""
     found = Observation(np.eye(3))
     for own, (floor, gain) in enumerate(gains, 2):
         found = found.scaled(floor, 1 + gain, own)

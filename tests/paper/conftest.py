@@ -5,5 +5,5 @@ from cvxshear.paper import reproduce
 
 @pytest.fixture(scope="session")
 def reproduction():
-    """Everything, Table 3 with few samples."""
+    """Reproduce the whole paper, with few samples for Table 3."""
     return reproduce(samples=(100, 1000))

@@ -1,4 +1,4 @@
-"""The batched closed forms against `identify`, a sample at a time."""
+"""Compare the batched closed forms with `identify` for each sample."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_the_answer_does_not_depend_on_the_scale_of_the_shapes():
 
 @pytest.mark.parametrize("method", BATCHES)
 def test_where_a_mass_would_be_negative_the_study_takes_the_bounded_answer(method):
-    """At 40 % noise some samples need the bounds, which the closed forms have not."""
+    """At 40 % noise some samples need the bounds, which the closed forms do not have."""
     setup, samples = three_story(0.4), 40
     study = noise_study([setup], (method,), samples, seed=3)
     stream = np.random.SeedSequence(3).spawn(1)[0]

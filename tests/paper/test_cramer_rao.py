@@ -1,7 +1,7 @@
-"""The Cramer-Rao bound against published figures, a frame that can be done by hand, and a matrix of its own.
+"""Compare the Cramer-Rao bound with published figures, a frame solved by hand, and an independent information matrix.
 
-Nothing in that matrix comes from the package: the modes are those of M^-1/2 K M^-1/2, the derivatives central
-differences, and the unknown scale of each measured mode is a parameter that the information matrix carries.
+The matrix uses nothing from the package: the modes are those of M^-1/2 K M^-1/2, the derivatives are central
+differences, and the unknown scale of each measured mode is a parameter of the information matrix.
 """
 
 import numpy as np
@@ -12,24 +12,25 @@ from cvxshear import identify
 from cvxshear.paper.setups import Setup, bound, cramer_rao, six_story, three_story
 
 STEP = 1e-5
-"""Relative step of the central differences, whose error is of its square."""
+"""Relative step of the central differences; their error is of order step^2."""
 
 
 def modal_data(setup, theta):
-    """Logarithms of the measured frequencies, shape (m,), and measured shapes of unit modal mass, shape (m, n)."""
+    """Return logarithms of the measured frequencies, shape (m,), and measured shapes of unit modal mass, shape (m,
+    n)."""
     n = setup.stories
     root = np.sqrt(theta[:n])
     drift = np.eye(n) - np.eye(n, k=-1)
     eigenvalues, vectors = np.linalg.eigh((drift.T * theta[n:]) @ drift / np.outer(root, root))
     shapes = vectors / root[:, None]
-    # The largest entry of a mode does not change its sign over a step of the differences.
+    # The largest entry of a mode keeps its sign over a step of the differences.
     shapes = shapes * np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(n)])
     which = setup.modes - 1
     return 0.5 * np.log(eigenvalues[which]), shapes[np.ix_(setup.measured_floors - 1, which)].T
 
 
 def by_differences(setup):
-    """Standard deviations that no unbiased estimator is below, shape (2N,)."""
+    """Return the smallest standard deviations of an unbiased estimator, shape (2N,)."""
 
     def stacked(theta):
         frequencies, shapes = modal_data(setup, theta)
@@ -65,7 +66,7 @@ def test_the_papers_frame_at_five_percent():
 
 
 def test_the_bound_goes_with_the_noise():
-    # But for what the frequencies, known to 1e-5 and not exactly, add to the stiffnesses.
+    # The frequencies are known to 1e-5, not exactly, which adds to the stiffnesses' deviations.
     np.testing.assert_allclose(bound(three_story(0.04)), 4 * bound(three_story(0.01)), rtol=5e-4)
 
 

@@ -1,4 +1,4 @@
-"""The bounds in the documentation are those that the code gives, and the measured table keeps what is promised."""
+"""Compare the bounds in the documentation with the code, and the measured table with its promised limits."""
 
 import re
 from dataclasses import replace
@@ -27,7 +27,7 @@ def test_the_bound_by_the_floor_without_a_sensor(floor):
 
 
 def test_the_measured_efficiency_and_coverage():
-    """Six tables, in each the efficient method's lines after its name."""
+    """Read six tables. In each, the efficient method's lines follow its name."""
     efficient = [part.split("\n\n")[0] for part in DOCUMENTED.split("| efficient | bias, %")[1:]]
     assert len(efficient) == 6
     for table in efficient:

@@ -1,4 +1,4 @@
-"""The printed figures agree with each other, so that a slip in copying them is seen."""
+"""Check the printed figures against each other, to find errors of copying."""
 
 import numpy as np
 import pytest

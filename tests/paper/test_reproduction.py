@@ -1,4 +1,4 @@
-"""The whole reproduction: what is counted, what is shown, what the documentation says."""
+"""Test the whole reproduction: counted results, displayed results, and the documentation."""
 
 import json
 import subprocess
@@ -26,7 +26,8 @@ def test_every_printed_result_is_met_or_accounted_for(reproduction):
 
 
 def test_what_was_only_met_from_rounded_figures_is_named(reproduction):
-    """Errors in percent that the paper took from its tables; every other result is met as it is."""
+    """The report names the errors in percent that the paper computed from rounded tables. It reproduces all other
+    results directly."""
     places = {row.where for section in reproduction.sections for row in section.rows if row.verdict == ROUNDED}
     assert all(place.startswith(("Table 8", "Section 5.1", "Section 7")) for place in places)
 
@@ -47,7 +48,7 @@ def test_the_terminal_shows_every_section_with_brackets_and_signs(reproduction):
 
 
 def test_the_documentation_has_the_tables_that_the_command_prints(reproduction):
-    """But for the random samples, whose last digits are a matter of numpy's version."""
+    """The random samples are excluded: their last digits depend on numpy's version."""
     documented = DOCS.read_text(encoding="utf-8")
     for section in reproduction.sections:
         if section.title.startswith(("Table 3", "Fig. 6")):

@@ -1,4 +1,4 @@
-"""The noise study: its statistics by hand, its samples, and the efficiency of the efficient method."""
+"""Test the noise study: its statistics by hand, its samples, and the efficiency of the efficient method."""
 
 import json
 
@@ -12,14 +12,14 @@ from cvxshear.paper.setups import Setup, six_story, three_story
 from cvxshear.report.terminal import text
 
 ALLOWED = 1.10
-"""Root-mean-square error over Cramer-Rao bound that the efficient method stays within."""
+"""Largest ratio of root-mean-square error to Cramer-Rao bound for the efficient method."""
 
 COVERED = (0.93, 0.97)
-"""Where the share of 95 % intervals that hold the truth lies."""
+"""Allowed range of the share of 95 % intervals that contain the truth."""
 
 
 def ratio_error(samples):
-    """Standard deviation of error / bound by chance: of a root mean square of normal errors."""
+    """Return the standard deviation of error / bound by chance, for a root mean square of normal errors."""
     return 1 / np.sqrt(2 * samples)
 
 
@@ -31,11 +31,11 @@ def check_efficient(scatter):
     samples = len(scatter.estimates)
     assert scatter.answered.all()
     assert np.max(scatter.ratio) <= ALLOWED + 3 * ratio_error(samples)
-    # Less than the bound would mean a wrong bound.
+    # A ratio below one would mean a wrong bound.
     assert np.min(scatter.ratio) >= 1 - 4 * ratio_error(samples)
     assert np.min(scatter.coverage) >= COVERED[0] - 3 * coverage_error(samples)
     assert np.max(scatter.coverage) <= COVERED[1] + 3 * coverage_error(samples)
-    # No bias beyond chance plus a tenth of the scatter.
+    # The bias is at most chance plus a tenth of the scatter.
     assert np.all(np.abs(scatter.bias) < 3 * scatter.bias_error + 0.1 * scatter.relative_bound)
 
 
@@ -81,7 +81,7 @@ def test_a_sample_without_an_answer_is_counted_and_left_out():
 
 
 def test_where_nothing_is_left_to_estimate_there_is_no_ratio():
-    """One story: its mass is the total."""
+    """One story has no ratio: its mass is the total."""
     assert np.isnan(by_hand().ratio[0])
     assert by_hand().to_dict()["ratio"][0] is None
 

@@ -1,4 +1,4 @@
-"""What is drawn has the noise that is declared."""
+"""Random samples have the declared noise."""
 
 import numpy as np
 import pytest

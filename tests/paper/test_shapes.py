@@ -1,4 +1,4 @@
-"""The modes of Fig. 8 recovered from Table 6."""
+"""Recover the modes of Fig. 8 from Table 6."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_shapes_that_the_method_was_given_come_back():
 
 @pytest.mark.parametrize("name", tables.STRUCTURES)
 def test_table_7_follows_from_table_6_alone(name):
-    """The eigenvalues of a two by two matrix."""
+    """Compute the eigenvalues of a two by two matrix."""
     m1, m2 = tables.values(tables.TABLE_6_MASS[name])
     k1, k2 = (1e3 * each for each in tables.values(tables.TABLE_6_STIFFNESS[name]))
     eigenvalues = linalg.eigh([[k1 + k2, -k2], [-k2, k2]], np.diag([m1, m2]), eigvals_only=True)

@@ -1,4 +1,4 @@
-"""Tables 1, 2 and 6 to the last printed digit from every backend, and from the paper's formulas written out."""
+"""Compare Tables 1, 2 and 6 to the last printed digit with every backend, and with the paper's formulas written out."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_the_misprint_is_named_and_not_imitated():
     assert row.recomputed == pytest.approx(0.1129, abs=5e-5)
     [note] = table_1.notes
     assert "Entry (2, 3) of Ref. [17] in Case 1 is a misprint: the paper has -0.004, the formula gives 0.113" in note
-    # Its own Table 2 was made with 0.113.
+    # The paper's Table 2 was computed with 0.113.
     assert "With -0.004 Table 2 would read 1.834 1.157 0.615 kN/m; it reads 1.819 1.153 0.609" in note
 
 
@@ -50,7 +50,7 @@ def exact_modes():
 
 
 def equations(phi, m):
-    """Eq. 8 for each i <= j."""
+    """Write out Eq. 8 for each i <= j."""
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     A = np.array([phi[:, i] * phi[:, j] for i, j in pairs])
     B = np.array([float(i == j) - phi[:, i] @ (m * phi[:, j]) for i, j in pairs])
@@ -62,7 +62,7 @@ def renormalised(phi, M):
 
 
 def stiffnesses(phi, M, eigenvalues):
-    """Eqs. 20 to 24 with the drifts written out."""
+    """Write out Eqs. 20 to 24 with the drifts."""
     phi = renormalised(phi, M)
     x = np.array([phi[0], phi[1] - phi[0], phi[2] - phi[1]])
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
@@ -78,7 +78,7 @@ def check_stiffness(method, case, found):
 
 @pytest.mark.parametrize("case", [1, 2])
 def test_the_present_method_written_out(case):
-    """The bordered system of Eq. 14 as it stands in the paper."""
+    """Write out the bordered system of Eq. 14 of the paper."""
     eigenvalues, phi = exact_modes()
     m, steps, dm = np.array(tables.INITIAL_MASS[case]), 0, np.full(3, np.inf)
     while np.max(np.abs(dm)) >= 1e-6 * np.max(np.abs(m)):
@@ -104,7 +104,8 @@ def test_qi_written_out(case):
 
 @pytest.mark.parametrize("case", [1, 2])
 def test_berman_written_out(case):
-    """The smallest weighted change X of the mass matrix with P' X P = 1 - P' M0 P: X = M0^1/2 Y M0^1/2, |Y| least."""
+    """Find the smallest weighted change X of the mass matrix with P' X P = 1 - P' M0 P: X = M0^1/2 Y M0^1/2, |Y|
+    least."""
     eigenvalues, phi = exact_modes()
     M0 = np.diag(tables.INITIAL_MASS[case])
     P = renormalised(phi, M0)
@@ -121,7 +122,8 @@ def test_berman_written_out(case):
 
 
 def test_errors_of_the_mean_and_variations_are_those_of_errors_that_can_be_counted(monkeypatch):
-    """Four samples, off by b + s, b - s, b + s and b - s: their mean is b, their standard deviation s sqrt(4 / 3)."""
+    """Four samples have the errors b + s, b - s, b + s and b - s: their mean is b, their standard deviation s sqrt(4 /
+    3)."""
     shift, spread = np.array([4e-3, 5e-4, -2e-3, 0.0, 1e-3, -7e-4]), np.linspace(1e-3, 6e-3, 6)
     deviation = 100 * spread * np.sqrt(4 / 3)
 

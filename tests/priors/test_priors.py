@@ -1,4 +1,4 @@
-"""What each prior states, in numbers computed by hand, and how contradictory ones are named."""
+"""Test the statement of each prior against numbers computed by hand, and the names of contradictory priors."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -13,12 +13,12 @@ from cvxshear.programs.constraints import NamedConstraints, feasible, refuse_con
 from cvxshear.util.errors import InfeasibleError, InputError
 
 AT = np.array([10.0, 7.5, 5.0])
-"""Where soft priors are looked at: the floor masses of the paper's three-story frame, kg."""
+"""Point for the evaluation of soft priors: the floor masses of the paper's three-story frame, kg."""
 
 
 @dataclass(frozen=True, eq=False)
 class Smooth(Prior):
-    """Neighbouring stories differ little: r_i = (x[i+1] - x[i]) / width."""
+    """Neighboring stories differ little: r_i = (x[i+1] - x[i]) / width."""
 
     kind: ClassVar[str] = "test-smooth"
     quantity: str
@@ -31,7 +31,7 @@ class Smooth(Prior):
 
 
 class Lightest(Prior):
-    """The top floor is the lightest; without a kind, so only to be handed in."""
+    """The top floor is the lightest. This prior has no kind, so a file cannot name it."""
 
     quantity = "floor_mass"
 
@@ -42,7 +42,7 @@ class Lightest(Prior):
 
 
 def said(prior, stories=3):
-    """What the prior's constraints hold, None left out."""
+    """Return the prior's constraints without those that are None."""
     return {name: value for name, value in vars(prior.constraints(stories)).items() if value is not None}
 
 
@@ -263,7 +263,7 @@ def test_to_dict_declares_the_same_prior(prior):
     np.testing.assert_equal(vars(again), vars(prior))
 
 
-# A prior of one's own.
+# A custom prior.
 
 
 def experiment(**declared):
@@ -371,7 +371,7 @@ TOTAL = Frame(total_mass=30.0)
 
 
 def core(priors, *, frame=TOTAL, stories=2, quantity="floor_mass"):
-    """The statements that the refusal names."""
+    """Return the statements that the refusal names."""
     with pytest.raises(InfeasibleError) as caught:
         refuse_contradictions(statements(priors, quantity, stories, frame), stories)
     head, names = str(caught.value).split(": ", 1)
@@ -394,7 +394,7 @@ def test_bounds_that_exclude_the_total_mass(bounds):
 
 
 def test_a_ratio_that_contradicts_bounds():
-    """Three to one of 30 kg is 7.5 kg on floor 1, under the bound; each without the other is fine."""
+    """Three to one of 30 kg is 7.5 kg on floor 1, below the bound. Each statement alone is possible."""
     bounds, ratio = Bounds("floor_mass", lower=[8.0, 1.0]), Ratio("floor_mass", of=2, to=1, value=3.0)
     names = core([bounds, ratio])
     assert names == ["total_mass = 30 kg", f"prior: {bounds.describe()}", f"prior: {ratio.describe()}"]
@@ -431,7 +431,7 @@ def test_known_floor_masses_against_a_ratio():
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e9, 1e12], ids=str)
 def test_whatever_the_unit_a_contradiction_is_found_and_nothing_else(size):
-    """Stiffnesses of 1e9 N/m make rows of 1e-9, which a solver's absolute tolerances would swallow."""
+    """Stiffnesses of 1e9 N/m give rows of 1e-9, below a solver's absolute tolerances."""
     design = Nominal("story_stiffness", size * np.array([1.0, 2.0]), free_scale=True)
     first = Value("story_stiffness", at=1, value=size)
     wrong = Value("story_stiffness", at=2, value=2.1 * size)
@@ -463,7 +463,7 @@ def test_a_prior_of_ones_own_is_named_too():
 
 
 def test_the_set_named_is_a_smallest_one():
-    """Without any one of the statements that are named, the rest can be true."""
+    """Without any one of the named statements, the rest can be true."""
     priors = [
         Bounds("floor_mass", lower=1.0),
         Monotone("floor_mass", "decreasing"),

@@ -1,4 +1,4 @@
-"""The programs as objects: formulation, conversions, solutions, duals."""
+"""Test the programs as objects: formulation, conversions, solutions, duals."""
 
 import json
 
@@ -17,7 +17,7 @@ SOLVERS = ("clarabel", "osqp", "daqp", "cvxpy-scs", "auto")
 
 @pytest.fixture(scope="module")
 def three():
-    """The paper's three-story frame with 5 % noise on its modes."""
+    """Return the paper's three-story frame with 5 % noise on its modes."""
     return cvxshear.load("examples/noisy_three_story.toml")
 
 
@@ -42,7 +42,7 @@ def test_p_q_and_the_constant_are_the_objective(three):
 
 
 def test_a_program_written_by_hand_has_the_same_solution(three):
-    """Eq. 8 row by row, handed to qpsolvers, against the program's own solution and its conversion."""
+    """Compare Eq. 8, row by row in qpsolvers, with the program's own solution and its conversion."""
     test = three.configurations[0]
     masses = np.array([8.0, 7.5, 7.0])
     phi = test.mode_shapes.T / np.sqrt(np.sum(test.mode_shapes.T**2 * masses[:, None], axis=0))
@@ -85,7 +85,7 @@ def test_the_closed_form_leaves_inequalities_out(three):
 
 
 def test_duals_are_the_derivatives_of_the_objective(three):
-    """Each right side and bound is moved by a little, and the program solved again."""
+    """Change each right side and bound slightly, and solve the program again."""
     masses = [10.0, 7.5, 5.0]
     prior = [Bounds("story_stiffness", upper=[1700.0, 1e9, 1e9], lower=[0.0, 0.0, 640.0])]
     program = programs.story_stiffnesses(three, masses, priors=[*prior, Ratio("story_stiffness", 2, 3, 1.9)])
@@ -126,7 +126,8 @@ def test_priors_become_rows_and_constraints(three):
 
 
 def test_the_methods_solve_these_programs(three):
-    """Iterated by hand, the mass correction leads to the masses of `identify`; likewise the other two programs."""
+    """Iterate the mass correction by hand; it gives the masses of `identify`. The same holds for the other two
+    programs."""
     masses = np.full(3, 7.5)
     for _ in range(40):
         masses = masses + programs.mass_correction(three, masses).solve().x
@@ -248,7 +249,7 @@ def test_incomplete_data_are_refused_with_the_method_that_takes_them():
 
 
 def test_the_notebook_runs():
-    """Its constraint in cvxpy and the same as a row of G have the same solution."""
+    """Its constraint in cvxpy and the same constraint in a row of G have the same solution."""
     cells = json.loads((EXAMPLES / "programs.ipynb").read_text(encoding="utf-8"))["cells"]
     namespace = {}
     for cell in cells:

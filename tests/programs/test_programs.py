@@ -1,4 +1,4 @@
-"""The programs against the equations of the paper, written out as printed."""
+"""Compare the programs with the printed equations of the paper."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def noisy_shapes(seed=0, noise=0.05):
 
 
 def printed_rows(phi):
-    """Eq. 8, row by row: phi_ki phi_kj for i <= j."""
+    """Return Eq. 8, row by row: phi_ki phi_kj for i <= j."""
     n, m = phi.shape
     return np.array([[phi[k, i] * phi[k, j] for k in range(n)] for i in range(m) for j in range(i, m)])
 
@@ -64,7 +64,7 @@ def test_one_shot_does_not_depend_on_the_scale_of_noisy_modes():
 
 
 def test_normal_matrix_follows_from_gram_matrices():
-    """A'A = (G o G + Q Q') / 2 with G = P P' and Q = P o P, since every pair i < j stands in A once."""
+    """A'A = (G o G + Q Q') / 2 with G = P P' and Q = P o P, since A has a row for every pair i <= j."""
     P = noisy_shapes(3)
     A = mass_rows(P, MASS, 22.5).R
     G, Q = P @ P.T, P * P
@@ -118,7 +118,8 @@ def test_stiffnesses_as_changes_from_a_start_are_the_stiffnesses_themselves(rows
 @pytest.mark.parametrize("condition", [1.0, 1e3, 1e6])
 @pytest.mark.parametrize("triangle", [True, False])
 def test_the_digits_lost_are_those_of_the_condition_number_of_unit_columns(condition, triangle):
-    """Of a triangle LAPACK's estimate in the 1-norm, within a factor of three of that in the 2-norm; else exactly."""
+    """For a triangle, LAPACK's estimate in the 1-norm is within a factor of three of the 2-norm; other cases are
+    exact."""
     rng = np.random.default_rng(4)
     left, right = (np.linalg.qr(rng.standard_normal((3, 3)))[0] for _ in range(2))
     whole = left @ np.diag([1.0, condition**-0.5, 1.0 / condition]) @ right

@@ -1,4 +1,4 @@
-"""The command `check`, and what identify, loop and modes say before they run."""
+"""Test the command `check`, and the checks that identify, loop and modes report before they run."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from tests.mistakes import with_mistake
 
 @pytest.fixture
 def swapped(tmp_path):
-    """A file with two sensors exchanged."""
+    """Return a file with two sensors exchanged."""
     declared, _ = simulated(None, stories=4, configurations=1, rng=np.random.default_rng(3))
     wrong, _, word = with_mistake("swapped_sensors", declared, np.random.default_rng(3))
     write_measurement(tmp_path / "swapped.toml", wrong)

@@ -1,4 +1,4 @@
-"""Declared masses that the shapes contradict, of frames of the independent finite-element program."""
+"""Test declared masses that the shapes contradict, on frames of the independent finite-element program."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.frames import configuration, experiment
 
 
 def floor_masses_declared(effect=None, stories=5, configurations=2, seed=3):
-    """A measurement file with the true floor masses in place of their total, and these."""
+    """Return a measurement file with the true floor masses instead of their total."""
     declared, truth = simulated(effect, stories=stories, configurations=configurations, rng=np.random.default_rng(seed))
     del declared["frame"]["total_mass"]
     declared["frame"]["floor_masses"] = truth["floor_mass"].tolist()
@@ -57,7 +57,7 @@ def test_design_values_listed_from_the_top_are_refused():
 
 @pytest.mark.parametrize(("tilt", "names"), [(0.15, []), (0.4, ["masses_from_top"])])
 def test_design_stiffnesses_that_tilt_the_other_way_within_their_deviations_are_not_doubted(tilt, names):
-    """Ten stories by 0.1: at the ends two deviations of 1.5 each way are no mistake, two of 4 are."""
+    """Ten stories of deviation 0.1: at the ends, two deviations of 1.5 each way are no mistake, two of 4 are."""
     height = np.linspace(-1.0, 1.0, 10)
     mass, stiffness = np.full(10, 10.0), 20e3 * (1 + tilt * height)
     prior = {"kind": "nominal", "quantity": "story_stiffness", "values": stiffness[::-1].tolist(), "std": 0.1}
@@ -83,7 +83,7 @@ def test_a_load_on_another_floor_is_warned_of(moved):
 @pytest.mark.parametrize(("unit", "factor"), [("t", 1e-3), ("kN", 9.81e-3), ("N", 9.81)])
 @pytest.mark.parametrize("height", [True, False])
 def test_added_masses_in_another_unit_are_named_and_not_the_total(unit, factor, height):
-    """Floors of 0.39 m stories suit some 10 kg each; without heights the unit of either can be wrong."""
+    """Floors of stories of 0.39 m have about 10 kg each. Without heights, either unit can be wrong."""
     declared, _ = floor_masses_declared(configurations=3)
     if not height:
         del declared["frame"]["story_heights"]

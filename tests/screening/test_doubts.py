@@ -1,4 +1,4 @@
-"""Units that something declared speaks against are warned of, and not refused."""
+"""If a declared value makes a unit doubtful, the check warns and does not refuse."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from tests.frames import configuration, experiment
 MASS = np.array([2.1e5, 2.0e5, 1.9e5])
 STIFFNESS = np.array([3.0e8, 2.6e8, 2.2e8])
 ADDED = [0.0, 0.0, 4e4]
-"""A three-story building, and a load on its roof."""
+"""Added masses on a three-story building: a load on its roof."""
 
 
 def building(*, frame=None, frequency=1.0, prior=()):
@@ -71,7 +71,7 @@ def test_masses_are_told_in_the_units_of_the_library():
 
 @pytest.mark.parametrize("loads", [[ADDED], [ADDED, [5e4, 0.0, 0.0]]])
 def test_one_load_is_named_before_the_total_only_where_no_other_load_agrees_with_it(loads):
-    """2000 t in place of 600 t: what one load shows is the load over the total, what two show is which is wrong."""
+    """The total is 2000 t instead of 600 t. One load determines only load over total; two loads show which is wrong."""
     tables = [configuration(MASS, STIFFNESS, added) for added in ([0.0, 0.0, 0.0], *loads)]
     (item,) = screen(Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame={"total_mass": 2.0e6})))
     if len(loads) > 1:
@@ -201,7 +201,8 @@ def test_a_copied_configuration_is_found():
 
 
 def test_a_mode_that_looks_like_the_one_before_is_asked_about():
-    """Torsion at 1.6 times the first frequency, as sensors off the centre of a uniform frame show it: sin shapes."""
+    """Torsion has 1.6 times the first frequency. Sensors off the center of a uniform frame measure it as sine
+    shapes."""
     n, sensors = 8, np.array([2, 5, 8])
     angle = (2 * np.arange(1, n + 1) - 1) * np.pi / (2 * n + 1)
     frequency, shapes = 10.0 * np.sin(angle / 2), np.sin(np.outer(angle, sensors))
@@ -215,7 +216,7 @@ def test_a_mode_that_looks_like_the_one_before_is_asked_about():
 
 
 def test_tests_that_were_repeated_are_no_copies():
-    """Nor are two states of the same masses, or single frequencies that round alike."""
+    """Two states of the same masses, or single frequencies equal after rounding, are no copies either."""
     declared = building()
     again = {**declared["configuration"][1], "name": "again"}
     again["frequencies"] = [1.0001 * value for value in again["frequencies"]]

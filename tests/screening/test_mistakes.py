@@ -1,4 +1,4 @@
-"""Mistakes are named with what to change, and frames without one are let pass."""
+"""Mistakes are named with their correction, and sound frames pass."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_the_examples_are_without_a_finding(example):
 @pytest.mark.parametrize("ratio", [1e-6, 3e-4, 3e3, 1e6])
 @pytest.mark.parametrize("what", ["stiffness", "mass"])
 def test_a_frame_of_very_different_stories_or_floors_is_right(what, ratio):
-    """On bearings, with a stiff basement, under a tank: exact to four digits, and with the noise that is declared."""
+    """Frames on bearings, with a stiff basement, or under a tank: exact to four digits, and with the declared noise."""
     for stories, noise in ((3, 0.0), (4, 1.0), (6, 1.0)):
         rng = np.random.default_rng(stories)
         values = {"mass": rng.uniform(5, 15, stories), "stiffness": rng.uniform(2e4, 4e4, stories)}
@@ -72,7 +72,7 @@ def test_a_frame_of_very_different_stories_or_floors_is_right(what, ratio):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_a_frame_whose_stories_all_differ_by_up_to_three_thousand_is_right(seed):
-    """The stiffnesses in any order, the largest three thousand times the smallest and the others between."""
+    """The stiffnesses are in any order, the largest is three thousand times the smallest."""
     rng = np.random.default_rng([38, seed])
     stories = int(rng.integers(2, 7))
     stiffness = 2e4 * 3000.0 ** rng.permutation(np.linspace(0, 1, stories))
@@ -92,7 +92,7 @@ def test_a_sign_that_noise_can_have_turned_is_passed_over():
 
 
 def test_repairs_that_the_data_cannot_tell_apart_are_named_together():
-    """In three stories to list the floors from the top is to exchange the first and the third."""
+    """With three stories, listing the floors from the top and exchanging the first and the third are the same."""
     table = configuration(MASS[:3], STIFFNESS[:3])
     table["mode_shapes"] = [row[::-1] for row in table["mode_shapes"]]
     (item,) = found(experiment(MASS[:3], STIFFNESS[:3], table))
@@ -139,7 +139,7 @@ def test_a_name_that_no_finding_has_is_refused(accept, said):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_nonsense_is_judged_without_an_error(seed):
-    """Shapes that are no modes at all, of any scale, with entries and whole rows missing."""
+    """Shapes are random, of any scale, with entries and whole rows missing."""
     rng = np.random.default_rng(seed)
     count, width = int(rng.integers(1, 5)), int(rng.integers(1, 6))
     shapes = rng.standard_normal((count, width)) * 10.0 ** rng.uniform(-20, 20, (count, 1))

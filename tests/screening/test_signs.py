@@ -1,4 +1,4 @@
-"""How often the modes of a shear frame change sign, certain or not."""
+"""Count the sign changes of a shear frame's modes, certain or not."""
 
 import itertools
 

@@ -14,7 +14,7 @@ LOADS = [[0, 0, 0, 0, 0], [0, 0, 6, 0, 6], [6, 0, 0, 6, 0]]
 
 
 def five_stories(effect=None, tests=3, *, shapes=True, states=None, seed=4):
-    """A file of a five-story finite-element frame, tested under other loads, and its true frequencies."""
+    """Return a file of a five-story finite-element frame, tested under different loads, and its true frequencies."""
     declared, truth = simulated(
         effect, stories=5, configurations=tests, rng=np.random.default_rng(seed), added_mass=LOADS[:tests],
         configuration=tests if effect == "story_change" else None,
@@ -57,7 +57,7 @@ def test_the_wrong_number_is_named_with_what_all_others_say(tests, shapes, effec
 @pytest.mark.parametrize("effect", ["joint_rotation", "ground_spring", "story_change"])
 @pytest.mark.parametrize("shapes", [True, False])
 def test_a_frame_that_is_otherwise_than_modeled_is_not_accused(effect, shapes):
-    """Nor where nobody says that the last test is of another state."""
+    """The frame is not accused either if the file does not declare the last test's other state."""
     assert not named(five_stories(effect, shapes=shapes, seed=7)[0])
 
 
@@ -73,7 +73,7 @@ def test_what_nothing_contradicts_or_nobody_weighs_is_left_alone():
 
 
 def test_a_tuned_mass_in_one_state_is_a_doubt_that_says_both():
-    """The lower of the two modes that a damper of 4 % of the frame makes of the first has the first one's shape."""
+    """A damper of 4 % of the frame splits the first mode in two. The lower one has the first mode's shape."""
     rng, N = np.random.default_rng(5), 5
     mass, stiffness = 100 * rng.uniform(0.8, 1.2, N), 1e6 * rng.uniform(0.8, 1.2, N)
     bare = modes(np.diag(mass), stiffness_matrix(stiffness))

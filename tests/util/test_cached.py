@@ -1,4 +1,4 @@
-"""Cached properties, and a fork while another thread computes one."""
+"""Test cached properties, and a fork while another thread computes one."""
 
 import ast
 import os
@@ -13,14 +13,14 @@ from cvxshear.util.cached import cached_property
 
 
 class Slow:
-    """Counts how often its value is computed; waits for `begun` to be seen meanwhile."""
+    """Count the computations of its value; wait meanwhile until `begun` is seen."""
 
     def __init__(self) -> None:
         self.computed, self.wait = 0, threading.Event()
 
     @cached_property
     def value(self) -> int:
-        """The value."""
+        """Value that takes long to compute."""
         self.computed += 1
         self.wait.wait(5)
         return 7

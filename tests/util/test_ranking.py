@@ -1,4 +1,4 @@
-"""Orders that rounding does not change."""
+"""Rounding does not change these orders."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""How files are written: whole or not at all, in no other file's place, and refused before there is a result."""
+"""Test the writing of files: complete or not at all, without replacing another file, and refused before the
+computation."""
 
 from __future__ import annotations
 
@@ -127,7 +128,7 @@ def test_a_pipe_is_written_to(tmp_path):
 
 @pytest.fixture
 def terminal():
-    """Both ends of a terminal, a device that nothing else uses."""
+    """Return both ends of a terminal, a device that no other program uses."""
     pty = pytest.importorskip("pty")
     ours, theirs = pty.openpty()
     yield ours, os.ttyname(theirs)
@@ -217,7 +218,7 @@ def test_what_the_content_was_made_from_is_kept(tmp_path):
 
 
 def in_memory(tree: ast.AST) -> set[str]:
-    """Names that a piece of code binds to nothing but new streams in memory."""
+    """Return names that a piece of code binds only to new streams in memory."""
     bound: dict[str, list[ast.expr]] = {}
     for node in ast.walk(tree):
         walrus = [node.target] if isinstance(node, ast.NamedExpr) else []
@@ -228,14 +229,14 @@ def in_memory(tree: ast.AST) -> set[str]:
 
 
 def calls_that_may_write(tree: ast.AST) -> list[ast.Call]:
-    """Every call but those whose first argument is a stream in memory."""
+    """Return every call except those whose first argument is a stream in memory."""
     streams = in_memory(tree)
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     return [node for node in calls if not (node.args and name_of_first(node) in streams)]
 
 
 def name_of_first(call: ast.Call) -> str | None:
-    """The name that stands as the first argument of a call, or is bound there; None where there is none."""
+    """Return the name that is the first argument of a call, or is bound there; None if there is no name."""
     first = call.args[0]
     return getattr(first.target if isinstance(first, ast.NamedExpr) else first, "id", None)
 
@@ -250,7 +251,7 @@ def test_a_stream_in_memory_is_told_from_a_file():
 
 
 def test_no_other_module_writes():
-    """A call that writes a file is found in `writing` alone."""
+    """Only the module `writing` contains calls that write a file."""
     found = set()
     for path in PACKAGE.rglob("*.py"):
         for node in calls_that_may_write(ast.parse(path.read_text(encoding="utf-8"))):
@@ -263,7 +264,7 @@ def test_no_other_module_writes():
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
             if name in {"write_text", "write_bytes"}:
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
-    # A standard stream that was closed is given the null device.
+    # A closed standard stream is replaced by the null device.
     assert found == {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/output.py", "open")}
 
 
@@ -293,7 +294,7 @@ def killed(step, write, path):
     if child == 0:
         def die(*arguments):
             if step == "fdopen":
-                # Half of it is on its way.
+                # Half of the output is written.
                 os.write(arguments[0], b"half")
             os.kill(os.getpid(), signal.SIGKILL)
         setattr(os, step, die)
@@ -315,7 +316,7 @@ print(json.dumps(result))
 
 
 def test_killed_in_the_middle_of_every_writer(tmp_path):
-    """Signal 9 at each step leaves the old file, and what it leaves beside it is in no later writer's way."""
+    """Signal 9 at each step leaves the old file. A remaining temporary file does not disturb later writers."""
     pytest.importorskip("pyuff")
     found = subprocess.run(
         [sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, text=True, check=True
