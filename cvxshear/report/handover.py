@@ -318,9 +318,7 @@ def _driven(result: Moved) -> str:
 
 
 def _uff(result: Moved) -> bytes:
-    """Write excitation, accelerations, displacements, drifts and story shears as data sets 58, one node for each
-    floor.
-    """
+    """Write excitation, motion, drifts and story shears as data sets 58, one node for each floor."""
     pyuff = load_pyuff()
     sets: list[Json] = []
     forced = _driven(result) == "force"

@@ -189,15 +189,12 @@ def _effects(result: Closure) -> str:
 
 
 def _piled(result: Closure) -> bool:
-    """Return whether one state has too many kinds of uncertain effects, including the frame's: each is then
-    improbable.
-    """
+    """Return whether one state, or the frame, has so many kinds of effects that each is improbable."""
     kinds: dict[str | None, set[str]] = {}
     for item in result.effects:
         if item.probability < ADDED:
             kinds.setdefault(item.placed.place.state, set()).add(item.placed.effect.name)
-    of_frame = kinds.get(None, set())
-    return any(len(names | of_frame) >= MANY_CAUSES for names in kinds.values())
+    return any(len(names) >= MANY_CAUSES for names in kinds.values())
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:
