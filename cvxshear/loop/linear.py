@@ -178,28 +178,6 @@ class Linearised:
             own, left = own - basis @ (basis.T @ own), left - basis @ (basis.T @ left)
         return taken
 
-    def pair_gains(self) -> Floats:
-        """Find the gains of each pair of effects of one parameter, shape (n, n); -inf where a bound is not kept."""
-        single = self._singles
-        result = np.full((len(self.lacking), len(self.lacking)), -np.inf)
-        own, b = self._own[:, single.columns], -self._slope[single.columns]
-        gram = own.T @ own
-        lower, upper, precision, constants = single.lower, single.upper, single.precision, single.constants
-        value = np.full(gram.shape, -np.inf)
-        for i, j in itertools.product(range(len(precision)), repeat=2):
-            a, c = (np.diag(gram) + precision[i])[:, None], (np.diag(gram) + precision[j])[None, :]
-            determinant = a * c - gram**2
-            with np.errstate(divide="ignore", invalid="ignore"):
-                first = (c * b[:, None] - gram * b[None, :]) / determinant
-                second = (a * b[None, :] - gram * b[:, None]) / determinant
-                part = 0.5 * (first * b[:, None] + second * b[None, :]) - 0.5 * np.log(determinant)
-            inside = (first >= lower[:, None]) & (first <= upper[:, None]) & (second >= lower) & (second <= upper)
-            part = np.where(inside & (determinant > 1e-9 * a * c), part, -np.inf)
-            value = np.logaddexp(value, part + constants[i][:, None] + constants[j])
-        np.fill_diagonal(value, -np.inf)
-        result[np.ix_(single.at, single.at)] = value
-        return result
-
     def predicted(self, placed: Sequence[Placed]) -> Floats:
         """Where the linearised model has its minimum with these effects, each kept within its bounds.
 

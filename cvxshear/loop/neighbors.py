@@ -1,6 +1,6 @@
 """Sets of effects that lie next to one that was fitted, and are worth a fit themselves.
 
-With one effect more, or two, or several, as the linearised model at its fit promises; with the causes that the entries
+With one effect more, or several, as the linearised model at its fit promises; with the causes that the entries
 of an open class stand for; with an effect that brings a motion of its own; and the groups of its effects for which one
 cause may stand.
 """
@@ -39,16 +39,14 @@ is not linear, and further steps halve what the first one leaves."""
 
 MOST_FURTHER = 10
 LEAST_FURTHER = 1
-PAIRS = 2
 RESCALING = 3
-"""Most and least further effects, most pairs, and effects on the accuracy of data, that are fitted when a set is
-expanded."""
+"""Most and least further effects, and effects on the accuracy of data, that are fitted when a set is expanded."""
 
 Set = frozenset[Placed]
 
 
 def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: float) -> list[Set]:
-    """List sets with one more effect, or two, or several, by what the linearised model promises.
+    """List sets with one more effect, or several, by what the linearised model promises.
 
     Parameters
     ----------
@@ -71,19 +69,7 @@ def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: flo
         by_gain = [linear.lacking[i] for i in ranking.order(linear.gains)]
         single += [placed for placed in by_gain if placed.effect.rescales][:RESCALING]
     several = model.effects.union(linear.forward(odds))
-    return [*(model.effects | {placed} for placed in single), *_pairs(model, linear, odds), several]
-
-
-def _pairs(model: ModelClass, linear: Linearised, odds: Floats) -> list[Set]:
-    """List pairs that promise more together than either does by itself, and than nothing."""
-    alone = linear.gains + odds
-    together = np.triu(linear.pair_gains() + odds[:, None] + odds[None, :], 1)
-    threshold = max(float(alone.max()), 0.0)
-    better = together - np.maximum(np.maximum(alone[:, None], alone[None, :]), 0.0)
-    above = np.triu(np.ones_like(together), 1) > 0
-    candidates = np.argwhere(above & (better > 0) & (together > threshold - WITHIN))
-    ranked = ranking.ranked(candidates.tolist(), lambda pair: float(together[pair[0], pair[1]]))
-    return [model.effects | {linear.lacking[i], linear.lacking[j]} for i, j in ranked[:PAIRS]]
+    return [*(model.effects | {placed} for placed in single), several]
 
 
 def _far_off(model: ModelClass) -> bool:

@@ -7,7 +7,7 @@ that bring a motion of their own, and causes alone from the shear model on, are 
 regrouped, which puts one cause, or several where nothing simple explains, in the place of a whole group of effects.
 Then the rest of the beam is expanded, the best sets visited; and at last each of the best with one effect taken out,
 which exchanges that effect for another. As there are finitely many sets and none is fitted or expanded twice, it ends;
-at the latest when its budget is spent, but for the neighbors of the best sets.
+at the latest when its budget is spent.
 """
 
 from __future__ import annotations
@@ -42,10 +42,6 @@ BEAM = 6
 REACH = 20.0
 """Sets that are expanded: the best of those visited, so many at most and none further behind in log probability."""
 
-TIE = 2.0
-"""The same between two sets that are as good as each other: what may stand beside the one is tried beside both, or the
-probabilities would count it for one of them alone."""
-
 A_PILE = 3
 """Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
 
@@ -62,18 +58,8 @@ MOST_SETS = 300
 """Sets after which a search ends, but for what it is at and the neighbors of the best sets: twice what sound files of
 three states need (up to some 150), so that a file that no set explains ends too. What is left out then is said."""
 
-ELSEWHERE = 2.0
-"""Times what the strength of the effects that are taken out promises, and one unit of chi-square, by which a set fits
-worse whose fit ended in another minimum: it is fitted again from the one with more effects."""
-
-STRONGEST = 1e6
-"""Distance from null, in standard deviations, beyond which an effect is no stronger."""
-
 TWINS_DIFFER = 0.1
 """Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
-
-EXCHANGES = 4
-"""Sets, the best ones, whose effects are exchanged when the budget is spent: two ties make four sets as probable."""
 
 
 class Search:
@@ -140,8 +126,6 @@ class Search:
         )
         while not self.spent and any(way() for way in ways):
             pass
-        if self.spent:
-            self._exchange_in_best()
 
     def _follow(self, way: Callable[[ModelClass], None], done: set[Set], within: float) -> bool:
         """Go one way from the best set that has not gone it yet; tell whether there was one."""
@@ -174,22 +158,6 @@ class Search:
         before = self.best
         self._record(model for effects, model in alone.visited.items() if effects not in self.visited)
         return self.best is not before
-
-    def _exchange_in_best(self) -> None:
-        """Visit what may stand in the place of each effect of the best sets, however many sets were visited.
-
-        Without its neighbors a set seems more probable than it is: of two effects that are a tie one may have been
-        tried beside the best of the others, the other only beside sets that are worse.
-        """
-        for _ in range(EXCHANGES):
-            best = next((model for model in self.beam if model.effects not in self.reduced), None)
-            if best is None:
-                break
-            self.reduced.add(best.effects)
-            for placed in best.effects:
-                rest = best.effects - {placed}
-                self._fit_without(best, [rest])
-                self._with_one_of(self.lacking(self.visited[rest]), self.visited[rest], frozenset([placed]))
 
     def add_motions(self) -> bool:
         """Visit sets with an effect that brings a motion of its own, unless the shear model wins as it should."""
@@ -344,7 +312,7 @@ class Search:
         if self.best.improbable or model is self.best:
             return True
         return not holds_open(model.effects) and not any(
-            better.effects < model.effects and better.score > model.score + TIE for better in self.beam
+            better.effects < model.effects and better.score > model.score for better in self.beam
         )
 
     def lacking(self, model: ModelClass) -> list[Placed]:
@@ -476,19 +444,14 @@ class Search:
         """Fit sets that hold some of the effects of one, started there, where they have no fit that is as good yet."""
         assert model.estimate is not None
         assumed = set(self.fitter.assumed)
-        new = [each for each in sets if each not in self.visited or self._elsewhere(self.visited[each], model)]
+        new = [each for each in sets if each not in self.visited or self._untried(self.visited[each])]
         effects_of = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in effects_of]))
 
-    def _elsewhere(self, fewer: ModelClass, model: ModelClass) -> bool:
-        """Whether the fit of a set ended far from that of one with more effects, which hardly needs the others."""
-        assert model.estimate is not None
-        if fewer.estimate is None:
-            return fewer.failure is None
-        gone = [placed for placed in model.estimate.effects if placed in model.effects - fewer.effects]
-        lost = sum(min(_strength(model.estimate, placed), STRONGEST) ** 2 for placed in gone)
-        worse = fewer.estimate.fit.at.objective - model.estimate.fit.at.objective
-        return bool(worse > ELSEWHERE * (1.0 + lost))
+    @staticmethod
+    def _untried(model: ModelClass) -> bool:
+        """Whether a set was passed over without a fit."""
+        return model.estimate is None and model.failure is None
 
 
 def _strength(estimate: Estimate, placed: Placed) -> float:

@@ -101,19 +101,6 @@ def test_parameters_that_the_data_cannot_part_promise_nothing():
         assert Linearised._gain_of_several(linear, placed, own, r) == -np.inf
 
 
-def test_the_gains_of_pairs_are_the_differences_of_evidences(base, linear):
-    gains = linear.pair_gains()
-    np.testing.assert_allclose(gains, gains.T, rtol=1e-12)
-    compared = 0
-    for i, first in enumerate(LACKING):
-        for j, second in enumerate(LACKING[:i]):
-            if np.isfinite(gains[i, j]):
-                compared += 1
-                both = log_evidence(refitted(base, first, second), EXPECTED) - log_evidence(base, EXPECTED)
-                assert gains[i, j] == pytest.approx(both, abs=0.2), (first.label, second.label)
-    assert compared >= 5
-
-
 def test_the_promised_decrease_and_the_predicted_minimum_are_those_of_the_fit_for_a_small_effect(base, linear):
     fitted = refitted(base, MASS_3)
     assert linear.precision_gained(MASS_3) > 2

@@ -14,7 +14,7 @@ from cvxshear.loop.conclusion import Posterior
 from cvxshear.loop.evidence import _multipliers
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, hypotheses
-from cvxshear.loop.neighbors import _pairs, groups, promising
+from cvxshear.loop.neighbors import groups, promising
 from cvxshear.loop.posterior import replacement
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.loop.twins import Invariances, dual_fits_as_well, dual_frame, few_floors_seen
@@ -41,12 +41,11 @@ def test_groups_are_of_a_state_of_a_name_all_and_single_open_classes():
         assert all(each in found for each in (*map(frozenset, expected), *([frozenset([TIED])] if open_too else [])))
 
 
-def linearised(gains, together, forward=()):
-    """Return a linearized model with given gains of four effects, alone and in pairs."""
-    gains = np.array(gains, dtype=float)
-    pairs = gains[:, None] + gains[None, :] + np.array(together, dtype=float)
-    return SimpleNamespace(lacking=[GAIN_1, GAIN_2, MASS_1, CHANGE], gains=gains, pair_gains=lambda: pairs,
-                           forward=lambda odds: list(forward))  # fmt: skip
+def linearised(gains, forward=()):
+    """Return gains of four effects, as a linearised model states them."""
+    return SimpleNamespace(
+        lacking=[GAIN_1, GAIN_2, MASS_1, CHANGE], gains=np.array(gains, dtype=float), forward=lambda odds: list(forward)
+    )
 
 
 def model_of(*effects, score=0.0, improbable=False, objective=1.0, rows=9, **more):
@@ -58,22 +57,8 @@ def model_of(*effects, score=0.0, improbable=False, objective=1.0, rows=9, **mor
 FITTER = SimpleNamespace(log_priors=lambda lacking, beside: np.full(len(lacking), -4.0))
 
 
-def test_pairs_are_tried_that_promise_more_than_either_and_than_nothing():
-    extra = np.zeros((4, 4))
-    extra[0, 1], extra[0, 2], extra[1, 2], extra[2, 3], extra[1, 3] = 20.0, 9.0, 6.0, 13.0, -5.0
-    linear = linearised([1.0, 0.5, 5.0, -3.0], extra + extra.T)
-    # Gains of single effects: -3, -3.5, 1, -7; of pairs: 13.5, 7, 3.5, 7 and negative ones. The two best come first,
-    # then the order.
-    found = _pairs(model_of(), linear, np.full(4, -4.0))
-    assert found == [{GAIN_1, GAIN_2}, {GAIN_1, MASS_1}]
-    # A pair needs a larger gain than its better effect alone. Effects far below the best are left out.
-    alone = linearised([30.0, 1.0, 5.0, 8.0], np.diag([0.0] * 4))
-    assert _pairs(model_of(), alone, np.full(4, -4.0)) == [{GAIN_1, CHANGE}, {GAIN_1, MASS_1}]
-    assert _pairs(model_of(), linearised([1.0] * 4, np.zeros((4, 4))), np.full(4, -4.0)) == []
-
-
 def test_further_effects_are_tried_as_far_as_they_may_catch_up():
-    linear = linearised([14.0, 3.0, 12.0, -9.0], np.full((4, 4), -1e9), forward=[GAIN_1, MASS_1])
+    linear = linearised([14.0, 3.0, 12.0, -9.0], forward=[GAIN_1, MASS_1])
     singles = [set(each) for each in promising(model_of(), linear, FITTER, 0.0) if len(each) == 1]
     worth = {GAIN_1: 10.0, MASS_1: 8.0, GAIN_2: -1.0, CHANGE: -13.0}
     assert singles == [{placed} for placed in worth if placed is GAIN_1 or worth[placed] > 10.0 - 7.0]

@@ -21,7 +21,6 @@ from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.neighbors import promising
 from cvxshear.loop.next_test import next_test
-from cvxshear.loop.search import Search
 from tests.fe.experiments import simulated
 
 
@@ -293,29 +292,11 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
     assert proposed.standard_deviations > 1.0
 
 
-def test_a_set_fitted_elsewhere_is_worse_by_more_than_what_it_lacks_is_worth():
-    """An effect of two standard deviations explains four units; the limit is two times five."""
-    placed = Placed(GroundSpring(), Place(floor=1))
-
-    def model(objective, *effects):
-        fit = SimpleNamespace(at=SimpleNamespace(objective=objective))
-        estimate = SimpleNamespace(
-            fit=fit, effects=effects, theta=np.array([2.0]), std=np.array([1.0]), own=lambda _: slice(0, 1)
-        )
-        return SimpleNamespace(estimate=estimate, effects=frozenset(effects))
-
-    search = object.__new__(Search)
-    assert not search._elsewhere(model(9.9), model(0.0, placed))
-    assert search._elsewhere(model(10.1), model(0.0, placed))
-
-
 def test_what_leaves_accuracies_open_is_tried_by_its_gain_however_improbable_it_was():
     """If no set explains the data, try the three effects with the largest gain before those with the best odds."""
     effects = [Mock(label=f"e{i}", effect=Mock(rescales=True)) for i in range(5)]
     gains = np.array([1.0, 5.0, 3.0, 4.0, 2.0])
-    linear = SimpleNamespace(
-        lacking=effects, gains=gains, forward=lambda odds: [], pair_gains=lambda: np.full((5, 5), -np.inf)
-    )
+    linear = SimpleNamespace(lacking=effects, gains=gains, forward=lambda odds: [])
     fitter = SimpleNamespace(log_priors=lambda lacking, beside: np.array([0.0, -50.0, -50.0, -50.0, -50.0]))
     residual = SimpleNamespace(fit=SimpleNamespace(at=SimpleNamespace(objective=1.0, r=np.zeros(9))))
     model = SimpleNamespace(effects=frozenset(), improbable=True, estimate=residual)
