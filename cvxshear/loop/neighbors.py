@@ -25,7 +25,8 @@ from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 WITHIN = 7.0
-"""Largest log probability ratio to the best set of a set that is followed up: a thousandth as probable."""
+"""Largest distance from the best set, in log probability, of a set that is followed up: a thousandth of the best
+probability."""
 
 MOTIONS = 12
 """Largest number of fits of effects that add degrees of freedom."""
@@ -34,8 +35,8 @@ FROM_FRAMES = 20
 """Largest number of fits that start at given frames. Each fit costs milliseconds, because frequencies are few."""
 
 NEAR_ENOUGH = 4.0
-"""Factor on the objective of a set that explains the data: largest objective after a first step. Far from its optimum
-an added mass on its own spring is not linear, and further steps halve the remainder."""
+"""Largest objective after a first step, relative to the objective of a set that explains the data. Far from its
+optimum, a mass on its own spring is not linear, and further steps halve the objective after the first one."""
 
 MOST_FURTHER = 10
 LEAST_FURTHER = 1

@@ -2,16 +2,16 @@
 
 To expand a set, the linearised model at its fit predicts the gain of each further effect, of each pair, and of a
 sequence of effects added one after the other. If the set holds an open class, the significant entries of the class are
-tried as causes. The steps, in order:
+tried as causes. The beam holds the best visited sets. The steps, in order:
 
-- The best set is pruned and expanded.
-- If no simple set explains the data, or only an open class does, the search tries effects that add degrees of freedom,
-  and sets of causes without an open class, from the shear model.
-- The best set is regrouped: one cause replaces a group of effects (several causes if no simple set explains the data).
-- The other sets of the beam are expanded. The beam holds the best visited sets.
-- Each of the best sets loses one effect and is expanded again, so one effect is exchanged for another.
+- prune and expand the best set;
+- if no simple set explains the data, or only an open class does: try effects that add degrees of freedom, and sets of
+  causes without an open class, from the shear model;
+- regroup the best set: one cause replaces a group of effects (several causes if no simple set explains the data);
+- expand the other sets of the beam;
+- remove one effect from each of the best sets and expand the rest, which exchanges this effect for another.
 
-The number of sets is finite and no set is fitted or expanded twice, so the search ends. The budget of fits ends the
+The number of sets is finite and no set is fitted or expanded twice, so the search ends. The budget of sets ends the
 search earlier; only the neighbors of the best sets are still fitted then.
 """
 
@@ -233,7 +233,7 @@ class Search:
 
     @property
     def spent(self) -> bool:
-        """Whether the budget of fits is spent."""
+        """Whether the budget of sets is spent."""
         return len(self.visited) >= MOST_SETS
 
     def probe(self) -> None:
