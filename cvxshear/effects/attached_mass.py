@@ -1,4 +1,4 @@
-"""Masses that hang or stand on a floor by a spring: a tank, a machine on mounts, a tuned damper, a loose load."""
+"""Masses attached to a floor by a spring: a tank, a machine on mounts, a tuned damper, a loose load."""
 
 from __future__ import annotations
 
@@ -16,45 +16,46 @@ from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
 LEAST_MASS = 1e-6
-"""Part of the mean floor mass that the attached mass has more than its parameter says, so that the frame has modes
-where that is zero; it moves a frequency by less than a millionth unless the two are tuned to each other."""
+"""Minimum attached mass, as a fraction of the mean floor mass, added to the parameter. The frame then has modes even if
+the parameter is zero. The frequencies move by less than a millionth, unless the two are tuned to each other."""
 
 LEAST_FREQUENCY, MOST_FREQUENCY = 0.5, 1.5
-"""Bounds of the attachment's frequency, in parts of the lowest and of the highest that was measured: one that is slower
-acts like a missing mass on every mode, one that is faster like an added mass."""
+"""Bounds of the attachment's frequency, in parts of the lowest and of the highest measured frequency. A slower
+attachment acts like a missing mass on every mode, a faster one like an added mass."""
 
 START_MASS, START_FREQUENCY = 0.05, 1.05
 START_FREQUENCIES = (0.65, 0.95, 1.05, 1.2, 1.7, 2.5)
-"""Where fits start: a mass in parts of the mean mass of a floor, of the largest added mass where none is declared, else
-in kg; frequencies in parts of the lowest measured. From a mass of that order fits of frames with tanks and dampers of
-2 to 5 % of their mass end at the best place from one of these frequencies at least; from next to none they stay where
-they are."""
+"""Starting points of fits. The mass is in parts of the mean floor mass; without a declared mass, in parts of the
+largest added mass, else in kg. The frequencies are in parts of the lowest measured one. For frames with tanks and
+dampers of 2 to 5 % of their mass, fits from such a mass reach the best place from at least one of these frequencies.
+Fits from almost no mass stay at their start."""
 
 AMONG_THE_HIGHEST = (0.6, 1.2)
-"""Frequencies where further fits start, in parts of the highest that was measured. A base with a mass of its own, on
-soil of stiffness s below story 1 of stiffness k, is to every floor the series of both with an attachment to floor 1 of
-(k / (k + s))^2 of the base's mass, at the frequency that the base has between soil and story: above most modes."""
+"""Further starting frequencies, in parts of the highest measured one. For a base with its own mass, on soil of
+stiffness s below story 1 of stiffness k, every floor moves with the series of both springs and an attachment to floor
+1. The attachment has (k / (k + s))^2 of the base's mass and the frequency of the base between soil and story, which is
+above most modes."""
 
 
 STIFFEST_MOUNTING = 10.0
-"""Bound of the frequency of loads on their mountings, in parts of the highest that was measured: beyond it they weigh
-within 1 % what they would on the bare floor."""
+"""Bound of the frequency of loads on their mountings, in parts of the highest measured frequency. Faster loads act
+within 1 % like loads on the bare floor."""
 
 
 class AttachedMass(Effect):
-    """M + m e_v e_v', K + m (2 pi f)^2 d d', d = e_v - e_j: one motion v more, which no sensor shows.
+    """M + m e_v e_v', K + m (2 pi f)^2 d d', d = e_v - e_j: one more degree of freedom v, without a sensor.
 
-    f is the frequency that the mass would have on a floor that stands still. The mass is not part of the floor masses
-    nor of the declared total, and its weight is not in that of gravity. The frame has one mode more; modes are numbered
-    without the attachment's own, the one whose kinetic energy is most its own. Only where two modes share that energy,
-    as a damper makes of the mode that it is tuned to, either may have been measured; then the numbers are those that
-    fit the measured frequencies best (`data/pairing.py:numbered`).
+    f is the frequency of the mass on a fixed floor. The mass is not part of the floor masses or the declared total, and
+    gravity does not include its weight. The frame has one more mode. Modes are numbered without the attachment's own
+    mode, the one with the largest share of kinetic energy in the attachment. If two modes share this energy, as for a
+    damper tuned to a mode, either may have been measured; then the numbers are the ones that fit the measured
+    frequencies best (`data/pairing.py:numbered`).
 
     Expected size: 15 % of a floor's mass; tuned dampers weigh 1 to 5 % of the whole frame, tanks and machines 5 to 20 %
-    of a floor (Soong and Dargush, Passive Energy Dissipation Systems). Any frequency among those that were measured
-    is as probable. Such things can be seen, so one frame in fifty has one that nobody thought of; dampers and tanks
-    stand where the frame moves most, so that the top floor is as probable as all the others together. In one state
-    of several it came or went between the tests.
+    of a floor (Soong and Dargush, Passive Energy Dissipation Systems). The prior of the frequency is uniform over the
+    measured range. Such objects are visible, so one frame in fifty has an overlooked one. Dampers and tanks usually
+    stand at the place of the largest motion, so the top floor has the same probability as all other floors together. In
+    one state of several, the object was added or removed between the tests.
     """
 
     name = "attached_mass"
@@ -68,7 +69,7 @@ class AttachedMass(Effect):
     probability = 0.02
 
     def bound(self, experiment: Experiment) -> Self:
-        """Make a copy whose frequency lies about those that were measured."""
+        """Make a copy with bounds of the frequency about the measured ones."""
         measured = np.concatenate([each.frequencies for each in experiment.configurations])
         lowest, highest = float(measured.min()), float(measured.max())
         total = experiment.frame.known_total
@@ -83,11 +84,11 @@ class AttachedMass(Effect):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """One mass, and frequencies among those that were measured."""
+        """Starting points: one mass, with frequencies in the measured range."""
         mass, frequency = self.parameters
         lowest, highest = frequency.start / START_FREQUENCY, frequency.upper / MOST_FREQUENCY
         starts = [(mass.start, part * lowest) for part in START_FREQUENCIES]
-        # The smaller of two masses, where a fit from the larger one steps over the place.
+        # Some starts use the smaller of two masses, because a fit from the larger one steps over the optimum.
         starts += [(size * mass.start, part * highest) for part in AMONG_THE_HIGHEST for size in (1.0, 0.5)]
         return tuple((size, float(min(place, frequency.upper))) for size, place in starts)
 
@@ -116,14 +117,14 @@ class AttachedMass(Effect):
 
 
 class LoadMounting(Effect):
-    """Every declared added mass a_j is an attached one: off floor j, and on it by a spring a_j (2 pi f)^2.
+    """Every declared added mass a_j is attached to floor j by a spring a_j (2 pi f)^2.
 
-    f is the frequency that the loads would have on floors that stand still; to a mode of frequency w a load then weighs
-    a_j / (1 - (w / f)^2), more the higher the mode below f.
+    f is the frequency of the loads on fixed floors. In a mode of frequency w a load then acts as the mass a_j / (1 - (w
+    / f)^2), which grows with the mode's frequency below f.
 
-    Any frequency between the lowest that was measured and ten times the highest is as probable: from there on loads
-    weigh within 1 % what they would on the bare floor. Weights are clamped or screwed down more often than not; those
-    that stand on rubber, on sand bags or in a loose stack move in one loaded test out of thirty.
+    The prior of f is uniform between the lowest measured frequency and ten times the highest; above, loads act within 1
+    % like loads on the bare floor. Most weights are clamped or screwed down; weights on rubber, on sand bags or in a
+    loose stack move in one loaded test out of thirty.
     """
 
     name = "load_mounting"
@@ -136,7 +137,7 @@ class LoadMounting(Effect):
     probability = 0.03
 
     def bound(self, experiment: Experiment) -> Self:
-        """Make a copy whose frequency lies above the lowest that was measured."""
+        """Make a copy with a frequency above the lowest measured one."""
         measured = np.concatenate([each.frequencies for each in experiment.configurations])
         lowest, highest = float(measured.min()), float(measured.max())
         stiff = STIFFEST_MOUNTING * highest
@@ -145,11 +146,11 @@ class LoadMounting(Effect):
         return own
 
     measured: tuple[float, float] = (1.0, 1.0)
-    """The lowest and the highest frequency that was measured, Hz."""
+    """Lowest and highest measured frequency, Hz."""
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Frequencies from between those that were measured to above them."""
+        """Starting frequencies, from the measured range to above it."""
         lowest, highest = self.measured
         return tuple((float(each),) for each in (np.sqrt(lowest * highest), 1.2 * highest, 2.0 * highest))
 
@@ -171,21 +172,21 @@ class LoadMounting(Effect):
 
 
 def with_attached(state: State, floor: int, mass: float, by_mass: Floats, frequency: float, own: int) -> State:
-    """Attach a mass to one floor, with a motion of its own that no sensor shows.
+    """Attach a mass to one floor, with its own degree of freedom and without a sensor.
 
     Parameters
     ----------
     state : State
     floor : int
-        Counted from 0.
+        Index of the floor, counted from 0.
     mass : float
-        kg.
+        Attached mass, kg.
     by_mass : ndarray, shape (P,)
         Derivatives of the mass by all parameters.
     frequency : float
-        That it has on a floor that stands still, Hz.
+        Frequency of the mass on a fixed floor, Hz.
     own : int
-        Which parameter the frequency is.
+        Index of the frequency among the parameters.
     """
     system = state.system
     square = (2 * np.pi * frequency) ** 2
@@ -202,7 +203,7 @@ def with_attached(state: State, floor: int, mass: float, by_mass: Floats, freque
 
 
 def _bordered(matrices: Floats) -> Floats:
-    """Give each matrix a row and a column of zeros more; `numpy.pad` takes many times as long for small ones."""
+    """Append a row and a column of zeros to each matrix; `numpy.pad` takes many times longer for small ones."""
     *several, rows, columns = matrices.shape
     found = np.zeros((*several, rows + 1, columns + 1))
     found[..., :-1, :-1] = matrices

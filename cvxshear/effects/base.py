@@ -1,4 +1,4 @@
-"""What every physical effect is, and where it sits."""
+"""Base class of the physical effects, and their places."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cvxshear.util.typing import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that an effect adds to the model.
+    """Number that an effect adds to the model.
 
     Parameters
     ----------
@@ -32,11 +32,11 @@ class Parameter:
     lower, upper : float
         Physical bounds.
     null : float
-        The value at which the effect vanishes.
+        Value at which the effect vanishes.
     start : float
-        Where a fit starts from.
+        Value at which a fit starts.
     unit_in_stories : str
-        Its unit where heights are not declared, so that lengths count in stories.
+        Unit if heights are not declared, so that lengths count in stories.
     """
 
     name: str
@@ -50,21 +50,21 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Place(InJson):
-    """Where an effect sits; each part is None where it does not apply.
+    """Place of an effect; each part that does not apply is None.
 
     Parameters
     ----------
     floor, story : int or None
-        1 the lowest; floor 0 is the ground.
+        The lowest is 1; floor 0 is the ground.
     state : str or None
-        Of the frame.
+        State of the frame.
     to : int or None
-        The higher floor, where the effect joins two of them; `floor` is then the lower one.
+        Higher floor, if the effect joins two floors; `floor` is then the lower one.
     prior : str or None
-        The declared statement that the effect is about, in words (`Experiment.soft_statements`). Its parameters are
-        then what each residual of that statement is off by, in standard deviations.
+        Declared statement that the effect contradicts, in words (`Experiment.soft_statements`). The parameters are
+        then the errors of the residuals of this statement, in standard deviations.
     test : str or None
-        Configuration of the state, where the effect is in no other one of it.
+        Configuration of the state, if the effect is present in this configuration only.
     """
 
     floor: int | None = None
@@ -77,7 +77,7 @@ class Place(InJson):
     json_keys = "floor to story configuration prior"
 
     def describe(self) -> str:
-        """In words, such as "floor 3 of test 2"; empty where it sits nowhere in particular."""
+        """Describe the place, such as "floor 3 of test 2"; empty if the effect has no particular place."""
         parts = []
         if self.to is not None:
             parts.append(f"floors {self.floor} and {self.to}")
@@ -93,89 +93,88 @@ class Place(InJson):
 
     @property
     def floor_index(self) -> int:
-        """Of an effect that sits at a floor, counted from 0."""
+        """Index of the floor of the effect, counted from 0."""
         assert self.floor is not None
         return self.floor - 1
 
     @property
     def configuration(self) -> str | None:
-        """Name of the state, or of the one test of it."""
+        """Name of the state, or of one of its tests."""
         return self.state if self.test is None else self.test
 
     @property
     def in_state(self) -> str:
-        """Such as ' in "after"'; empty where it sits in every state."""
+        """Phrase such as ' in "after"'; empty for an effect in every state."""
         return "" if self.configuration is None else f' in "{self.configuration}"'
 
     def label(self, subject: str) -> str:
-        """Name what sits here and its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
+        """Return a subject with its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
         where = self.describe()
         return f"{subject} {'at' if self.to is None else 'between'} {where}" if where else subject
 
 
 class Effect(ABC):
-    """A physical effect that the shear model lacks.
+    """Physical effect that the shear model lacks.
 
-    One of your own is a subclass with these attributes and `apply`; hand it to `close_loop` or register it.
+    A user-defined effect is a subclass with these attributes and `apply`; pass it to `close_loop` or register it.
 
     Attributes
     ----------
     name : str
-        Its word in files and results.
+        Name in files and results.
     summary : str
-        One sentence for a reader who has never heard of it.
+        One sentence for a reader who does not know the effect.
     formula : str
-        What it adds to the model.
+        Terms that the effect adds to the model.
     source : str
-        Where the formula comes from.
+        Source of the formula.
     stage : str
-        One of `STAGES`: what it acts on.
+        One of `STAGES`: the quantities that the effect changes.
     kind : str
-        "cause", or "open" for a class that says "something else, whatever it is" of one statement of the shear model.
+        "cause", or "open" for a class of all deviations from one statement of the shear model.
     parameters : tuple of Parameter
-        An effect whose number of parameters depends on the experiment sets them in `bound`.
+        If their number depends on the experiment, the effect sets them in `bound`.
     sits_at : tuple of str
-        Of "floor", "to", "story", "state": what its place names.
+        Parts of its place, among "floor", "to", "story", "state".
     needs : tuple of str
-        Of "heights", "several states".
+        Requirements, among "heights", "several states".
     lowest_floor : int
-        The lowest floor it can sit at.
+        Lowest possible floor of the effect.
     probability : float
-        That a tested frame has it somewhere, before anything is measured.
+        Prior probability that a tested frame has the effect at one or more places.
     usual : float
-        The size of its parameters that practice meets, in parts of `usual_in`; infinite where any value between their
-        bounds is as probable.
+        Usual size of the parameters in practice, in parts of `usual_in`; infinite for a uniform prior between the
+        bounds.
     usual_in : str
-        "floor_mass" or "story_stiffness", the mean of the frame that `usual` is a part of; empty for the parameter's
+        "floor_mass" or "story_stiffness": the mean of the frame that is the unit of `usual`; empty for the parameter's
         own unit.
     size : float or None
-        Expected size of the first parameter, in its unit, in place of that of `sizes`.
+        Expected size of the first parameter, in its unit; replaces the value from `sizes`.
     tail : float
-        Degrees of freedom of Student's t, the prior of each parameter about its null value: the fewer, the more
-        probable are sizes far beyond the expected one; infinite for a normal prior.
+        Degrees of freedom of Student's t, the prior of each parameter about its null value. Fewer degrees of freedom
+        make sizes far above the expected one more probable; infinite for a normal prior.
     common_size : bool
-        Whether the parameters have one common size that is unknown itself. Their prior is then normal, its standard
-        deviation `sizes` times a factor whose logarithm has the standard deviation `size_width` about zero.
+        Whether the parameters have one unknown common size. Their prior is then normal. Its standard deviation is
+        `sizes` times a factor, and the logarithm of the factor has the standard deviation `size_width` about zero.
     size_width : float
     rescales : bool
-        Whether it leaves open how accurate some data are (`rescaled`); such an effect has no parameters of its
-        own, and the factor on their standard deviations is its common size.
+        Whether the effect leaves the accuracy of some data open (`rescaled`). Such an effect has no parameters of its
+        own; its common size is the factor on the standard deviations of these data.
     granted : str
-        What a verdict takes for granted as long as this effect is not in it, where the data hardly tell: a clause such
-        as "that the floors of {state} weigh what they did", or one with {prior}. Empty where there is nothing to say.
+        Assumption of a verdict without this effect, reported if the data hardly test the effect: a clause such as
+        "that the floors of {state} weigh what they did", or one with {prior}. Empty if there is no such assumption.
     releases : tuple of str
-        Of "total_mass", "prior" (the one at its place): declarations that do not hold as they stand where it is in the
-        model.
+        Declarations that the effect cancels in the model, among "total_mass" and "prior" (the prior at its place).
     adds_motion : bool
-        Whether the frame has one motion more with it. What it does is then not told by derivatives at its null value,
-        and a fit begins at its start values.
+        Whether the effect adds a degree of freedom. Derivatives at the null value then do not show its influence, and a
+        fit begins at its start values.
     uses_heights : bool
-        Whether it takes undeclared story heights as equal.
+        Whether the effect assumes equal story heights if they are not declared.
     beside : str
-        Name of the effect without which this one does nothing; empty where it needs none.
+        Name of another effect that this one requires; without the other, this one has no influence. Empty if none.
     companion : str
-        Name of an effect beside which, at the same place, this one has another prior probability, `accompanies`; empty
-        where there is none.
+        Name of an effect that changes the prior probability of this one at the same place to `accompanies`; empty if
+        there is none.
     accompanies : float
     """
 
@@ -207,7 +206,7 @@ class Effect(ABC):
 
     @abstractmethod
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        """Put this effect into the state.
+        """Apply this effect to the state.
 
         Parameters
         ----------
@@ -216,12 +215,12 @@ class Effect(ABC):
         values : ndarray, shape (p,)
             The effect's parameters.
         own : slice
-            Which rows of the derivatives are by these parameters.
+            Rows of the derivatives by these parameters.
 
         Returns
         -------
         State
-            With matrices and derivatives changed; those by other parameters too, where they change.
+            State with changed matrices and derivatives, also the derivatives by other parameters if they change.
         """
 
     def bound(self, experiment: Experiment) -> Effect:
@@ -233,7 +232,7 @@ class Effect(ABC):
         return self
 
     def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
-        """Which residuals of a kind of datum have a standard deviation that is left open; none by default.
+        """Return the residuals of a kind of datum with an open standard deviation; none by default.
 
         Parameters
         ----------
@@ -241,7 +240,7 @@ class Effect(ABC):
         noise : str
             Kind of noise.
         floors : ndarray of int, shape (d,)
-            That each residual was measured at.
+            Floor of each residual.
         place : Place
 
         Returns
@@ -251,18 +250,19 @@ class Effect(ABC):
         return np.zeros(len(floors), dtype=bool)
 
     def corrects(self, place: Place, floor_mass: Floats) -> Floats:
-        """Find what a unit of each parameter adds to the declared floor masses that it puts right, shape (N, p), kg.
+        """Return the correction of the declared floor masses per unit of each parameter, shape (N, p), kg.
 
-        Zeros where it is something besides the floors, or where their masses are identified.
+        Zeros if the effect is separate from the floors, or if the floor masses are identified.
         """
         return np.zeros((len(floor_mass), len(self.parameters)))
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place] | None:
-        """Name and place of the effect that has the same frequencies in the dual chain; None where there is none.
+        """Return name and place of the effect with the same frequencies in the dual chain; None if there is none.
 
-        A chain of N stories k_i and floors m_i has, without added mass, the eigenvalues of the chain with stories
-        1 / m_(N+1-i) and floors 1 / k_(N+1-i): T D_k T' D_m^-1 and D_m^-1 T D_k T' have the same ones, and reversing
-        the order of the floors turns T into T'. So frequencies alone cannot tell a softer story from a heavier floor.
+        A chain of N stories k_i and floors m_i has, without added mass, the eigenvalues of the chain with stories 1 /
+        m_(N+1-i) and floors 1 / k_(N+1-i): T D_k T' D_m^-1 and D_m^-1 T D_k T' have the same eigenvalues, and reversing
+        the order of the floors turns T into T'. So frequencies alone cannot distinguish a softer story from a heavier
+        floor.
 
         Parameters
         ----------
@@ -273,33 +273,33 @@ class Effect(ABC):
         return None
 
     def sizes(self, scale: Scale) -> Floats:
-        """Return the size that practice meets, shape (p,): standard deviations of the parameters about null.
+        """Return the usual sizes in practice, shape (p,): standard deviations of the parameters about null.
 
-        Infinite where a parameter is as probable anywhere between its bounds; `usual` of each by default.
+        By default `usual` for each parameter; infinite for a uniform prior between the bounds.
         """
         return np.full(len(self.parameters), self.usual * (getattr(scale, self.usual_in) if self.usual_in else 1.0))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Points that fits of the parameters start at, where one does not lead everywhere."""
+        """Starting points of fits of the parameters; several if one does not reach every optimum."""
         return (tuple(item.start for item in self.parameters),)
 
     def expected_sizes(self, scale: Scale) -> Floats:
-        """`sizes`, the first of them `size` where that is given; all of them where they have one common size."""
+        """Return `sizes`, with `size` in place of the first if given (in place of all if they have one common size)."""
         usual = self.sizes(scale)
         if self.size is None:
             return usual
         return np.full(len(usual), self.size) if self.common_size else np.concatenate([[self.size], usual[1:]])
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
-        """Return what is possible beyond the parameters' own bounds, as rows on masses, stiffnesses, parameters.
+        """Return the limits in addition to the parameters' own bounds, as rows on masses, stiffnesses, parameters.
 
         The rows have 2N + p entries: floor masses, story stiffnesses, the effect's own parameters; none by default.
         """
         return Constraints()
 
     def lacks(self, experiment: Experiment) -> str:
-        """Return what the experiment would have to declare for this effect to be looked for; empty where it has all."""
+        """Return the missing declarations that the effect requires; empty if the experiment has them all."""
         if "heights" in self.needs and experiment.frame.story_heights is None:
             return "story_heights"
         if "several states" in self.needs and len(experiment.states) < 2:
@@ -307,17 +307,17 @@ class Effect(ABC):
         return ""
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        """Effect, place and size in words: a clause that can stand as a sentence of its own.
+        """Describe effect, place and size: a clause that can be a sentence of its own.
 
         Parameters
         ----------
         place : Place
         values, std : ndarray, shape (p,)
-            Parameters and their standard deviations, nan where not determined.
+            Parameters and their standard deviations, nan if not determined.
         scale : Scale
-            Of the frame that was found.
+            Scale of the identified frame.
         units : sequence of str
-            Of the parameters.
+            Units of the parameters.
         """
         sizes = ", ".join(
             f"{item.name} = {with_std(float(value), float(error), unit)}"
@@ -326,12 +326,12 @@ class Effect(ABC):
         return f"{place.label(self.label)} is there ({sizes})"
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
-        """Return a sentence on what is known of the effect even where the data do not show it; empty by default."""
+        """Return a sentence on prior knowledge of the effect that the data need not show; empty by default."""
         return ""
 
     @property
     def label(self) -> str:
-        """Its name as words."""
+        """Name of the effect in words."""
         return self.name.replace("_", " ")
 
     def expecting(self, *, size: float | None = None, probability: float | None = None) -> Self:
@@ -352,7 +352,7 @@ class Effect(ABC):
         return changed
 
     def places(self, experiment: Experiment) -> list[Place]:
-        """Everywhere the effect can sit in this experiment."""
+        """List all places of the effect in this experiment."""
         stories = range(1, experiment.stories + 1)
         floors = list(range(self.lowest_floor, experiment.stories + 1)) if "floor" in self.sits_at else [None]
         levels = list(stories) if "story" in self.sits_at else [None]
@@ -360,14 +360,14 @@ class Effect(ABC):
         return [Place(floor, story, state) for floor in floors for story in levels for state in states]
 
     def weight(self, place: Place, experiment: Experiment) -> float:
-        """How probable it is at a place in relation to others; the same everywhere by default."""
+        """Return the relative probability of a place; equal for all places by default."""
         return 1.0
 
 
 def shown_states(experiment: Experiment) -> list[str]:
-    """List, of several states, those that may have changed and whose shapes were measured.
+    """List the states that may have changed and that have measured shapes, if there are several states.
 
-    A few frequencies more or less do not tell a spring or a tank in one state from stories that changed.
+    A few more frequencies do not distinguish a spring or a tank in one state from changed stories.
     """
     shown = {each.state for each in experiment.configurations if each.measured.any()}
     return [state for state in experiment.changed_states if state in shown] if len(experiment.states) > 1 else []
@@ -375,14 +375,14 @@ def shown_states(experiment: Experiment) -> list[str]:
 
 @dataclass(frozen=True)
 class Placed(InJson):
-    """An effect at a place.
+    """Effect at a place.
 
     Parameters
     ----------
     effect : Effect
     place : Place
     fixed : tuple of float, optional
-        Values at which its parameters are held; free where empty.
+        Fixed values of its parameters; the parameters are free if empty.
     """
 
     effect: Effect
@@ -393,20 +393,20 @@ class Placed(InJson):
 
     @property
     def start(self) -> tuple[float, ...]:
-        """Where a fit of its parameters starts."""
+        """Starting values of a fit of its parameters."""
         return self.fixed or tuple(item.start for item in self.effect.parameters)
 
     @property
     def label(self) -> str:
-        """Such as "ground spring at floor 4"."""
+        """Name and place, such as "ground spring at floor 4"."""
         return self.place.label(self.effect.label)
 
     def acts_on(self, tested: Tested) -> bool:
-        """Whether this state of the frame has the effect in it."""
+        """Whether the effect is present in this tested state."""
         return self.place.state in (None, tested.state) and self.place.test in (None, tested.name)
 
     def units(self, experiment: Experiment) -> tuple[str, ...]:
-        """Of its parameters; lengths count in stories where heights are not declared."""
+        """Return the units of its parameters; lengths count in stories if heights are not declared."""
         metric = experiment.frame.story_heights is not None
         return tuple(item.unit if metric else item.unit_in_stories or item.unit for item in self.effect.parameters)
 

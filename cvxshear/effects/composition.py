@@ -1,4 +1,4 @@
-"""The frame in one tested state with effects in it."""
+"""Composition of the frame in one tested state with its effects."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableErr
 from cvxshear.util.typing import Floats
 
 MOST_BYTES = 1e9
-"""Of the derivatives of one state's matrices, where effects act on them."""
+"""Largest memory, in bytes, for the derivatives of one state's matrices if effects act on them."""
 
 
 def compose(
     experiment: Experiment, tested: Tested, effects: Sequence[Placed], theta: Floats, *, derivatives: bool = True
 ) -> State:
-    """Matrices and observation of one tested state, with derivatives by every parameter.
+    """Return matrices and observation of one tested state, with derivatives by every parameter.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def compose(
     theta : ndarray, shape (P,)
         Floor masses without added mass (N), story stiffnesses (N), then the effects' parameters in order.
     derivatives : bool, optional
-        Without them, and without effects in the model, matrices alone are made.
+        If false, and if the model has no effects, return the matrices alone.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def acting_on(tested: Tested, effects: Sequence[Placed], stories: int) -> list[t
 def composed(
     experiment: Experiment, tested: Tested, acting: list[tuple[Placed, slice]], theta: Floats, *, derivatives: bool
 ) -> State:
-    """Return what `compose` does, of the effects that act on this state (`acting_on`)."""
+    """Return the result of `compose` from the effects that act on this state (`acting_on`)."""
     n, size = experiment.stories, len(theta)
     mass, stiffness = theta[:n], theta[n : 2 * n]
     if not derivatives:
@@ -89,7 +89,7 @@ def composed(
 
 
 def _applied(placed: Placed, state: State, theta: Floats, own: slice) -> State:
-    """Apply one effect; an exception of its code names the effect."""
+    """Apply one effect; name the effect in an exception that its code raises."""
     try:
         return placed.effect.apply(state, placed.place, theta[own], own)
     except (CvxshearError, np.linalg.LinAlgError):
@@ -99,7 +99,7 @@ def _applied(placed: Placed, state: State, theta: Floats, own: slice) -> State:
 
 
 def _refuse_not_finite(system: System, effects: Sequence[Placed]) -> None:
-    """Raise where effects made a matrix, or a derivative, that is not finite."""
+    """Raise an error if effects made a matrix or a derivative that is not finite."""
     for name in ("M", "K", "dM", "dK"):
         if not np.isfinite(np.sum(getattr(system, name))):
             names = ", ".join(placed.label for placed in effects)
@@ -107,12 +107,12 @@ def _refuse_not_finite(system: System, effects: Sequence[Placed]) -> None:
 
 
 def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:
-    """Build the shear frame with derivatives by all parameters; whole matrices where effects are to act on them.
+    """Build the shear frame with derivatives by all parameters; whole matrices if effects will act on them.
 
     Raises
     ------
     UnsuitableError
-        Where those matrices would not fit into memory, before any of them is made.
+        If these matrices would not fit into memory; raised before the first one is made.
     """
     n = len(mass)
     if not dense:
@@ -131,10 +131,10 @@ def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> Syste
 def _assembled(state: State) -> State:
     """Assemble the stiffness matrix of the stories, braces and joints of a state.
 
-    A story whose columns have the stiffness k = 12 E I / h^3 and the height h, with sway u and joint rotation theta at
-    either end, has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling] (Przemieniecki, Theory of
-    Matrix Structural Analysis). Joints whose flexibility is s resist a turn with 1 / s. The rotations are condensed
-    out (Guyan 1965): K = K_uu - K_ut S (1 + K_tt S)^-1 K_ut', which stays finite for joints that cannot turn.
+    A story has columns of stiffness k = 12 E I / h^3 and height h. With sway u and joint rotation theta at either end,
+    it has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling] (Przemieniecki, Theory of Matrix
+    Structural Analysis). Joints of flexibility s resist a rotation with 1 / s. The rotations are condensed out (Guyan
+    1965): K = K_uu - K_ut S (1 + K_tt S)^-1 K_ut', which stays finite for rigid joints.
     """
     T = transformation(len(state.story_stiffness))
     if not (state.joint_flexibility.any() or state.d_joint_flexibility.any()):
@@ -178,7 +178,7 @@ def _stories(heights: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
 
 
 def slices(effects: Sequence[Placed], first: int) -> list[tuple[Placed, slice]]:
-    """Each effect with the places of its parameters, counted from `first` on."""
+    """List each effect with the places of its parameters, counted from `first`."""
     result = []
     for placed in effects:
         count = len(placed.effect.parameters)

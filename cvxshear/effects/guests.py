@@ -1,4 +1,4 @@
-"""Checks of an effect of one's own before it takes part: what it declares, and what it makes of a typical frame."""
+"""Checks of a user-defined effect: its declaration, and its changes of a typical frame."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ NEEDS = ("heights", "several states")
 USUAL_IN = ("", "floor_mass", "story_stiffness")
 
 QUOTIENT_STEP = 1e-4
-"""Step of the difference quotients, in parts of each mass, stiffness and expected size: central differences then err by
-some 1e-8 of the curvature and 1e-12 by rounding."""
+"""Step of the difference quotients, in parts of each mass, stiffness and expected size. The error of central
+differences is then some 1e-8 of the curvature, and 1e-12 from rounding."""
 
 WRONG_SLOPE = 1e-3
-"""Relative error from which on a derivative is wrong: far above what difference quotients err by, far below what a
-wrong formula does."""
+"""Relative error of a wrong derivative: far above the error of the difference quotients, far below the error of a wrong
+formula."""
 
 ROUNDED_PART = 1e-9
-"""Size below which a difference is rounding, in parts of the matrix that it is one of."""
+"""Rounding: smallest difference that counts, in parts of the matrix."""
 
 TRIED_AT = 0.4
-"""Deviation from the null value at which an effect is tried, in expected sizes."""
+"""Trial deviation of an effect from the null value, in expected sizes."""
 
 
 def refuse_repeated(effects: Iterable[Effect]) -> None:
-    """Raise `InputError` where two effects go by one name."""
+    """Raise `InputError` if two effects share one name."""
     seen: set[str] = set()
     for effect in effects:
         if effect.name in seen:
@@ -46,18 +46,18 @@ def refuse_repeated(effects: Iterable[Effect]) -> None:
 
 
 def refuse_faulty(effect: object, experiment: Experiment | None = None) -> None:
-    """Raise where an effect cannot take part, naming it and the first thing that is wrong.
+    """Raise an error for an unusable effect, with its name and the first fault.
 
-    Checked are its declaration (name, stage, probability, parameters, sizes) and, at the first and the last of its
-    places, what `apply` makes of a frame: shapes, finite numbers, arrays that were changed in place, nothing at the
-    null values, and derivatives against difference quotients in random directions.
+    The checks cover the declaration (name, stage, probability, parameters, sizes). At the first and the last of the
+    places, they cover the result of `apply` on a frame: shapes, finite numbers, arrays that were changed in place, no
+    change at the null values, and derivatives against difference quotients in random directions.
 
     Parameters
     ----------
     effect : Effect
     experiment : Experiment, optional
-        That it is to explain; a frame of four stories tested in two states where not given. What the effect lacks
-        there is not tried.
+        Experiment that the effect should explain; by default a frame of four stories tested in two states. If the
+        experiment lacks a declaration for the effect, `apply` is not checked.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def typical_experiment() -> Experiment:
 
 
 class _Idle(Effect):
-    """As many parameters as an effect under check, and nothing that they do."""
+    """Effect with the same parameters as the checked effect, and without any influence."""
 
     name = "idle"
     stage = "shape"
@@ -108,7 +108,7 @@ class _Check:
         self._that(all(isinstance(place, Place) for place in places), "places() must list objects of the class Place")
         self._that(len(set(places)) == len(places), "places() lists a place twice")
         for place in dict.fromkeys((*places[:1], *places[-1:])):
-            # Bound to this place now; mypy infers no type for a lambda's default.
+            # The default binds the values of this place; mypy infers no type for a lambda's default.
             here = self._call("bound_at", lambda at=place: bound.bound_at(self.experiment, at), Effect)  # type: ignore[misc]
             sizes = self._parameters(here)
             self._limits(here, place)
@@ -116,12 +116,12 @@ class _Check:
             self._words(here, place)
 
     def _that(self, holds: object, otherwise: str) -> None:
-        """Raise where something does not hold."""
+        """Raise an error if a condition does not hold."""
         if not holds:
             raise InputError(f"effect {self.effect.name}: {otherwise}")
 
     def _call(self, member: str, member_call: Callable[[], T], kind: type | tuple[type, ...]) -> T:
-        """Call a member of the effect, whose result must be of a kind."""
+        """Call a member of the effect, and check the type of its result."""
         try:
             found = member_call()
         except FaultyEffectError as error:
@@ -134,7 +134,7 @@ class _Check:
         return found
 
     def _declaration(self) -> None:
-        """Name, words, stage, place, needs, probability."""
+        """Check name, sentences, stage, place, needs and probability."""
         effect = self.effect
         for key in ("name", "summary", "formula", "source", "stage"):
             value = getattr(effect, key, None)
@@ -155,7 +155,7 @@ class _Check:
         self._that(size is None or (np.isfinite(size) and size > 0), f"size = {size!r} must be a positive number")
 
     def _parameters(self, here: Effect) -> Floats:
-        """Bounds, null and start values of the parameters; their expected sizes."""
+        """Check bounds, null and start values of the parameters; return their expected sizes."""
         items: Any = getattr(here, "parameters", None)
         fits = isinstance(items, tuple) and all(isinstance(item, Parameter) for item in items)
         self._that(fits, "parameters must be a tuple of objects of the class Parameter")
@@ -170,7 +170,7 @@ class _Check:
                 item.lower < item.upper, f"{item.name}: lower = {item.lower:g} must be below upper = {item.upper:g}"
             )
             for key, value in (("null", item.null), ("start", item.start)):
-                # Where any value between the bounds is as probable, the null value need not be one of them.
+                # With a uniform prior between the bounds, the null value may lie outside the bounds.
                 within = item.lower <= value <= item.upper or (key == "null" and np.isinf(size))
                 self._that(
                     np.isfinite(value) and within,
@@ -183,7 +183,7 @@ class _Check:
         return sizes
 
     def _limits(self, here: Effect, place: Place) -> None:
-        """Rows of the right length, of finite numbers."""
+        """Check that the rows have the right length and finite numbers."""
         found = self._call("limits", lambda: here.limits(self.experiment, place), Constraints)
         columns = 2 * self.experiment.stories + len(here.parameters)
         for key, rows in (("G", found.G), ("A", found.A)):
@@ -200,7 +200,7 @@ class _Check:
         self._that(said.strip(), "phrase() is empty")
 
     def _matrices(self, here: Effect, place: Place, sizes: Floats) -> None:
-        """Check what the effect makes of a frame, and the derivatives of that."""
+        """Check the changes of a frame by the effect, and their derivatives."""
         placed = Placed(here, place)
         tested = next(each for each in self.experiment.tested if placed.acts_on(each))
         nulls = np.array([item.null for item in here.parameters])
@@ -266,7 +266,7 @@ class _Check:
                 )
 
     def _untouched(self, here: Effect, place: Place, tested: Tested, at: Floats) -> None:
-        """Check that `apply` leaves the arrays alone that it is given, its own result among them."""
+        """Check that `apply` does not change the arrays that it receives, including its own earlier result."""
         state = self._composed(tested, Placed(_Idle(here.parameters)), at)
         own = slice(len(self._frame), len(at))
         values = at[own].copy()
@@ -289,7 +289,7 @@ class _Check:
 
     @property
     def _frame(self) -> Floats:
-        """Unequal floor masses and story stiffnesses that go with the declared scale, about 2 Hz a frame."""
+        """Return unequal floor masses and story stiffnesses of the declared scale; the first mode is near 2 Hz."""
         n = self.experiment.stories
         total = self.experiment.frame.total_mass or 10.0 * n
         mass = total / n * (1.0 + 0.2 * np.cos(np.arange(n)))
@@ -310,7 +310,7 @@ def _slopes(state: State, direction: Floats) -> Sequence[Floats]:
 
 
 def _arrays(state: State) -> Iterator[tuple[str, Floats]]:
-    """Every array of a state, by name."""
+    """Yield every array of a state, by name."""
     for item in dataclasses.fields(state):
         value = getattr(state, item.name)
         if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""Joints that turn, because the beams bend or because they came loose."""
+"""Flexible joints: the beams bend, or the joints came loose."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from cvxshear.util.typing import Floats
 
 
 class JointRotation(Effect):
-    """Columns that bend between joints that turn, the rotations condensed out.
+    """Columns that bend between rotating joints, with the rotations condensed out.
 
-    A story of stiffness k = 12 E I / h^3 and height h, with sway u and joint rotation theta at either end,
-    has the stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling]. The beams of each floor resist
-    with r, N m/rad; the columns are clamped at the ground. eta = mean(k h^2) / r, zero for rigid beams: in a tall
-    frame of equal stories under equal shears V every joint turns by V h / r, which adds V h^2 / r, eta times V / k, to
-    the sway of each story. Only the ratios of the heights matter.
+    A story of stiffness k = 12 E I / h^3 and height h, with sway u and joint rotation theta at either end, has the
+    stiffness of the Bernoulli beam, k [1, h/2; h^2/3, h^2/6 coupling]. The beams of each floor resist with r, N m/rad;
+    the columns are clamped at the ground. eta = mean(k h^2) / r, zero for rigid beams. In a tall frame of equal stories
+    under equal shears V, every joint turns by V h / r. This adds V h^2 / r, eta times V / k, to the sway of each story.
+    Only the ratios of the heights matter.
 
-    Expected size 0.5: with beams as stiff as the columns, I_b / L = I_c / h, one bay has r = 12 E I_b / L and
-    k h^2 = 24 E I_c / h, so eta = 2; frames tested as shear frames have beams several times stiffer (Chopra, Dynamics
-    of Structures, on the beam-to-column stiffness ratio).
+    Expected size 0.5: with beams and columns of equal stiffness, I_b / L = I_c / h, one bay has r = 12 E I_b / L and k
+    h^2 = 24 E I_c / h, so eta = 2; frames tested as shear frames have beams several times stiffer (Chopra, Dynamics of
+    Structures, on the beam-to-column stiffness ratio).
     """
 
     name = "joint_rotation"
@@ -53,13 +53,14 @@ class JointRotation(Effect):
 
 
 class SoftFeet(Effect):
-    """Feet of columns that turn, beside joints that turn.
+    """Column bases that rotate, in a frame with rotating joints.
 
-    The base has a rotational flexibility rho / mean(k h^2) where the shear model clamps the columns. Between floors
-    whose joints do not turn it makes story 1 softer and nothing else, which nothing tells from a softer story.
+    The base has a rotational flexibility rho / mean(k h^2); the shear model clamps the columns there. Between floors
+    with rigid joints a flexible base only makes story 1 softer, so the data cannot distinguish it from a softer story.
 
-    Expected size 0.5: Eurocode 3 (EN 1993-1-8, 5.2.2.5) calls the feet of sway frames rigid from 30 E I / h on, where
-    rho is 0.4. One frame in three whose beams bend enough to be seen.
+    Expected size 0.5: Eurocode 3 (EN 1993-1-8, 5.2.2.5) calls the column bases of sway frames rigid above 30 E I / h,
+    which corresponds to rho = 0.4. The prior probability is one in three for frames with measurable bending of the
+    beams.
     """
 
     name = "soft_feet"
@@ -86,20 +87,20 @@ class SoftFeet(Effect):
 
 
 class JointRelease(Effect):
-    """The joints of one floor, or the feet, lost their grip on the columns in one state.
+    """Loss of clamping of the columns at one floor, or at the base, in one state.
 
-    Two things soften the adjoining stories. The columns stay continuous, and what holds them against turning has the
-    flexibility rho / mean(k h^2) more, in series with the floor's beams (joint_rotation): both stories soften together,
-    by up to three eighths each where they are alike. And a clamp that grips less lets each column bend on into it: its
-    free length h grows by d, and the story loses the part 1 - (1 + d / h)^-3 = loss of its columns' stiffness. At the
-    base and at the top either softens one story alone, and the loss stands for both. Only the ratios of the heights
-    matter.
+    Two mechanisms soften the adjoining stories. First, the columns stay continuous, and their rotational restraint
+    gains the flexibility rho / mean(k h^2), in series with the floor's beams (joint_rotation). Both stories soften
+    together, by up to three eighths each if they are alike. Second, a looser clamp lets each column bend inside the
+    clamp: its free length h grows by d, and the story loses the part 1 - (1 + d / h)^-3 = loss of its columns'
+    stiffness. At the base and at the top both mechanisms soften one story alone, and the loss represents both. Only the
+    ratios of the heights matter.
 
-    Expected sizes: rho 0.5, which costs adjoining stories of equal stiffness 9 %: bolts that lost their preload leave a
-    connection some ten times as stiff against turning as its column (Chen and Lui, Stability Design of Steel Frames,
-    on semi-rigid connections), a plate whose screws are loose about as stiff. A loss of 5 %: a clamp a tenth as long as
-    its column that grips over five sixths of its length. At the base and at the top a loss of 12 %, both together. One
-    frame in thirty that is tested in several states.
+    Expected sizes: rho 0.5, which costs adjoining stories of equal stiffness 9 %. After loss of bolt preload a
+    connection has some ten times the rotational stiffness of its column (Chen and Lui, Stability Design of Steel
+    Frames, on semi-rigid connections); a plate with loose screws has about the stiffness of the column. A loss of 5 %:
+    a clamp with a tenth of its column's length that grips over five sixths of its own length. At the base and at the
+    top a loss of 12 %, both together. One in thirty frames that are tested in several states has this effect.
     """
 
     name = "joint_release"
@@ -121,7 +122,7 @@ class JointRelease(Effect):
     uses_heights = True
 
     def bound_at(self, experiment: Experiment, place: Place) -> Self:
-        """Make a copy that has the loss alone where it softens one story alone: nothing tells its two parts apart."""
+        """Make a copy with the loss alone if only one story adjoins: the data cannot separate the two parts there."""
         both = len(_adjoining(place, experiment.stories)) > 1
         return self if both else self.having(self.parameters[-1:])
 
@@ -161,9 +162,9 @@ class JointRelease(Effect):
 
 
 def _lost_by_turning(rho: float, std: float, columns: int) -> tuple[float, float]:
-    """Return what joints of one floor that turn take of a story's stiffness, and its standard deviation.
+    """Return the loss of a story's stiffness from rotating joints of one floor, and its standard deviation.
 
-    In a frame of equal stories a story loses rho / 4 / (1 + c rho), c = 1/3 a column that ends there.
+    In a frame of equal stories a story loses rho / 4 / (1 + c rho), with c = 1/3 for each column that ends there.
     """
     denominator = 1.0 + columns * rho / 3.0
     return rho / 4.0 / denominator, std / 4.0 / denominator**2

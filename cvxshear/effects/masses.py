@@ -1,4 +1,4 @@
-"""Masses that are not what the model or their declaration says, and how the columns' own mass moves."""
+"""Masses that differ from the model or the declaration, and the inertia of the columns' own mass."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from cvxshear.util.typing import Floats
 class AddedMass(Effect):
     """M + mass e e' at one floor in one state, or in one test of a state that was tested with loads.
 
-    No floor can lose more than it holds. Expected size: 15 % of the mean floor mass, a weight that somebody carried
-    up or took away; negative where more was declared. In one test it is an entry of `added_mass` that is wrong, a load
-    on another floor, or forgotten, a third as probable at each place.
+    No floor can lose more than its own mass. Expected size: 15 % of the mean floor mass, a weight that was carried up
+    or taken away; negative if the declared mass is too large. In one test, the entry of `added_mass` is wrong: the load
+    was on another floor, or forgotten. This case has a third of the probability at each place.
     """
 
     name = "added_mass"
@@ -38,7 +38,7 @@ class AddedMass(Effect):
         return "" if self.places(experiment) else "several states"
 
     def places(self, experiment: Experiment) -> list[Place]:
-        """Each floor in each state that may have changed, and in each test of several in a state with loads."""
+        """List each floor in each state that may have changed, and in each of several tests of a state with loads."""
         of_states = super().places(experiment) if len(experiment.states) > 1 else []
         states = Counter(each.state for each in experiment.configurations)
         loaded = {each.state for each in experiment.configurations if states[each.state] > 1 and each.added_mass.any()}
@@ -71,13 +71,13 @@ class AddedMass(Effect):
 
 
 class StateMass(Effect):
-    """Every floor mass of the frame times 1 + e in one state; declared added masses stay what they are.
+    """Every floor mass of the frame times 1 + e in one state; declared added masses do not change.
 
-    In a state whose mass scale nothing measured it cannot be told from softer stories.
+    In a state with an unmeasured mass scale, this effect and softer stories fit equally well.
 
-    Expected size 10 %: of the 1.5 to 3 kN/m2 of live load in dwellings and offices (EN 1991-1-1) a part is there, on
-    floors that weigh 5 to 10 kN/m2; between tests of a laboratory frame nobody changes all floors without writing it
-    down, which leaves one frame in thirty.
+    Expected size 10 %: a part of the live load of 1.5 to 3 kN/m2 in dwellings and offices (EN 1991-1-1), on floors that
+    weigh 5 to 10 kN/m2. Between tests of a laboratory frame, a change of all floors would be recorded, so the prior
+    probability is one frame in thirty.
     """
 
     name = "state_mass"
@@ -105,13 +105,13 @@ class StateMass(Effect):
 class MassCoupling(Effect):
     """The columns' mass mu a story, consistent (13/35, 9/70) in place of lumped (1/2, 0).
 
-    Each story's columns give mu (13/35 - 1/2) to the diagonal at either end and mu 9/70 between the two; the
-    floor masses stay what they are, with half the columns of each adjoining story lumped into them. So no floor is
-    lighter than these halves: mu <= m_i, and mu / 2 <= m_N. The weight above a story is that of the lumped masses, so
-    gravity acts before.
+    Each story's columns add mu (13/35 - 1/2) to the diagonal at either end, and mu 9/70 between the two. The floor
+    masses do not change: they hold half the columns of each adjoining story as lumped mass. So no floor is lighter than
+    these halves: mu <= m_i, and mu / 2 <= m_N. The weight above a story comes from the lumped masses, so gravity acts
+    before.
 
-    Expected size: a tenth of the mean floor mass; columns and walls weigh 5 to 20 % of a floor in buildings, less in
-    laboratory frames, where it seldom shows: 5 %.
+    Expected size: a tenth of the mean floor mass; columns and walls weigh 5 to 20 % of a floor in buildings, and less
+    in laboratory frames, which seldom show the effect: 5 %.
     """
 
     name = "mass_coupling"
@@ -159,7 +159,7 @@ def _all_heavier(state: State, part: float, own: slice) -> State:
 
 
 def _ends(stories: int) -> Floats:
-    """Stories that end at each floor: the ground's end of the first does not move, none stands on the top floor."""
+    """Return the number of stories that end at each floor; the base of story 1 does not move and does not count."""
     ends = np.full(stories, 2.0)
     ends[-1] = 1.0
     return ends
@@ -168,11 +168,11 @@ def _ends(stories: int) -> Floats:
 class TotalMass(Effect):
     """sum of the floor masses = total_mass (1 + e), or each of them its declared one times 1 + e.
 
-    Looked for where the total, or each floor, is declared exact and something else tells how heavy the frame is: added
-    masses that differ, scaled shapes, a static test, or a prior that fixes the scale.
+    Considered if the total, or each floor, is declared exact and other data determine the mass scale: different added
+    masses, scaled shapes, a static test, or a prior that fixes the scale.
 
-    Expected size 10 %: what was weighed or taken off drawings misses bolts, cladding or live load. Who declares a total
-    as exact has weighed it: one in fifty is wrong by so much.
+    Expected size 10 %: masses that were weighed or taken from drawings omit bolts, cladding or live load. A total
+    declared exact was usually weighed, so one such total in fifty is wrong by this size.
     """
 
     name = "total_mass"
@@ -197,7 +197,7 @@ class TotalMass(Effect):
         return own
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # A total changes what the masses must add up to, not what they do.
+        # The effect changes the required sum of the masses, not their inertia.
         return _all_heavier(state, float(values[0]), own) if self.by_floor else state
 
     def corrects(self, place: Place, floor_mass: Floats) -> Floats:
@@ -227,11 +227,10 @@ class TotalMass(Effect):
 class FloorMass(Effect):
     """M + mass e_j e_j' at one floor in every state: the declared mass of that floor is wrong.
 
-    Looked for where floor_masses are declared, which are exact; with masses that are identified it would be part of
-    them.
+    Considered if floor_masses are declared, which are exact; an identified mass would absorb the effect.
 
-    Expected size: a quarter of the mean floor mass, a slab's finish or a facade that a take-off left out. Who declares
-    floor masses as exact has weighed them: one frame in twenty has a wrong entry.
+    Expected size: a quarter of the mean floor mass, such as a floor finish or a facade that the estimate from drawings
+    omits. Floor masses declared exact were usually weighed: one frame in twenty has a wrong entry.
     """
 
     name = "floor_mass"
@@ -264,14 +263,14 @@ class FloorMass(Effect):
 
 
 class LoadScale(Effect):
-    """Every declared added mass is 1 + e times what was declared.
+    """Every declared added mass is 1 + e times the declared value.
 
-    Looked for where the total mass is declared and masses were added: with a frame whose mass only the added masses
-    tell, the factor is one of all masses and stiffnesses, which nothing measures. Where the total is declared exact,
-    a total that is off (total_mass) does the same to every mode.
+    Considered if the total mass is declared and masses were added. If only the added masses determine the frame's mass,
+    the factor scales all masses and stiffnesses, and no data determine it. If the total is declared exact, a wrong
+    total (total_mass) changes every mode in the same way.
 
-    Expected size 10 %: weights that were counted and not weighed, on a scale that nobody calibrated, or declared in
-    another unit of force; they are weighed more often than not, so one test in fifty.
+    Expected size 10 %: the weights were counted instead of weighed, weighed on an uncalibrated scale, or declared in
+    another unit of force. Most weights are weighed, so one test in fifty has this effect.
     """
 
     name = "load_scale"

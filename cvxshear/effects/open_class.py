@@ -1,4 +1,4 @@
-"""The open classes: a statement of the shear model that does not hold, in no way that the catalogue has."""
+"""Open classes: violations of a statement of the shear model that the catalogue does not describe."""
 
 from __future__ import annotations
 
@@ -22,26 +22,25 @@ from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Bools, Floats, Ints
 
 MOST_OPEN_STORIES = 40
-"""Stories up to which a class of springs or masses between all floors is looked for: its N(N-1)/2 parameters make every
-fit of a taller frame take minutes."""
+"""Largest number of stories for a class of springs or masses between all floors. In taller frames its N(N-1)/2
+parameters make every fit take minutes."""
 
 STANDS_OUT = 3.0
-"""Deviations from zero, in standard deviations, from which on an entry is named as a place where the model fails."""
+"""Smallest distance from zero, in standard deviations, of an entry that is named as a place of a model error."""
 
 MOST_NAMED = 3
-"""Entries that a sentence names, the most significant first."""
+"""Largest number of entries that a sentence names, the most significant first."""
 
 
 class OpenClass(Effect):
-    """A statement of the shear model that does not hold, in no way that the catalogue has.
+    """Violation of a statement of the shear model that the catalogue does not describe.
 
-    Its parameters are normal about zero with one common size. That size is unknown itself: its logarithm is normal
-    about that of `usual`, with a standard deviation of 1.5, so that two thirds of all cases lie within a factor of
-    4.5. The evidence pays for the freedom: a cause of the catalogue that is right explains the same data with one
-    parameter.
+    The parameters are normal about zero with one common size. The size is unknown: its logarithm is normal about the
+    logarithm of `usual`, with a standard deviation of 1.5, so two thirds of all cases lie within a factor of 4.5. The
+    evidence penalises the many parameters: a correct cause of the catalogue explains the same data with one parameter.
 
-    Each statement fails so in two of a hundred tested frames: the catalogue holds what practice meets, and a class
-    stands for what it lacks. Where a statement has two classes, each has one in a hundred.
+    Each statement fails in this way in two of a hundred tested frames, because the catalogue covers the cases known
+    from practice. If a statement has two classes, each has one in a hundred.
     """
 
     kind = "open"
@@ -50,18 +49,18 @@ class OpenClass(Effect):
     probability = 0.02
     parameters: tuple[Parameter, ...] = ()
     holds_in_words: ClassVar[str]
-    """The statement of the shear model that does not hold, as a clause."""
+    """Violated statement of the shear model, as a clause."""
 
     def bound(self, experiment: Experiment) -> Self:
-        """Make a copy with one parameter an entry."""
+        """Make a copy with one parameter per entry."""
         return self.having(self.entries(experiment))
 
     @abstractmethod
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        """List the parameters that it has in an experiment, each named by its place: "floors 2 and 6", "story 3"."""
+        """List the parameters of the class in an experiment, each named by its place: "floors 2 and 6", "story 3"."""
 
     def lacks(self, experiment: Experiment) -> str:
-        # Those of springs and masses between all pairs of floors.
+        # The entries of springs and masses between all pairs of floors.
         if self.stage in ("spring", "inertia") and experiment.stories > MOST_OPEN_STORIES:
             return f"at most {MOST_OPEN_STORIES} stories"
         return super().lacks(experiment) or ("" if self.entries(experiment) else "more floors")
@@ -80,14 +79,14 @@ class OpenClass(Effect):
 
     place_in_words: ClassVar[str] = "what stands out is"
     never_negative: ClassVar[str] = ""
-    """What an entry alone would be that cannot be negative; a negative one has its cause elsewhere."""
+    """Cause of a single entry that cannot be negative; a negative entry has another cause."""
 
     def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place] | None:
-        """Name the effect of the catalogue, and its place, that one entry alone would be; None where there is none."""
+        """Return name and place of the catalogue's effect that equals one entry alone, or None."""
         return None
 
     def conspicuous(self, values: Floats, std: Floats) -> list[int]:
-        """List the entries that stand out of their deviations, the most significant first."""
+        """List the significant entries, the most significant first."""
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.nan_to_num(np.abs(values) / std)
         order = [i for i in ranking.order(z) if z[i] >= STANDS_OUT]
@@ -95,22 +94,22 @@ class OpenClass(Effect):
 
 
 def pairs(stories: int, *, ground: bool) -> list[tuple[int, int]]:
-    """Pairs of floors, the lower first, 0 the ground; with the ground those at least two levels apart."""
+    """List pairs of floors, the lower first, 0 the ground; with the ground, the pairs at least two levels apart."""
     if ground:
         return [(i, j) for i in range(stories + 1) for j in range(i + 2, stories + 1)]
     return [(i, j) for i in range(1, stories + 1) for j in range(i + 1, stories + 1)]
 
 
 def named_pair(i: int, j: int) -> str:
-    """Such as "floors 2 and 6", or "the ground and floor 3"."""
+    """Name a pair, such as "floors 2 and 6" or "the ground and floor 3"."""
     return f"floors {i} and {j}" if i else f"the ground and floor {j}"
 
 
 class OtherStiffness(OpenClass):
     """K + sum of s_ij d_ij d_ij' over all pairs of levels that no story joins, d_ij = e_j - e_i, e_0 = 0.
 
-    Every symmetric K is such a network of springs between all pairs of levels, the ground among them: N of them are the
-    stories, the other N(N-1)/2 this class. Springs may be negative.
+    Every symmetric K is such a network of springs between all pairs of levels, with the ground. N springs are the
+    stories, and the other N(N-1)/2 form this class. Springs may be negative.
 
     Expected size: 2 % of a story's stiffness, between 0.4 and 9 % in two thirds of all cases.
     """
@@ -141,7 +140,7 @@ class OtherInertia(OpenClass):
     """M_ij = M_ji = mu_ij for every pair of floors i < j.
 
     Expected size: 2 % of a floor's mass, between 0.4 and 9 % in two thirds of all cases; the columns' own mass couples
-    neighboring floors by a tenth of what a story's columns weigh.
+    neighboring floors by a tenth of the mass of a story's columns.
     """
 
     name = "other_inertia"
@@ -164,12 +163,12 @@ class OtherInertia(OpenClass):
 
 
 class OtherBeams(OpenClass):
-    """Joints of floor j that are 1 + b_j times as flexible as joint_rotation's, for every floor.
+    """Joints of floor j with 1 + b_j times the flexibility of joint_rotation, for every floor.
 
-    Joints that turn resist by the beams of their floor, which joint_rotation takes for alike at every floor.
+    The beams of a floor resist the rotation of its joints; joint_rotation assumes equal beams at every floor.
 
     Expected size: 20 % of each floor's flexibility, between 4 and 90 % in two thirds of all cases. One frame in ten: a
-    podium, a setback or a roof has beams of its own, and the slab that stiffens them differs.
+    podium, a setback or a roof has different beams and a different slab, which stiffens them.
     """
 
     name = "other_beams"
@@ -276,7 +275,7 @@ class OtherGains(OpenClass):
     place_in_words = "what stands out is the sensor at"
 
     floors: tuple[int, ...] = ()
-    """The floors at which any shape was measured, those of `parameters`."""
+    """Floors with measured shapes, in the order of `parameters`."""
 
     def bound(self, experiment: Experiment) -> Self:
         own = super().bound(experiment)
@@ -300,16 +299,16 @@ class OtherGains(OpenClass):
 
 
 def _floors(experiment: Experiment) -> list[int]:
-    """List the floors at which any shape was measured."""
+    """List the floors with measured shapes."""
     return sorted({int(floor) for each in experiment.configurations for floor in each.measured_floors})
 
 
 class OtherShapes(OpenClass):
-    """Every shape entry of one state, of one floor, or every one at all, has an error beyond its standard deviation.
+    """Errors beyond the standard deviation in all shape entries, of one state, of one floor, or of all tests.
 
-    An error of every entry, normal about zero with one common size s in declared standard deviations, is the same as a
-    standard deviation that is larger by sqrt(1 + s^2). So the class has no parameters but that factor; log s is normal
-    about 0 with a standard deviation of 1.5.
+    An error of every entry, normal about zero with one common size s in declared standard deviations, equals a standard
+    deviation larger by sqrt(1 + s^2). So this factor is the only unknown of the class; log s is normal about 0 with a
+    standard deviation of 1.5.
     """
 
     name = "other_shapes"
@@ -330,9 +329,9 @@ class OtherShapes(OpenClass):
         return "" if self.places(experiment) else "shapes of a declared accuracy, or of several states"
 
     def places(self, experiment: Experiment) -> list[Place]:
-        """Each state with shapes, each floor with a sensor, and all at once, as far as an accuracy was declared.
+        """List each state with shapes, each floor with a sensor, and all at once, if an accuracy was declared.
 
-        One that was not is estimated anyway.
+        An undeclared accuracy is estimated anyway.
         """
         shown = [each for each in experiment.configurations if each.measured.any() and each.mode_shape_std is not None]
         states = dict.fromkeys(each.state for each in shown)
@@ -347,7 +346,7 @@ class OtherShapes(OpenClass):
         return (floors == place.floor) & here if place.floor is not None else np.full(len(floors), here)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # It changes how much the shapes count, not what they are.
+        # The effect changes the weight of the shapes, not their values.
         return state
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
@@ -357,12 +356,13 @@ class OtherShapes(OpenClass):
 
 
 class OtherFrequencies(OpenClass):
-    """Every frequency has an error beyond its standard deviation.
+    """Errors beyond the standard deviation in all frequencies.
 
-    As `OtherShapes`; log s is normal about 0 with a standard deviation of 2, since the formal deviations of a curve fit
-    or of one record know nothing of what differs from test to test: they may be ten to a hundred times too small.
-    Looked for where deviations below the default, `DEFAULT_FREQUENCY_STD`, are stated, and shapes were measured, too:
-    of frequencies alone whatever happened between tests would pass for their scatter.
+    As `OtherShapes`; log s is normal about 0 with a standard deviation of 2. The formal deviations of a curve fit or of
+    one record do not include the differences between tests, and may be ten to a hundred times too small.
+
+    Considered if the declared deviations are below the default, `DEFAULT_FREQUENCY_STD`, and shapes were measured too.
+    With frequencies alone, any change between tests would pass for their scatter.
     """
 
     name = "other_frequencies"
@@ -391,7 +391,7 @@ class OtherFrequencies(OpenClass):
         return np.full(len(floors), declared and noise == "frequency")
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # It changes how much the frequencies count, not what they are.
+        # The effect changes the weight of the frequencies, not their values.
         return state
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:

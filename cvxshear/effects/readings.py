@@ -1,4 +1,4 @@
-"""Readings and declared statements that do not hold."""
+"""Errors of sensor readings and of declared statements."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from cvxshear.util.typing import Floats
 class SensorGain(Effect):
     """The measured shape entry at one floor is 1 + g times the true one, in every mode: in every test, or in one state.
 
-    In one state where the sensor was exchanged or mounted anew between tests; looked for where other states have a
-    shape at that floor too, for else it is the sensor's gain in every test.
+    In one state, the sensor was exchanged or remounted between tests. This case is considered only if other states also
+    have a shape at that floor; otherwise it equals the sensor's gain in every test.
 
     Expected size 5 %: calibrations of accelerometers hold within 1 to 10 % (ISO 16063-21 and the data sheets of MEMS
     sensors).
@@ -61,10 +61,10 @@ class SensorGain(Effect):
 class ShapeScale(Effect):
     """The entries of mass-normalized shapes are 1 + g times the true ones: in every test, or in one state.
 
-    They are scaled by the ratio of a force to an acceleration, so that a hammer's or shaker's force that reads too much
-    makes them all too small. Looked for in one state where others have such shapes, too.
+    They are scaled by the ratio of a force to an acceleration, so a force of the hammer or shaker that is read too
+    large makes all entries too small. One state is considered alone if other states also have such shapes.
 
-    Expected size 5 %, as of other sensors, and as probable as the gain of one of them.
+    Expected size 5 %, as for other sensors, with the probability of the gain of one sensor.
     """
 
     name = "shape_scale"
@@ -102,10 +102,10 @@ def _normalized(experiment: Experiment) -> list[str]:
 
 
 class ForceScale(Effect):
-    """The displacements of every static test are 1 + g times those under the declared forces.
+    """The displacements of every static test are 1 + g times the displacements under the declared forces.
 
-    Expected size 5 %: load cells hold within 1 %, a force that was read off a spring, a crane's scale or from weights
-    that nobody weighed within 10 %; dial gauges in inches for millimetres would be asked about.
+    Expected size 5 %: load cells hold within 1 %. A force read off a spring or a crane's scale, or from weights that
+    were not weighed, holds within 10 %. Dial gauges in inches instead of millimetres would be noticed.
     """
 
     name = "force_scale"
@@ -122,7 +122,7 @@ class ForceScale(Effect):
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         if not isinstance(state.tested, StaticTest):
             return state
-        # A larger force on the same frame, and the same force on one that much softer, move it alike.
+        # A larger force on the same frame, and the same force on a softer frame, cause the same displacements.
         part = 1.0 / (1.0 + values[0])
         dK = part * state.system.dK
         dK[own] -= part**2 * state.system.K
@@ -133,13 +133,13 @@ class ForceScale(Effect):
 
 
 class WrongPrior(Effect):
-    """Every residual of one soft prior, or of a total mass with a standard deviation, is off by a number of its own.
+    """Every residual of one soft prior, or of a total mass with a standard deviation, has its own error.
 
-    Those numbers, in standard deviations of the statement, are normal about zero with one common size: the same as a
-    standard deviation that is larger by that factor.
+    These errors, in standard deviations of the statement, are normal about zero with one common size. This equals a
+    standard deviation larger by the corresponding factor.
 
-    Expected size: five times the declared standard deviation, between 2 and 14 times in two thirds of all cases; who
-    judges "within 2 %" from drawings is wrong by 10 % now and then. One statement in thirty does not hold.
+    Expected size: five times the declared standard deviation, between 2 and 14 times in two thirds of all cases. A
+    judgment "within 2 %" from drawings is sometimes wrong by 10 %. One statement in thirty does not hold.
     """
 
     name = "wrong_prior"
@@ -164,7 +164,7 @@ class WrongPrior(Effect):
         return self.having(Parameter(f"e{i}" if rows > 1 else "e", "") for i in range(1, rows + 1))
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # It acts on the prior that its place names, not on the frame.
+        # The effect changes the prior that its place names, not the frame.
         return state
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
@@ -173,11 +173,11 @@ class WrongPrior(Effect):
 
 
 class WrongExactPrior(Effect):
-    """A x = b + e in place of A x = b: a statement that was declared as exact holds no more.
+    """A x = b + e in place of A x = b: a statement declared as exact does not hold.
 
-    Each row is scaled to a largest coefficient of 1, so that e is what a floor mass or a story stiffness is off by.
+    Each row is scaled to a largest coefficient of 1, so e is the error of a floor mass or a story stiffness.
 
-    Expected size: a tenth of the mean mass or stiffness. Who declares a statement as exact is sure of it: one in fifty
+    Expected size: a tenth of the mean mass or stiffness. Statements declared as exact are usually certain: one in fifty
     does not hold.
     """
 
@@ -208,7 +208,7 @@ class WrongExactPrior(Effect):
         return own
 
     about: str = "floor_mass"
-    """The quantity that the statement is about."""
+    """Quantity in the statement."""
 
     def sizes(self, scale: Scale) -> Floats:
         return np.full(len(self.parameters), self.usual * getattr(scale, self.about))
@@ -223,7 +223,7 @@ class WrongExactPrior(Effect):
         return Constraints(A=wide, b=b)
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # It acts on the statement that its place names, not on the frame.
+        # The effect changes the statement that its place names, not the frame.
         return state
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
@@ -234,7 +234,7 @@ class WrongExactPrior(Effect):
 
 
 def _equalities(prior: Prior, experiment: Experiment) -> tuple[Floats, Floats]:
-    """Return the exact equations of a prior, each scaled to a largest coefficient of 1; none where it has none."""
+    """Return the exact equations of a prior, each scaled to a largest coefficient of 1; empty if the prior has none."""
     said = prior.constraints(experiment.stories)
     if said.A is None or said.b is None:
         return np.zeros((0, experiment.stories)), np.zeros(0)

@@ -1,4 +1,4 @@
-"""Which effects there are, in the order that reports list them."""
+"""Registry of the effects, in the order of the reports."""
 
 from __future__ import annotations
 
@@ -68,22 +68,22 @@ _open_classes: tuple[Effect, ...] = (
 
 
 def open_classes() -> tuple[Effect, ...]:
-    """For each statement of the shear model the effect that says "not so, in no way that the catalogue has"."""
+    """List the open classes: for each statement of the shear model, the violations that the catalogue lacks."""
     return _open_classes
 
 
 def catalogue() -> tuple[Effect, ...]:
-    """Every effect that is known, one's own registered ones last."""
+    """List every known effect, with the registered user-defined ones last."""
     return tuple(_catalogue.values())
 
 
 def register(effect: Effect) -> None:
-    """Add an effect to the catalogue; one of the same name is replaced.
+    """Add an effect to the catalogue; an effect with the same name is replaced.
 
     Raises
     ------
     InputError
-        Where it cannot take part, with the first thing that is wrong with it.
+        If the effect is unusable; the message names the first fault.
     """
     refuse_faulty(effect)
     _catalogue[effect.name] = effect
@@ -95,6 +95,6 @@ def named(names: Sequence[str]) -> tuple[Effect, ...]:
     Raises
     ------
     InputError
-        Where there is none of a name; the message lists those there are.
+        If a name is unknown; the message lists the known names.
     """
     return tuple(_catalogue[checks.choice(name, list(_catalogue), "effect")] for name in names)

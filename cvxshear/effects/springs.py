@@ -1,4 +1,4 @@
-"""Springs beside the stories: to the ground, and between floors that are no neighbors."""
+"""Springs in addition to the stories: to the ground, and between floors that are not neighbors."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cvxshear.util.typing import Floats
 
 
 class GroundSpring(Effect):
-    """K + s e e' at one floor above the first, where it would be story 1's own stiffness.
+    """K + s e e' at one floor above the first; at the first floor the spring would equal story 1's own stiffness.
 
-    Expected size: a tenth of the mean story stiffness. Cables, rods of shakers and neighbours that touch are far
-    softer than a story; a brace that is not would have been seen, which leaves 5 %. Where a mass swings on the floor it
-    is there once in five: most of what swings hangs on a floor alone, but a neighbour stands on the ground, and acts as
-    both effects, exactly.
+    Expected size: a tenth of the mean story stiffness. Cables, rods of shakers and touching neighbours are far softer
+    than a story; a stiff brace would be noticed. The prior probability is therefore 5 %. With an attached mass on the
+    same floor, the probability is one in five: most attached masses connect to one floor alone, but a neighbouring
+    structure stands on the ground and acts exactly as both effects.
     """
 
     name = "ground_spring"
@@ -55,11 +55,11 @@ class GroundSpring(Effect):
 class Spring(Effect):
     """K + s d d', d = e_to - e_floor, between two floors at least two levels apart.
 
-    Between neighbors it would be a story's own stiffness; to the ground it is ground_spring.
+    Between neighbors the spring would equal a story's own stiffness; a spring to the ground is ground_spring.
 
-    Expected size: a fifth of the mean story stiffness. A brace over two stories is a member of the frame and as stiff
-    as a story, a stair or a cable a tenth of it. What ties floors that are apart can be seen, so one frame in thirty
-    has one that nobody declared.
+    Expected size: a fifth of the mean story stiffness. A brace over two stories is a member of the frame and has the
+    stiffness of a story, a stair or a cable a tenth of it. Such members are visible, so one frame in thirty has an
+    undeclared one.
     """
 
     name = "spring"
@@ -99,12 +99,12 @@ class Spring(Effect):
 
 
 def _in_all_or_since(experiment: Experiment) -> list[str | None]:
-    """List None for all states and, where a sound state is named, each other one: a prop, or a brace of a repair."""
+    """List None for all states and, if a sound state is named, each other state: a prop, or a brace of a repair."""
     return [None] if experiment.frame.reference is None else [None, *shown_states(experiment)]
 
 
 def unit_springs(pairs: Sequence[tuple[int, int]], stories: int) -> Floats:
-    """d d' of a spring of unit stiffness between each pair of floors, 0 the ground, shape (p, N, N)."""
+    """Return d d' of a spring of unit stiffness between each pair of floors, 0 the ground, shape (p, N, N)."""
     ends = np.eye(stories + 1)[:, 1:]
     low, high = np.array(pairs).T
     d = ends[high] - ends[low]

@@ -1,4 +1,4 @@
-"""The tested state of a frame that effects act on, and the sizes that they are compared with."""
+"""Tested state of a frame that effects change, and reference sizes of the effects."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from cvxshear.util.typing import Floats
 STAGES = (
     "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment", "shape",
 )  # fmt: skip
-"""The order in which effects act on a tested state, whatever the order they were named in: which part of the stories
-is braces, the story stiffnesses, the joints between columns and beams, how the beams differ from floor to floor, what
-adds flexibility to the frame made of them, what adds springs, masses, the weight of those masses, how masses are
-coupled, what swings on the floors, and what the sensors make of the shapes."""
+"""Order of the effects on a tested state, independent of the order of their names: the braces' part of the stories, the
+story stiffnesses, the joints between columns and beams, the differences of the beams between floors, added flexibility
+of the frame, added springs, masses, the weight of these masses, the coupling of masses, attached masses, and the
+sensors' readings of the shapes."""
 
 OF_THE_FRAME = STAGES[:4]
-"""Stages whose effects change what the elastic frame is made of; its stiffness matrix is assembled after them."""
+"""Stages with effects on the members of the elastic frame; the stiffness matrix is assembled after them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """Sizes of a frame, which the effects' own are compared with.
+    """Reference sizes of a frame for the sizes of effects.
 
     Parameters
     ----------
     floor_mass, story_stiffness : float
         Means, kg and N/m.
     heights : ndarray, shape (N,)
-        Story heights, m; ones where they are not declared.
+        Story heights, m; ones if not declared.
     """
 
     floor_mass: float
@@ -42,24 +42,24 @@ class Scale:
 
     @property
     def elevations(self) -> Floats:
-        """Of the floors, shape (N,)."""
+        """Elevations of the floors, shape (N,)."""
         return np.cumsum(self.heights)
 
     @property
     def sway(self) -> float:
-        """Displacement of the top under a unit force there, m/N, all stories alike."""
+        """Displacement of the top under a unit force there, m/N, for equal stories."""
         return len(self.heights) / self.story_stiffness
 
 
 def heights_of(experiment: Experiment) -> Floats:
-    """Story heights, shape (N,), m; ones, all stories alike, where they are not declared."""
+    """Return the story heights, shape (N,), m; ones (equal stories) if not declared."""
     heights = experiment.frame.story_heights
     return np.ones(experiment.stories) if heights is None else heights
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One tested state of the frame while effects act on it, with derivatives by all P parameters of the fit.
+    """Tested state of the frame during the application of effects, with derivatives by all P parameters of the fit.
 
     The parameters are the N floor masses, the N story stiffnesses, and then the effects' own.
 
@@ -68,20 +68,20 @@ class State:
     experiment : Experiment
     tested : Tested
     floor_mass : ndarray, shape (N,)
-        Of the frame itself, without added mass, kg.
+        Floor masses of the frame itself, without added mass, kg.
     story_stiffness, d_story_stiffness : ndarray, shapes (N,) and (P, N)
-        Of this state, braces included, N/m.
+        Story stiffnesses of this state with braces, N/m.
     brace_stiffness, d_brace_stiffness : ndarray, shapes (N,) and (P, N)
-        The braces' part of them: they shear, and turn no joint.
+        Braces' part of the story stiffnesses; braces shear and do not rotate joints.
     column_stiffness, d_column_stiffness : ndarray, shapes (N,) and (P, N)
-        Of the stories' columns before single stories changed, N/m: what the stiffness of beams and joints is
-        measured by.
+        Stiffnesses of the stories' columns before changes of single stories, N/m: the reference for the stiffness of
+        beams and joints.
     joint_flexibility, d_joint_flexibility : ndarray, shapes (N + 1,) and (P, N + 1)
-        Turn of each floor's joints under a unit moment, rad/(N m), the base first; zero where they cannot turn.
+        Rotation of each floor's joints under a unit moment, rad/(N m), the base first; zero for rigid joints.
     system : System
-        Matrices and their derivatives, those of the effects' own parameters included (P rows).
+        Matrices and their derivatives (P rows), also by the effects' own parameters.
     observation : Observation
-        What the sensors show of the frame's motions.
+        Map from the frame's motions to the sensors.
     """
 
     experiment: Experiment
@@ -113,15 +113,15 @@ class State:
         return self.having(system=System(M, self.system.K, dM, self.system.dK))
 
     def plus_stiffness(self, values: Floats, units: Floats, own: slice) -> State:
-        """Return the same state with values_i units_i more stiffness, summed over the parameters `own`.
+        """Return the same state with the stiffness values_i units_i added, summed over the parameters `own`.
 
         Parameters
         ----------
         values : ndarray, shape (p,)
         units : ndarray, shape (p, N, N)
-            Matrices that depend on no parameter of the fit; motions beyond the floors' N have no part in them.
+            Matrices that depend on no parameter of the fit; they do not include degrees of freedom beyond the N floors.
         own : slice
-            Which rows of the derivatives are by these parameters.
+            Rows of the derivatives by these parameters.
 
         Raises
         ------
@@ -131,7 +131,7 @@ class State:
         return self.with_stiffness(*self._plus(self.system.K, self.system.dK, values, units, own))
 
     def plus_mass(self, values: Floats, units: Floats, own: slice) -> State:
-        """Return the same state with values_i units_i more mass, as `plus_stiffness` does with stiffness."""
+        """Return the same state with the mass values_i units_i added, as `plus_stiffness` does with stiffness."""
         return self.with_mass(*self._plus(self.system.M, self.system.dM, values, units, own))
 
     def _plus(self, matrix: Floats, slopes: Floats, values: Floats, units: Floats, own: slice) -> tuple[Floats, Floats]:
@@ -160,7 +160,7 @@ class State:
         Raises
         ------
         NoModesError
-            Where the stiffness is singular with it.
+            If the resulting stiffness is singular.
         """
         system = self.system
         try:
@@ -174,20 +174,20 @@ class State:
         return self.with_stiffness(K, dK)
 
     def with_softer_joints(self, joints: slice, rho: float, own: int) -> State:
-        """Return the same state with rho / mean(k h^2) more flexibility of joints, k the columns' stiffness, rad/(N m).
+        """Return the same state with joints more flexible by rho / mean(k h^2), k the columns' stiffness, rad/(N m).
 
         Parameters
         ----------
         joints : slice
-            Of the floors' joints, the base's first.
+            Range among the floors' joints, the base first.
         rho : float
         own : int
-            Which row of the derivatives is by rho.
+            Row of the derivatives by rho.
 
         Raises
         ------
         NoModesError
-            Where no story has columns.
+            If no story has columns.
         """
         usual = float(np.mean(self.column_stiffness * self.heights**2))
         if usual <= 0:
@@ -202,12 +202,12 @@ class State:
 
     @property
     def gain(self) -> Floats:
-        """What the sensor on each floor shows of that floor's motion in place of 1, shape (N,)."""
+        """Reading of the sensor on each floor for a unit motion of this floor, shape (N,)."""
         return self.observation.gain
 
     @property
     def heights(self) -> Floats:
-        """Story heights, shape (N,), m; ones where they are not declared."""
+        """Story heights, shape (N,), m; ones if not declared."""
         return heights_of(self.experiment)
 
     @property
@@ -217,6 +217,6 @@ class State:
 
 
 def summed(values: Floats, units: Floats) -> Floats:
-    """Add up values_i units_i, over the last axis of the values; `numpy.tensordot` takes several times as long."""
+    """Sum values_i units_i over the last axis of the values; `numpy.tensordot` takes several times longer."""
     found: Floats = (values @ units.reshape(len(units), -1)).reshape(values.shape[:-1] + units.shape[1:])
     return found

@@ -1,4 +1,4 @@
-"""Stories that differ between states, and the part of them that is braces."""
+"""Changes of stories between states, and the braces' part of the stories."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cvxshear.util.typing import Floats
 class StoryChange(Effect):
     """k_i (1 + change) in one state.
 
-    Where a part of the story's stiffness is braces they change first: a loss takes from them until they are gone, a
-    gain goes to them until they are twice what they were, and the columns have the rest. The number stays the share of
-    the whole story's stiffness.
+    If a part of the story's stiffness is braces, the braces change first. A loss reduces the braces until they are
+    gone, a gain increases them up to twice their stiffness, and the columns take the rest. The parameter is always the
+    share of the whole story's stiffness.
 
-    Expected size 25 %: what damage, a loosened joint or a repair does to a story is seen from some percent up, and a
-    story that has lost more than half is no story of this frame any more.
+    Expected size 25 %: damage, a loosened joint or a repair is detectable from some percent, and a story with a loss of
+    more than half no longer belongs to the same frame.
     """
 
     name = "story_change"
@@ -54,17 +54,17 @@ def with_changed_story(state: State, at: int, change: float, parameter: int) -> 
     ----------
     state : State
     at : int
-        The story, counted from 0.
+        Index of the story, counted from 0.
     change : float
     parameter : int
-        Row of the derivatives that is by the change.
+        Row of the derivatives by the change.
     """
     k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
     brace, d_brace = state.brace_stiffness.copy(), state.d_brace_stiffness.copy()
     gained, d_gained = change * k[at], change * dk[:, at]
     d_gained[parameter] += k[at]
     if abs(gained) > brace[at]:
-        # The braces are gone, or twice what they were; the columns have the rest.
+        # The braces are gone, or have twice their stiffness; the columns take the rest.
         factor = 1.0 + np.sign(gained)
         brace[at] *= factor
         d_brace[:, at] *= factor
@@ -79,12 +79,13 @@ def with_changed_story(state: State, at: int, change: float, parameter: int) -> 
 class StateStiffness(Effect):
     """Every story stiffness times 1 + e in one state, and with them the stiffness of its beams and joints.
 
-    Springs to the ground and between floors, the base and the weight stay what they are. In a state whose mass scale
-    nothing measured it cannot be told from heavier floors, nor from a clock that runs slow by half of e.
+    Springs to the ground and between floors, the base and the weight do not change. In a state with an unmeasured mass
+    scale, heavier floors fit equally well; so does a clock that runs slow by half of e.
 
-    Expected size 10 %: frequencies fall by 2 to 10 % with the amplitude of the motion and by as much with temperature
-    and cracking of the whole frame (Clinton et al. 2006 on the Millikan Library; Peeters and De Roeck 2001 on a
-    bridge), twice that in stiffness; of frames tested in several states one in twenty has it.
+    Expected size 10 %: frequencies fall by 2 to 10 % with the amplitude of the motion, and by the same amount with
+    temperature and cracking of the whole frame (Clinton et al. 2006 on the Millikan Library; Peeters and De Roeck 2001
+    on a bridge); the stiffness falls by twice this amount. One in twenty frames that are tested in several states has
+    this effect.
     """
 
     name = "state_stiffness"
@@ -107,7 +108,7 @@ class StateStiffness(Effect):
             moved[own] += k
             return moved
 
-        # The columns' stiffness is what beams and joints are measured by: they soften with it.
+        # The columns' stiffness is the reference for beams and joints, which soften with the columns.
         return state.having(
             story_stiffness=factor * state.story_stiffness,
             d_story_stiffness=slopes(state.story_stiffness, state.d_story_stiffness),
@@ -125,13 +126,13 @@ class StateStiffness(Effect):
 
 
 class Bracing(Effect):
-    """A part beta of every story's stiffness is braces, which turn no joint.
+    """A part beta of every story's stiffness is braces, which do not rotate joints.
 
-    Joints that turn soften the columns alone, and a story that changes in one state changes its braces first
-    (story_change). Chord drift and a base that turns act on columns and braces alike: a brace pulls at the columns
-    that it ends at. So it shows only beside effects that turn joints, and in no frame whose beams are rigid.
+    Rotating joints soften the columns alone, and a story that changes in one state changes its braces first
+    (story_change). Chord drift and base rotation act on columns and braces alike, because a brace pulls at the columns
+    at its ends. So the effect is detectable only with effects that rotate joints, and not in a frame with rigid beams.
 
-    Expected: any share is as probable; of frames of several stories one in thirty is braced, and nobody said so.
+    Expected: a uniform prior of the share; one in thirty frames of several stories has undeclared braces.
     """
 
     name = "bracing"

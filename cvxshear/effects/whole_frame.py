@@ -1,4 +1,4 @@
-"""What makes a frame as a whole more flexible: the weight above, columns that stretch, a base that turns."""
+"""Flexibility of the frame as a whole: the weight above, axial strain of columns, rotation of the base."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from cvxshear.util.typing import Floats
 class Gravity(Effect):
     """K - gamma T diag(P_i / h_i) T', with P_i the weight of all mass at and above floor i.
 
-    gamma is 1 for columns that stay straight (a string of rigid links: P/h a story) and 6/5 for columns
-    clamped at both ends that bend (the consistent geometric stiffness of a cubic: 6 P / 5 h).
+    gamma is 1 for columns that stay straight (a string of rigid links: P/h a story) and 6/5 for columns clamped at both
+    ends that bend (the consistent geometric stiffness of a cubic: 6 P / 5 h).
 
-    Weight always acts; whether the stiffness of a test is the one without it, so that it shows, is a matter of what
-    was declared (weights that changed between tests): even odds. Any gamma of the interval is as probable.
+    Weight always acts. The effect shows only if the stiffness of a test was declared without the weight (weights that
+    changed between tests): even odds. The prior of gamma is uniform over the interval.
     """
 
     name = "gravity"
@@ -59,7 +59,7 @@ class Gravity(Effect):
         )
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
-        """How much of a story's stiffness the weight above takes, where heights are declared."""
+        """State the share of a story's stiffness that the weight above cancels, if heights are declared."""
         heights = experiment.frame.story_heights
         if heights is None:
             return ""
@@ -76,9 +76,9 @@ class Gravity(Effect):
 class _Flexible(Effect):
     """Flexibility + p D of the frame as a whole.
 
-    Its expected size is 15 % of the sway of the top under a force there.
+    The expected size is 15 % of the sway of the top under a force there.
 
-    Heights that nobody declared are taken as equal; the parameter then counts lengths in stories.
+    Undeclared heights are assumed equal; the parameter then counts lengths in stories.
     """
 
     stage = "flexibility"
@@ -88,13 +88,13 @@ class _Flexible(Effect):
 
     @abstractmethod
     def pattern(self, heights: Floats) -> Floats:
-        """D for a parameter of 1, shape (N, N), from the story heights."""
+        """Return D for a parameter of 1, shape (N, N), from the story heights."""
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return state.with_flexibility(values[0], self.pattern(state.heights), own)
 
     def _of_the_sway(self, scale: Scale) -> float:
-        """Return what a parameter of 1 adds to the sway of the top under a force there, in parts of it."""
+        """Return the increase of the top's sway under a force there by a parameter of 1, relative to this sway."""
         return float(self.pattern(scale.heights)[-1, -1] / scale.sway)
 
     def sizes(self, scale: Scale) -> Floats:
@@ -110,14 +110,14 @@ class _Flexible(Effect):
 class AxialColumns(_Flexible):
     """Flexibility + D / EI, with D_ij = sum over stories s of M_is M_js h_s.
 
-    M_is = max(z_i - (elevation of story s's mid-height), 0) is the moment that a unit force on floor i has in story s.
-    Columns clamped at both ends have their inflection at mid-height, so their axial forces, and with them the
-    curvature of the frame as a whole, are constant over a story. Heights that nobody declared are taken as equal;
-    then 1/EI counts lengths in stories.
+    M_is = max(z_i - (elevation of story s's mid-height), 0) is the moment of a unit force on floor i in story s.
+    Columns clamped at both ends have their inflection at mid-height. So their axial forces, and with them the curvature
+    of the frame as a whole, are constant over a story. Undeclared heights are assumed equal; then 1/EI counts lengths
+    in stories.
 
     Expected size: 15 % of the sway of the top under a force there; chord drift is a tenth of the drift of frames of
-    some ten stories, and more of taller ones (Taranath, Structural Analysis and Design of Tall Buildings). It can be
-    measured in few frames, tall and slender ones: 3 %.
+    some ten stories, and more of taller ones (Taranath, Structural Analysis and Design of Tall Buildings). Only few
+    frames, tall and slender ones, show the effect: 3 %.
     """
 
     name = "axial_columns"
@@ -141,11 +141,11 @@ class AxialColumns(_Flexible):
 class BaseRocking(_Flexible):
     """Flexibility + z z' / k_theta.
 
-    Heights that nobody declared are taken as equal; then 1/k_theta counts lengths in stories.
+    Undeclared heights are assumed equal; then 1/k_theta counts lengths in stories.
 
-    Expected size: 15 % of the sway of the top under a force there, the order at which soil and base plates soften
-    the first mode of frames by a few percent (Stewart, Fenves and Seed 1999); with frames bolted to a floor or a table
-    it is seldom seen: 5 %.
+    Expected size: 15 % of the sway of the top under a force there. Soil and base plates of this flexibility soften the
+    first mode of frames by a few percent (Stewart, Fenves and Seed 1999); frames bolted to a floor or a table seldom
+    show it: 5 %.
     """
 
     name = "base_rocking"

@@ -22,8 +22,8 @@ PART_OF_START = 0.1
 """The same relative to the smallest value at the start, if that is below half of it: stiffnesses can differ by 1e6."""
 
 FARTHEST = 1e5
-"""Largest mass or stiffness relative to its start. A value that the data leave so open is as good as infinite, and
-larger values would cost the digits of the others."""
+"""Largest mass or stiffness relative to its start. A less determined value is practically infinite, and larger values
+would cost the digits of the others."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ RESIDUAL_LEVEL = 0.01
 
 @dataclass(frozen=True)
 class NoiseIteration:
-    """How undeclared standard deviations are estimated with the parameters.
+    """Estimation of undeclared standard deviations together with the parameters.
 
     Parameters
     ----------
@@ -74,13 +74,13 @@ class Estimate:
     Parameters
     ----------
     misfit : Misfit
-        With the experiment, the effects and the noise of the fit.
+        Misfit with the experiment, the effects and the noise of the fit.
     domain : Domain
     fit : Fit
     uncertainty : Uncertainty
-        From data, priors, and what is expected of the effects.
+        Uncertainty from the data, the priors and the effects' priors.
     noise : NoiseEstimate
-        Of what was left undeclared.
+        Estimate of the undeclared noise.
     """
 
     misfit: Misfit
@@ -138,7 +138,7 @@ class Estimate:
     def improbable(self) -> bool:
         """Whether the residual is too large for the noise: less probable than `RESIDUAL_LEVEL`.
 
-        Where no degree of freedom is left bounds may hold the model back: the residual is then compared with one.
+        Without a remaining degree of freedom, bounds may limit the model: the residual is then compared with one.
         """
         if self.dof <= 0:
             return not self.misfit.open_noises and self.fit.at.chi2 > float(special.chdtri(1, RESIDUAL_LEVEL))
@@ -355,13 +355,13 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     Raises
     ------
     InfeasibleError
-        Where declared masses and exact priors contradict each other.
+        If declared masses and exact priors contradict each other.
     NoModesError
-        Where the frame has no modes at any starting point.
+        If the frame has no modes at any starting point.
     NoSolutionError
-        Where no starting point leads to a fit.
+        If no starting point leads to a fit.
     UnsuitableError
-        Where the fit would take more than `MEMORY`.
+        If the fit would take more than `MEMORY`.
     """
     refuse_contradicting(experiment)
     misfit = Misfit(experiment, effects)

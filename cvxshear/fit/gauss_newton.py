@@ -138,7 +138,7 @@ class Fit(Generic[E]):
 
     @property
     def converged(self) -> bool:
-        """Whether it ended at its tolerance, and not at a limit."""
+        """Whether the iteration ended at its tolerance, and not at a limit."""
         return self.reason.converged
 
 
@@ -217,7 +217,7 @@ def gauss_newton(
     NoSolutionError
         If the backend leaves too many step programs unsolved, or the final point is not certified.
     UnsuitableError
-        Where the backend cannot take such a program.
+        If the backend does not accept such a program.
     """
     fit, refused = _descended(problem, theta, domain, backend, accuracy, start)
     if refused is not None and fit.reason is Ending.NO_BETTER_STEP:
@@ -281,7 +281,7 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
     Raises
     ------
     NoSolutionError
-        Where it is not good enough.
+        If the solution is not accurate enough.
     """
     found = optimality(problem, fit.theta, fit.at, domain, LEAST_DAMPING)
     rms = max(1.0, float(np.sqrt(fit.at.objective / max(len(fit.at.r), 1))))

@@ -41,7 +41,7 @@ class NoiseEstimate:
         Names of noises, then labels of effects whose common size is unknown.
     log_factors : ndarray, shape (g,)
     covariance : ndarray, shape (g, g)
-        Of the logarithms.
+        Covariance of the logarithms.
     gain : float
         log p(data, u) of the linearized fit, u integrated out, without -objective / 2 - log det H / 2 of that fit.
     settled : bool
@@ -78,7 +78,7 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
     Parameters
     ----------
     misfit : Misfit
-        With the noise of the fit.
+        Misfit with the noise of the fit.
     at : Evaluation
         At its optimum.
     free : ndarray, shape (P, f)

@@ -83,7 +83,7 @@ class Problem(Protocol[E_co]):
         Raises
         ------
         NoModesError
-            Where the problem has no residuals there.
+            If the problem has no residuals there.
         """
 
 
@@ -190,7 +190,7 @@ class LocalConditions:
     Parameters
     ----------
     program : LeastSquares
-        In the change d from the point, constrained there.
+        Program in the change d from the point, with the constraints at the point.
     R : ndarray, shape (P, P)
     left : ndarray, shape (P,)
         The part of the whitened gradient that no multipliers cancel: minus the best step, whitened.

@@ -212,7 +212,7 @@ def _finished(
     iterations : int
     reason : Ending, optional
     of_masses : Solution, optional
-        Of the last program of the masses; its active constraints are reported.
+        Solution of the last program of the masses; its active constraints are reported.
     **more
         `history` and `mass_matrix` of `SingleIdentification`.
     """

@@ -27,7 +27,7 @@ class Quality(InJson):
     dof : int
         Number of data less number of free parameters.
     p_value : float or None
-        Of chi2, if the noise is declared and a degree of freedom is left.
+        p-value of chi2, if the noise is declared and a degree of freedom is left.
     """
 
     json_keys: ClassVar[str] = "*errors chi2 dof p_value"

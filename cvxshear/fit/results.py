@@ -113,7 +113,7 @@ class SingleIdentification(InJson):
     Parameters
     ----------
     name : str
-        Of the configuration; empty for all together.
+        Name of the configuration; empty for all together.
     iterations : int
     frame : IdentifiedFrame
     fit : Quality
@@ -121,7 +121,7 @@ class SingleIdentification(InJson):
     history : ndarray, shape (iterations + 1, N), optional
         Floor masses without added mass at the start and after each iteration, kg.
     mass_matrix : ndarray, shape (N, N), optional
-        Where a baseline's corrected mass matrix is full; with added mass, kg.
+        Mass matrix with added mass, kg, if a baseline's corrected mass matrix is full.
     reason : Ending
         Why the iteration stopped.
     active : tuple of ActiveConstraint
@@ -239,7 +239,7 @@ class Identification(Shown):
         Raises
         ------
         InputError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         floors = range(1, self.experiment.stories + 1)
         named: dict[str, list[object]] = {

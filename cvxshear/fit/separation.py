@@ -1,15 +1,16 @@
-"""How far a test that was not made would separate models of one frame.
+"""Distance between models of one frame in a test that was not made.
 
-Models differ by d in what they say of the test, in standard deviations of its noise. What each leaves uncertain moves
-its own prediction along columns S, a standard deviation each, so that d has the covariance 1 + S S', and the models lie
+The predictions of two models differ by d, in standard deviations of the test's noise. The uncertainty of each model
+moves its own prediction along columns S, one standard deviation per column. So d has the covariance 1 + S S', and the
+distance between the models, in standard deviations, is
 
-    D = sqrt(d' (1 + S S')^-1 d)
+    D = sqrt(d' (1 + S S')^-1 d).
 
-standard deviations apart. Effects before any fit are the same with d what each of them would do to the data, and S what
-the frame's masses and stiffnesses can do.
+The same formula holds for effects before any fit: d is then the change of the data by each effect, and S the possible
+change by the frame's masses and stiffnesses.
 
-The information of such a test about one effect is the linear model y = G x + e, with the effect's value x, G = D^2 at
-x = 1 and var(e) = G. `log_evidence` is the ratio of the probabilities of y with and without the effect: the evidence of
+The information of such a test about one effect is the linear model y = G x + e, with the effect's value x, G = D^2 at x
+= 1 and var(e) = G. `log_evidence` is the ratio of the probabilities of y with and without the effect: the evidence of
 the loop, where Laplace's approximation is exact.
 """
 
@@ -82,7 +83,7 @@ def log_evidence(information: float, y: Floats, mean: float, std: float, side: i
     Returns
     -------
     ndarray
-        Of y's shape.
+        Log evidence ratios, in the shape of y.
     """
     v = 1 / (information + 1 / std**2)
     m = v * (y + mean / std**2)
@@ -97,11 +98,11 @@ class Disagreement:
     Parameters
     ----------
     difference : ndarray, shape (m + m N,)
-        In standard deviations of the noise: frequencies, then the entries of each shape.
+        Differences in standard deviations of the noise: frequencies, then the entries of each shape.
     uncertain : ndarray, shape (m + m N, q)
         Uncertainty of the fits, one standard deviation per column.
     shapes : ndarray, shape (m, N)
-        In standard deviations of the entries.
+        Shapes in standard deviations of the entries.
     seen : ndarray of bool, shape (m, N)
         Entries that a sensor at their floor would show.
     free_scale : bool
@@ -138,16 +139,16 @@ def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first
     Parameters
     ----------
     accepted, rival : Estimate
-        Of one frame.
+        Fits of one frame.
     test : Configuration
-        As `imagined` gives it.
+        Test from `imagined`.
     first : Configuration
         The configuration that it repeats with other masses.
 
     Raises
     ------
     NoModesError
-        Where a model buckles under these masses.
+        If a model buckles under these masses.
     """
     alone = _by_itself(accepted, test)
     mine = Misfit(alone, accepted.effects).evaluate(accepted.theta)
@@ -173,14 +174,14 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     ----------
     accepted : Estimate
     first : Configuration
-        Whose state, modes and noise the test has; where it has no sensor the noise is the mean of the others.
+        Configuration with the state, modes and noise of the test; floors without a sensor get the mean noise.
     added_mass : ndarray, shape (N,)
         kg, in all.
 
     Raises
     ------
     NoModesError
-        Where the model buckles under these masses.
+        If the model buckles under these masses.
     """
     noise = accepted.misfit.noise
     blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
@@ -227,7 +228,7 @@ def _carried(J: Floats, estimate: Estimate) -> Floats:
 
 
 def _by_itself(accepted: Estimate, test: Configuration) -> Experiment:
-    """Make the test as an experiment of its own, of a frame as heavy as the fit has it."""
+    """Return the test as its own experiment, of a frame with the declared total mass, or else the total of the fit."""
     declared = accepted.experiment.frame
     total = declared.total_mass or float(accepted.theta[: accepted.experiment.stories].sum())
     frame = dataclasses.replace(

@@ -6,7 +6,7 @@
 
 with the added mass a. Every mode of every configuration gives N such rows for the 2N unknowns. The error of the shape
 gives each row the weight 1 / (sqrt(2) k_i + lambda |m + a| above), with the masses and stiffnesses of the previous
-pass. So a stiff story, whose drift in the low modes is only error, is determined by the modes that deform it. The modes
+pass. So the modes that deform a stiff story determine it; its drift in the low modes is only error. The modes
 of the current model fill in floors without a sensor.
 
 **Smooth frames** are used if no other start is near the data. A tall frame has many local minima, since a high mode of
@@ -16,7 +16,7 @@ the height,
 
     theta = theta_0 o exp(B c),        B Legendre polynomials up to a degree,
 
-fitted to the first mode, then to twice as many modes with one degree more, and so on to all modes. Every stage starts
+fitted to the first mode, then to twice the number of modes with one more degree, up to all modes. Every stage starts
 at the result of the previous one. Gauss-Newton then starts near the right minimum.
 """
 

@@ -52,7 +52,7 @@ class Uncertainty:
     least_units : ndarray, shape (P,)
         Smallest unit of each parameter, see `LEAST_UNIT`.
     names : tuple of str
-        Of the parameters.
+        Names of the parameters.
     """
 
     J: Floats
@@ -75,7 +75,7 @@ class Uncertainty:
 
     @property
     def determined(self) -> Bools:
-        """Which parameters are determined, shape (P,)."""
+        """Mask of the determined parameters, shape (P,)."""
         return np.asarray(np.linalg.norm(self._divided[1][1], axis=1) < 1e-4)
 
     @property
@@ -107,7 +107,10 @@ class Uncertainty:
 
     @cached_property
     def reach(self) -> Floats:
-        """The same with parameters of an interval free to leave its ends, and known to lie in it, shape (P, g)."""
+        """Directions as in `root`, without the rows `ends`, shape (P, g).
+
+        Parameters at an end of their interval may then move off it, and each interval acts as a prior.
+        """
         if len(self.touching):
             known = _with_intervals(self.J, self.interval_std)
             return self._unit_directions(known, self.equalities, self.touching)
@@ -150,7 +153,7 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
     theta : ndarray, shape (P,)
     domain : Domain
     names : sequence of str
-        Of the P parameters.
+        Names of the P parameters.
     """
     here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
     G, h = here.inequalities

@@ -1,4 +1,4 @@
-"""Closing the loop: the shear model, the sets of effects that it may lack, and what the data say of them."""
+"""Closing the loop: from the shear model to the effects that it lacks, and their probabilities."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MOST_WIDENINGS = 3
-"""Times that the noise is widened where nothing explains a residual: under wider noise other sets are best."""
+"""Largest number of times that the noise is widened for an unexplained residual: wider noise changes the best set."""
 
 
 def search_for_effects(
@@ -41,7 +41,7 @@ def search_for_effects(
 ) -> Closure:
     """Find the effects that the shear model lacks, without screening the measurement first.
 
-    The parameters are those of `cvxshear.close_loop`, which screens the measurement and then calls this.
+    `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
     experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
     wanted, left_out = able_to_take_part(chosen(effects), experiment)
@@ -57,11 +57,11 @@ def search_for_effects(
     for _ in range(MOST_WIDENINGS):
         if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
             break
-        # Evidence under noise that the residual refutes is none: the sets are judged again under as much as it takes.
+        # The residual refutes the noise, so the evidence is invalid: judge the sets again under sufficient noise.
         searches = dataclasses.replace(searches, widened=searches.widened * excess)
         again = searches.run(experiment)
         numbered = [each.fitter.numbering.changes for each in found]
-        # Numbers of the modes that only the wider noise makes probable: their fit to the noise as declared is stated.
+        # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
         new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
         found += [declared.begun(each) for changes, each in new.items() if changes not in numbered]
         result = conclude(found, declared.looked_for, wanted, said=said, widened=again)
@@ -75,12 +75,12 @@ def begun(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
     ----------
     experiment : Experiment
     there : tuple of Placed, optional
-        Effects that are in the model from the start.
+        Effects that the model holds from the start.
 
     Raises
     ------
     CvxshearError
-        Where the shear model could not be fitted.
+        If the shear model could not be fitted.
     """
     return _prepared(experiment, backends.get("auto"), chosen(None), there).begun(Numbering(experiment))
 
@@ -88,22 +88,22 @@ def begun(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
 def _prepared(
     experiment: Experiment, solver: Backend, wanted: Sequence[Effect], there: tuple[Placed, ...], jobs: int = 1
 ) -> Searches:
-    """Fit the shear model, and gather what all searches share."""
+    """Fit the shear model, and collect the settings that all searches share."""
     looked_for = hypotheses(experiment, wanted, there)
     start = _first(experiment, solver, there)
     return Searches(solver, there, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
 
 
 def _excess(result: Closure) -> float | None:
-    """By how much the noise must be widened for the residual to be probable; None where it is."""
+    """Return the factor on the noise that makes the residual probable; None if the residual is probable already."""
     judged = result.judged
     return float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1))) if judged.improbable else None
 
 
 def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:
-    """Make the first fit, on the backend that was asked for: one that does not solve it is not fit for the others.
+    """Make the first fit on the requested backend, so that a failing backend is found at once.
 
-    Only where the backend takes no such programs (active inequalities) another one stands in.
+    Another backend replaces it only if the requested one does not accept such programs (active inequalities).
     """
     try:
         return efficient(experiment, backend, there)
@@ -114,7 +114,7 @@ def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) 
 
 
 def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> tuple[Placed, ...]:
-    """Return the assumed effects; one that these data do not determine is held at its starting value."""
+    """Return the assumed effects; an effect that these data do not determine is held at its starting value."""
     if not there:
         return there
     found = _first(experiment, backend, there)
@@ -126,7 +126,7 @@ def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...
 
 
 def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hypothesis]) -> EffectPrior:
-    """Gather what is expected of effects and frame, in units of a typical floor and story of a first fit."""
+    """Collect the priors of effects and frame, in units of a typical floor and story of a first fit."""
     n = experiment.stories
     mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
     scale = Scale(float(mass), float(stiffness), heights_of(experiment))

@@ -1,4 +1,4 @@
-"""From the sets that were visited to a verdict and everything that is reported with it."""
+"""From the visited sets to the verdict and the reported result."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.quantities import listed, significant
 
 EXPLAINED = 0.95
-"""Probability at its place that each added effect has where the data are called explained."""
+"""Smallest probability of each added effect, at its place, if the data are called explained."""
 
 NUMBERED = 1.0 - 2.0 * OVERLOOKED
-"""Probability of the numbers of the modes as given from which on a shear model that does not ask for others is called
-adequate: data that tell nothing of them leave what there was beforehand."""
+"""Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
+numbers keep their prior probability, which suffices."""
 
 REPORTED = 1e-3
-"""Probability of a set from which on it is reported."""
+"""Smallest probability of a reported set."""
 
 LITTLE_GAINED = 1.1
-"""Ratio of precisions, with the data and without, from which on they tell an effect from the frame."""
+"""Smallest ratio of precisions, with the data and without, for an effect that the data distinguish from the frame."""
 
 AT_AN_END = 1e-3
-"""Distance from a bound, in standard deviations of what is expected, at which a parameter sits on it."""
+"""Largest distance of a parameter on a bound from this bound, in prior standard deviations."""
 
 
 def conclude(
@@ -62,21 +62,21 @@ def conclude(
     Parameters
     ----------
     searches : sequence of Search
-        With the modes numbered as given first, then otherwise.
+        First the search with the modes numbered as given, then those with other numberings.
     looked_for : sequence of Hypothesis
     wanted : sequence of Effect
-        That were asked for.
+        Effects that the user requested.
     said : sequence of str, optional
-        What a reader should know of the tests and effects that were left out.
+        Messages about tests and effects that were left out.
     widened : sequence of Search, optional
-        The searches under noise so wide that the residual is probable, where nothing explains it under the noise as it
-        is: these judge the effects, whose sizes are provisional then.
+        Searches under noise so wide that the residual is probable, if no set explains the residual under the given
+        noise. These searches judge the effects, and the sizes of the effects are provisional then.
     """
     judging = widened or searches
     models = [model for each in judging for model in (*each.visited.values(), *each.other_optima)]
     posterior = Posterior(models, looked_for)
     numbering = posterior.numberings[0]
-    # With the modes numbered in one way some effects are there, in another others: one and the same holds them all.
+    # Each numbering of the modes has its own effects, so the verdict uses one numbering for all of them.
     here = posterior.within(numbering.changes)
     search, found = _fit_of_verdict(judging, here)
     twins = _twins(search, found, here)
@@ -125,7 +125,7 @@ def conclude(
 
 
 def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[Search, ModelClass]:
-    """Find the set of the verdict, and the search that fitted it best, to full accuracy."""
+    """Find the set of the verdict, fitted to full accuracy, and the search with its best fit."""
     own = [each for each in searches if each.fitter.numbering.changes == posterior.best.changes]
     wanted = posterior.verdict_set()
     for each in own:
@@ -135,7 +135,7 @@ def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[S
 
 
 def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Placed, list[Placed]]:
-    """For each effect of a set what no datum tells from it: exact twins, and the dual where frequencies are alone."""
+    """List the twins of each effect of a set: exact twins, and the dual if only frequencies were measured."""
     experiment = search.fitter.experiment
     twins = {placed: search.twins(found, placed) for placed in found.effects}
     if not dual_fits_as_well(experiment):
@@ -174,16 +174,16 @@ def _verdict(
 
 
 def _negligible(final: Estimate) -> bool:
-    """Whether no kind of data is off by more than an engineer would look into; a kind that cannot say counts as off."""
+    """Whether the errors of all kinds of data are negligible; a kind without an error measure is not negligible."""
     errors = final.quality.errors
     kinds = final.misfit.noises.values()
     return all(kind.leading is not None and (errors[kind.leading.key] or 0.0) < kind.negligible for kind in kinds)
 
 
 def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
-    """List the fits: the shear model, the modes numbered otherwise where they are, then one effect more at a time.
+    """List the fits: the shear model, the modes numbered otherwise if they are, then one more effect at a time.
 
-    The most probable effect comes first; all are in the noise of the last.
+    The most probable effect comes first. All fits use the noise of the last one.
     """
     order = _by_probability(posterior, final, fitter)
     what = "the shear model" if fitter is as_given else "the shear model, the modes numbered as given"
@@ -206,8 +206,8 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitt
 def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
     """Fit the model with only some of the effects, in the final model's noise.
 
-    It starts where the final model is or, where that has no modes without the others, at the frame before any effect;
-    there too where its modes are numbered otherwise.
+    Start at the final parameters. If the model has no real modes there, or the modes are numbered otherwise, start at
+    the frame without effects.
     """
     wanted = (*fitter.assumed, *effects)
     base = fitter.base or final
@@ -230,7 +230,7 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
     try:
         return with_stand_in(fitter.backend, fit)[0]
     except NoSolutionError:
-        # Far from the data a fit may follow a curved valley without an end; a rough one is near enough to compare with.
+        # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough for a comparison.
         return fitted_with(misfit, proposals[1].starts[0], backends.get("auto"), ROUGH)
 
 
@@ -256,7 +256,7 @@ def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect
 
 
 def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
-    """Where a parameter sits on a bound of what is physical."""
+    """List the parameters that lie on a physical bound."""
     stds = final.misfit.expectation.of(placed)
     for item, value, std in zip(placed.effect.parameters, final.theta[final.own(placed)], stds, strict=True):
         size = std if np.isfinite(std) else item.upper - item.lower
@@ -266,7 +266,7 @@ def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
 
 
 def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[Placed]]:
-    """List the sets that hold what may be there in place of an added effect, twins first."""
+    """List the sets that hold a rival in place of an added effect, twins first."""
     effects = frozenset(item.placed for item in added)
     twins = [(effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin]
     visited = {model.effects for model in posterior.models}
@@ -285,7 +285,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
     sums = defaultdict[object, float](float)
     for model, probability in zip(posterior.models, posterior.of_sets, strict=True):
         sums[model.effects, model.changes] += float(probability)
-    # A set may explain the data with two frames: it is shown once, as its better one.
+    # A set may explain the data with two frames: only the better fit is shown.
     best = {(model.effects, model.changes): model for model in reversed(posterior.models)}
     for key in ranking.ranked(best, sums.__getitem__):
         model = best[key]
@@ -295,7 +295,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
 
 
 def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> list[Candidate]:
-    """All that was looked for, the most probable first."""
+    """List all effects that were looked for, the most probable first."""
     final, fitter = judged.estimate, search.fitter
     assert final is not None, "the set of the verdict has a fit"
     there = set(final.effects)
@@ -311,7 +311,7 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
             kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
             gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
         elif placed not in linear.lacking:
-            # Derivatives at its null value say nothing of it here.
+            # The derivatives at the null value carry no information on the effect here.
             gain, chi2, dof = 0.0, final.chi2, final.dof - count
         else:
             gain = linear.decrease(placed)
@@ -328,10 +328,10 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
 
 
 def _unseen(linear: Linearised, fitter: Fitter, judged: ModelClass) -> dict[Placed, float]:
-    """Find the probability of each effect besides a set, as the model linearised there has it.
+    """Find the probability of each further effect beside a set, from the model linearised at the set.
 
-    The search fits what promises something. What it passes over for being too small to show is as probable as it was
-    beforehand, and never more: that was not seen.
+    The search fits only promising effects. An effect with too small an influence to detect keeps its prior probability;
+    an effect that was not fitted never gets a larger one.
     """
     log_odds = fitter.log_priors(linear.lacking, judged.effects) + np.minimum(linear.gains, 0.0)
     return dict(zip(linear.lacking, special.expit(log_odds).tolist(), strict=True))
@@ -342,14 +342,14 @@ def _quoted(names: Sequence[str]) -> str:
 
 
 def _rests_on(final: Estimate) -> Iterator[str]:
-    """Say what speaks for the verdict: the noise that the residual is compared with."""
+    """Yield the basis of the verdict: the noise that the residual is compared with."""
     if final.dof <= 0:
         yield "nothing that could speak against it: the model has as many parameters as there are data"
         return
     if not final.misfit.open_noises:
         yield "the stated standard deviations"
         return
-    # Not the noise of the misfit, which names no factor where the fit stopped at the default.
+    # The noise of the misfit is not used: it has no factor if the fit stopped at the default.
     factors = dict(final.noise.noise.factors)
     listed = ", ".join(
         f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
@@ -359,7 +359,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
 
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
-    """Say what the verdict takes for granted because the data hardly tell: sentences of effects that are not in it."""
+    """Yield the assumptions of the verdict that the data hardly test: sentences of effects that are not in the set."""
     states = {placed.place.state for placed in found.effects} | {None}
     said = [each for each in search.lacking(found) if each.effect.granted and each.place.state in states]
     if not said:
@@ -367,7 +367,7 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     invariances = search.invariances(found)
     untold = defaultdict[str, list[str]](list)
     for placed in said:
-        # Not all that is done to single stories or floors of the state, whose sum it is.
+        # Exclude changes of single stories or floors of the state: their sum is the change itself.
         alike = [other for other in said if other.place.state == placed.place.state]
         if invariances.untold(placed, alike):
             said_of = placed.effect.granted.replace("{prior}", str(placed.place.prior))
@@ -377,7 +377,7 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
 
 
 def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
-    """Say what all masses are in proportion to, where no total that is declared as exact holds them."""
+    """Yield the quantities that all masses scale with, unless an exact total mass is declared."""
     experiment = search.fitter.experiment
     if experiment.frame.known_total is not None and experiment.frame.total_mass_std is None:
         return
@@ -389,7 +389,7 @@ def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
 
 
 def _granted_of_bounds(experiment: Experiment) -> Iterator[str]:
-    """Say which inequalities hold in every model that was looked at."""
+    """Yield the inequalities that hold in every visited model."""
     for words, prior in experiment.stated.items():
         said = prior.constraints(experiment.stories)
         if any(part is not None for part in (said.lower, said.upper, said.G)):
@@ -397,7 +397,7 @@ def _granted_of_bounds(experiment: Experiment) -> Iterator[str]:
 
 
 def _information(search: Search, posterior: Posterior, final: Estimate, *, negligible: bool) -> Iterator[str]:
-    """Say what a reader should know besides."""
+    """Yield further messages for the reader."""
     experiment, fitter = search.fitter.experiment, search.fitter
     n = experiment.stories
     if negligible:

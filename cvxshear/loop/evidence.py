@@ -1,16 +1,16 @@
-"""The evidence of a set of effects: the probability of the data under it (Beck and Yuen 2004).
+"""Evidence of a set of effects: the probability of the data under the set (Beck and Yuen 2004).
 
-Laplace's approximation at the penalised optimum. With x the directions that the equalities leave free and H the
-Gauss-Newton Hessian of half the sum of squares, everything expected among its rows,
+Laplace's approximation at the penalised optimum. Let x be the directions that the equalities leave free, and H the
+Gauss-Newton Hessian of half the sum of squares, with the priors among its rows. Then
 
     log Z = -objective / 2 - log det H / 2 + sum over effects of the logarithm of their priors' constants
             - sum of log theta over the frame + the logarithm of the part of the Gaussian that keeps the inequalities
-            + what undeclared noise adds.
+            + the term of undeclared noise.
 
-A parameter that is pressed against a bound with the multiplier w has integral(exp(-w t - t^2 / 2 s^2)) dt in place of
-a whole Gaussian, s^2 its variance; one whose prior is Student's t has the integral of that times the likelihood's
-Gaussian (`log_tailed_interval`). Directions of the frame count in units of a typical floor and story, the same in
-every set; so the constants of the frame's own prior cancel.
+A parameter pressed against a bound with the multiplier w has integral(exp(-w t - t^2 / 2 s^2)) dt in place of a whole
+Gaussian, with variance s^2. A parameter with Student's t as its prior has the integral of this prior times the
+likelihood's Gaussian (`log_tailed_interval`). Directions of the frame count in units of a typical floor and story,
+which are the same in every set, so the constants of the frame's own prior cancel.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from cvxshear.programs.constraints import constrained
 from cvxshear.util.typing import Floats
 
 FAR = 6.0
-"""Standard deviations from an inequality beyond which it cuts nothing off."""
+"""Largest distance, in standard deviations, of an inequality that cuts the Gaussian."""
 
 INTEGRAL_REACH, POINTS = 12.0, 401
-"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and its points: those
-of Student's t lie further out than a Gaussian's."""
+"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and number of its
+points. The tails of Student's t need a longer reach than a Gaussian."""
 
 TINY = 1e-12
-"""Part of a parameter's precision below which the data add nothing to its interval: rounding of the difference."""
+"""Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
 
 SECOND_MODE = 5.0
-"""Height of the posterior above the optimum, in log probability, from which on the optimum is none: a lower second mode
-lies between a large effect and its null value where the data are weak."""
+"""Largest log probability above the optimum. A higher point shows that the optimum is only a lower second mode, which
+lies between a large effect and its null value if the data are weak."""
 
 TOUCHING = 1e-4
-"""Distance from an inequality, in standard deviations, at which it counts as active."""
+"""Largest distance from an active inequality, in standard deviations."""
 
 
 def log_evidence(estimate: Estimate, expectation: EffectPrior) -> float:
-    """Logarithm of the evidence, up to a constant that all sets for the same data share.
+    """Return the logarithm of the evidence, up to a constant that all sets for the same data share.
 
     Parameters
     ----------
     estimate : Estimate
         The penalised optimum.
     expectation : EffectPrior
-        The same as that of the fit.
+        The expectation used in the fit.
     """
     B = free_basis(estimate, expectation)
     U, c = estimate.fit.at.triangle
@@ -70,7 +70,7 @@ def log_evidence(estimate: Estimate, expectation: EffectPrior) -> float:
 
 
 def _log_size(estimate: Estimate, expectation: EffectPrior) -> float:
-    """Sum of the logarithms of masses and stiffnesses in typical units: their prior is one of the logarithms."""
+    """Return the sum of the logarithms of masses and stiffnesses in typical units: the prior is on the logarithms."""
     scale = expectation.scale
     assert scale is not None, "evidence needs an expectation"
     n = estimate.experiment.stories
@@ -79,10 +79,10 @@ def _log_size(estimate: Estimate, expectation: EffectPrior) -> float:
 
 
 def free_basis(estimate: Estimate, expectation: EffectPrior) -> Floats:
-    """Columns that span what the equalities leave free, shape (P, f).
+    """Return columns that span the directions that the equalities leave free, shape (P, f).
 
-    First orthonormal directions of the frame, in units of a typical floor and story; then one for each parameter of
-    the effects, its own entry 1, with the least change of the frame that keeps the equalities.
+    The first columns are orthonormal directions of the frame, in units of a typical floor and story. Each parameter of
+    the effects then has one column: its own entry is 1, and the frame changes by the least that keeps the equalities.
     """
     n2 = 2 * estimate.experiment.stories
     size = len(estimate.theta)
@@ -97,7 +97,7 @@ def free_basis(estimate: Estimate, expectation: EffectPrior) -> Floats:
     inverse = np.linalg.pinv(frame, rcond=1e-10)
     _, values, right = np.linalg.svd(frame, full_matrices=True)
     open_frame = right[int(np.sum(values > 1e-10)) :].T
-    # An effect held at a value has a row of its own and no direction.
+    # An effect held at a value has its own row and no direction.
     fixed = np.any(np.abs(own[without_frame]) > 0, axis=0)
     parameters = np.flatnonzero(~fixed)
     B = np.zeros((size, open_frame.shape[1] + len(parameters)))
@@ -115,13 +115,13 @@ def _program(estimate: Estimate) -> LeastSquares:
 
 
 def _log_constant(placed: Placed, expectation: EffectPrior) -> float:
-    """Logarithm of the constant of an effect's prior, times sqrt(2 pi) for each parameter, as in Laplace's integral."""
+    """Return the log constant of an effect's prior, times sqrt(2 pi) per parameter as in Laplace's integral."""
     value = 0.0
     tail, normal = placed.effect.tail, placed.effect.common_size
     peak = -0.5 * np.log(2 * np.pi) if normal else -0.5 * np.log(tail) - special.betaln(0.5 * tail, 0.5)
     for item, std in zip(placed.effect.parameters, expectation.of(placed), strict=True):
         if np.isinf(std) and np.isinf(item.upper - item.lower):
-            # Nothing is expected of it at all, as may be of what was assumed and is in every set.
+            # The effect has no prior size: only an assumed effect, which is in every set, may lack one.
             continue
         value += 0.5 * np.log(2 * np.pi)
         if np.isinf(std):
@@ -134,9 +134,9 @@ def _log_constant(placed: Placed, expectation: EffectPrior) -> float:
 
 
 def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> float:
-    """Logarithm of the part of the Gaussian that keeps the inequalities, each by itself.
+    """Return the logarithm of the part of the Gaussian that keeps the inequalities, each taken alone.
 
-    An effect's parameter is kept by its own interval; what that leaves of the Gaussian is what other rows cut.
+    An effect's parameter is limited by its own interval; other rows cut the remaining Gaussian.
     """
     program = _program(estimate)
     n2 = 2 * estimate.experiment.stories
@@ -151,8 +151,9 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     together = {p for _, own in slices(estimate.effects, n2) for p in range(own.start, own.stop)}
     std = _spread(rows, H + within.T @ within)
     alone = [row for row in range(2 * len(B)) if row % len(B) in together]
-    # Its own interval is what cuts it, those of the others are what they can do for it: where two parameters do the
-    # same (turning joints and braces), a free one would be carried along far beyond what the other can be.
+    # The standard deviation of a parameter excludes its own interval, which cuts the Gaussian explicitly, and includes
+    # the intervals of the other parameters. If two parameters act alike (flexible joints and braces), a free one would
+    # otherwise be carried far beyond the limit of the other.
     own_part = (std[alone] / np.concatenate([estimate.domain.interval_std] * 2)[alone]) ** 2
     std[alone] = std[alone] / np.sqrt(np.maximum(1.0 - own_part, TINY))
     multipliers = _multipliers(rows, slack <= TOUCHING * std, gradient)
@@ -181,7 +182,7 @@ def _spread(rows: Floats, H: Floats) -> Floats:
 
 
 def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]], gradient: Floats) -> Floats:
-    """w >= 0 with gradient + rows' w = 0, zero for rows that are not active."""
+    """Return w >= 0 with gradient + rows' w = 0, zero for rows that are not active."""
     result = np.zeros(len(rows))
     lengths = np.linalg.norm(rows, axis=1)
     active = active & (lengths > 0)
@@ -200,7 +201,7 @@ def log_interval(lower: ArrayLike, upper: ArrayLike, slope: ArrayLike, std: Arra
 
 
 def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float, float]]]:
-    """Parameters whose prior is Student's t: place in theta, deviation from null, size, degrees of freedom."""
+    """Yield the parameters with Student's t as prior: place in theta, deviation from null, size, degrees of freedom."""
     for placed, own in slices(estimate.effects, 2 * estimate.experiment.stories):
         if placed.fixed or placed.effect.common_size or np.isinf(placed.effect.tail):
             continue
@@ -213,23 +214,23 @@ def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float
 def log_tailed_interval(
     lower: float, upper: float, slope: float, std: float, deviation: float, size: float, tail: float
 ) -> float:
-    """Logarithm of what a parameter with Student's prior has in place of Laplace's Gaussian integral.
+    """Return the log integral of a parameter with Student's prior, which replaces Laplace's Gaussian integral.
 
     Laplace takes exp(-slope t - t^2 / 2 std^2) about the optimum, 1 / std^2 = a + w^2 with w the slope of the prior's
-    residual there. What stays normal is the likelihood alone, of curvature a; the prior is taken as it is:
+    residual there. Only the likelihood, of curvature a, stays normal; the prior is exact:
 
         integral of exp(-(r(t)^2 - r(0)^2) / 2 - (slope - r(0) w) t - a t^2 / 2) dt / (sqrt(2 pi) std).
 
     Parameters
     ----------
     lower, upper : float
-        Of t.
+        Limits of t.
     slope, std : float
         As in `log_interval`.
     deviation : float
-        Of the optimum from the null value.
+        Deviation of the optimum from the null value.
     size, tail : float
-        Of the prior.
+        Size and degrees of freedom of the prior.
     """
     reach = np.arcsinh(np.clip(np.array([lower, upper]) / std, -np.sinh(INTEGRAL_REACH), np.sinh(INTEGRAL_REACH)))
     y = np.linspace(reach[0], reach[1], POINTS)
@@ -240,7 +241,7 @@ def log_tailed_interval(
     curvature = max(1.0 / std**2 - w**2, 0.0)
     logs = -0.5 * (r**2 - here[0] ** 2) - (slope - here[0] * w) * t - 0.5 * curvature * t**2
     if float(np.max(logs)) > SECOND_MODE:
-        # The fit is not where the posterior has its maximum along this line: nothing but Laplace's Gaussian is known.
+        # The fit is not at the posterior's maximum along this line, so Laplace's Gaussian is the only usable form.
         return float(log_interval(lower, upper, slope, std))
     logs += np.log(np.cosh(y)) - 0.5 * np.log(2 * np.pi)
     highest = float(np.max(logs))
@@ -248,7 +249,7 @@ def log_tailed_interval(
 
 
 def log_normal_between(a: ArrayLike, b: ArrayLike) -> Floats:
-    """Return log(Phi(b) - Phi(a)), without loss in either tail; -inf where nothing lies between."""
+    """Return log(Phi(b) - Phi(a)), without loss in either tail; -inf if the interval is empty."""
     a, b = np.asarray(a), np.asarray(b)
     high, low = special.log_ndtr(np.where(a > 0, -a, b)), special.log_ndtr(np.where(a > 0, -b, a))
     with np.errstate(divide="ignore"):

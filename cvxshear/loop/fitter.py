@@ -1,4 +1,4 @@
-"""Sets of effects fitted to one experiment, how probable the data make each, and the effort the fits take."""
+"""Fits of sets of effects to one experiment, their probabilities, and the effort of the fits."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from cvxshear.util.parallel import each as in_parallel
 from cvxshear.util.typing import Floats
 
 SAME_OPTIMUM = 0.3
-"""Largest difference of two fits of a set, in standard deviations of any datum or prior, that is none: fits of the
-search end within a tenth of their optimum, and another optimum is many away."""
+"""Largest difference of two fits at the same optimum, in standard deviations of any datum or prior. Fits of the search
+end within a tenth of their optimum, and another optimum is many standard deviations away."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelClass:
-    """A set of effects with its fit.
+    """Set of effects with its fit.
 
     Parameters
     ----------
     effects : frozenset of Placed
-        Those beyond what was assumed from the start.
+        Effects in addition to the assumed ones.
     estimate : Estimate or None
-        None where no fit was found.
+        None if no fit was found.
     log_evidence : float
     log_prior : float
-        Sum of the logarithms of the prior odds, of the effects and of the numbers of the modes.
+        Sum of the logarithms of the prior odds of the effects and of the mode numbers.
     failure : CvxshearError or None
-        Why there is no fit.
+        Reason for a missing fit.
     changes : tuple
-        Configurations whose modes are numbered otherwise than given (`Numbering.changes`).
+        Configurations with other mode numbers than the given ones (`Numbering.changes`).
     """
 
     effects: frozenset[Placed]
@@ -56,16 +56,16 @@ class ModelClass:
 
     @property
     def score(self) -> float:
-        """Logarithm of its probability, up to a constant."""
+        """Logarithm of the probability of the set, up to a constant."""
         return self.log_evidence + self.log_prior
 
     @property
     def improbable(self) -> bool:
-        """Whether its residual, or the noise that it asks for, is improbable."""
+        """Whether the residual, or the noise that the residual requires, is improbable."""
         return self.estimate is not None and self.estimate.improbable
 
     def same_optimum(self, other: ModelClass) -> bool:
-        """Whether another fit of this set ended at the same frame, as far as any datum or prior could tell."""
+        """Whether another fit of this set ended at the same frame, within the resolution of the data and priors."""
         mine, theirs = self.estimate, other.estimate
         if mine is None or theirs is None:
             return False
@@ -77,18 +77,18 @@ class ModelClass:
 
 @dataclass(frozen=True)
 class FitProposal:
-    """A set of effects that is worth a fit, and where that starts.
+    """Set of effects that is worth a fit, and the starting points of the fit.
 
     Parameters
     ----------
     effects : tuple of Placed
-        In the order of their parameters, those assumed included.
+        Effects in the order of their parameters, with the assumed ones.
     starts : tuple of ndarray, shape (P,)
-        Starting points: the first that fits better than the last does is taken.
+        Starting points: the first one that fits better than the last one is used.
     misfit : Misfit
-        Whose data and noise the fit has.
+        Misfit with the data and noise of the fit.
     objective : float
-        Of the fit that it started from.
+        Objective of the fit that the proposal started from.
     """
 
     effects: tuple[Placed, ...]
@@ -99,25 +99,25 @@ class FitProposal:
 
 @dataclass(eq=False)
 class Fitter:
-    """Fits sets of effects on one backend and counts the effort.
+    """Fitter of sets of effects on one backend, with a count of the effort.
 
     Parameters
     ----------
     numbering : Numbering
-        The experiment, its modes numbered in one way.
+        Experiment under one numbering of its modes.
     backend : Backend
     hypotheses : sequence of Hypothesis
     assumed : tuple of Placed
-        In every set.
+        Effects that every set holds.
     expectation : EffectPrior
     jobs : int
         Processes over which sets are fitted.
     fits, programs : int
         Fits made so far, and step programs that they solved.
     stand_ins : int
-        Fits that the backend refused and another one made.
+        Fits that another backend made after the backend refused.
     base : Estimate or None
-        Of the set without any effect, once it was fitted.
+        Fit of the set without effects, after this fit was made.
     """
 
     numbering: Numbering
@@ -137,11 +137,11 @@ class Fitter:
 
     @property
     def experiment(self) -> Experiment:
-        """What the sets are fitted to."""
+        """Experiment that the sets are fitted to."""
         return self.numbering.experiment
 
     def log_prior(self, effects: Collection[Placed]) -> float:
-        """Sum of the logarithms of the prior odds, each effect's beside its companion where that is there."""
+        """Return the sum of the log prior odds of the effects, each given its companion if the set holds it."""
         there = {(each.effect.name, each.place) for each in (*effects, *self.assumed)}
         return sum(
             log_odds(placed.effect.accompanies)
@@ -151,7 +151,7 @@ class Fitter:
         )
 
     def log_priors(self, further: Sequence[Placed], effects: frozenset[Placed]) -> Floats:
-        """Logarithms of the prior odds of further effects beside a set, shape (n,)."""
+        """Return the logarithms of the prior odds of further effects beside a set, shape (n,)."""
         own = self.log_prior(effects)
         return np.array([self.log_prior(effects | {placed}) - own for placed in further])
 
@@ -171,7 +171,7 @@ class Fitter:
         return found
 
     def models(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> list[ModelClass]:
-        """Fit sets, over processes where there are several."""
+        """Fit sets, on several processes if there are several."""
         if self.jobs == 1 or len(proposals) < 2:
             found = [_fitted(proposal, self.backend, accuracy) for proposal in proposals]
         else:
@@ -186,7 +186,7 @@ class Fitter:
         return [self._model(proposal, item) for proposal, (item, _) in zip(proposals, found, strict=True)]
 
     def set_of(self, proposal: FitProposal) -> frozenset[Placed]:
-        """Return the set that a proposal is of, without what is assumed in every set."""
+        """Return the set of a proposal, without the assumed effects."""
         return frozenset(proposal.effects) - frozenset(self.assumed)
 
     def _model(self, proposal: FitProposal, found: Estimate | CvxshearError) -> ModelClass:
@@ -205,7 +205,7 @@ class Fitter:
         return ModelClass(effects, estimate, evidence, log_prior, changes=self.numbering.changes)
 
     def refined(self, model: ModelClass) -> ModelClass:
-        """Fit the same set to full accuracy; return it as it is where that fails."""
+        """Fit the same set to full accuracy; return the old fit if this fails."""
         if model.estimate is None:
             return model
         (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], FULL)
@@ -214,7 +214,7 @@ class Fitter:
 
 @dataclass(frozen=True)
 class _Work:
-    """A fit in another process."""
+    """Fit in another process."""
 
     backend: Backend
     accuracy: Accuracy
@@ -224,7 +224,7 @@ class _Work:
 
 
 def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | CvxshearError:
-    """Bind a fit from another process to the effects of this one: there they were copies."""
+    """Bind a fit from another process, which holds copies of the effects, to the effects of this process."""
     if isinstance(found, CvxshearError):
         return found
     theta = found.theta
@@ -234,7 +234,7 @@ def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | C
 
 
 def _fitted(proposal: FitProposal, backend: Backend, accuracy: Accuracy) -> tuple[Estimate | CvxshearError, bool]:
-    """Fit a set, or return why there is no fit; and whether another backend had to make it."""
+    """Fit a set, or return the reason for a missing fit; also return whether another backend made the fit."""
     try:
         start = _start(proposal)
         return with_stand_in(backend, lambda by: fitted(proposal.misfit, start[0], by, accuracy, start[1]))
@@ -243,7 +243,7 @@ def _fitted(proposal: FitProposal, backend: Backend, accuracy: Accuracy) -> tupl
 
 
 def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple[Estimate, bool]:
-    """Make a fit on one backend, or on `auto` where that one refuses or fails; and whether it did."""
+    """Make a fit on one backend, or on `auto` if this backend refuses or fails; also return whether `auto` made it."""
     try:
         return fit(backend), False
     except (UnsuitableError, NoSolutionError):
@@ -253,7 +253,7 @@ def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple
 
 
 def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
-    """Choose the starting point, and the residuals there where they had to be looked at."""
+    """Choose the starting point; also return the residuals there if they were computed."""
     *guesses, plain = proposal.starts
     for guess in guesses:
         try:

@@ -1,4 +1,4 @@
-"""Frequencies predicted from data that did not hold them: what an effect cannot pass by adding freedom alone."""
+"""Prediction of frequencies from data that exclude them: a test that mere extra freedom does not pass."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from cvxshear.util.errors import CvxshearError
 from cvxshear.util.typing import Bools
 
 DETERMINED = 1e-3
-"""Largest change of the logarithm of a frequency along a direction left open, for the prediction to count."""
+"""Largest change of the log frequency along an undetermined direction for a prediction that counts."""
 
 USEFUL = 0.1
-"""Largest relative standard deviation of a prediction, for it to count."""
+"""Largest relative standard deviation of a prediction that counts."""
 
 MOST_PREDICTIONS = 24
-"""Predictions that are made: every one is a fit, and a tall frame has many modes."""
+"""Largest number of predictions: each is a fit, and a tall frame has many modes."""
 
 Errors = dict[tuple[str, int], float]
 """|predicted / measured - 1| by configuration and place of the frequency in it."""
 
 
 def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter) -> tuple[float | None, float | None]:
-    """Largest |predicted / measured - 1| over the same frequencies left out in turn, by either model.
+    """Return the largest |predicted / measured - 1| of either model over the same frequencies, left out in turn.
 
-    Each configuration's frequencies are predicted from the others, or each mode's from the other modes where there is
-    one configuration. An effect that concerns one state cannot be judged by the others, nor another by tests of one
-    such state, nor a frequency that the rest does not determine under both models.
+    Each configuration's frequencies are predicted from the other configurations; with one configuration, each mode's
+    from the other modes. A configuration is left out only if no effect concerns its state, and only if the others are
+    not all of one state with an effect. A frequency counts only if the remaining data determine it under both models.
 
     Returns
     -------
     before, after : float or None
-        None for both where no frequency could be predicted by both.
+        None for both if no frequency could be predicted by both models.
     """
     concerned = {placed.place.state for placed in (*before.effects, *after.effects)}
     pairs = [
@@ -51,7 +51,7 @@ def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter)
 
 
 def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[str, Bools]]:
-    """List what is left out, one after the other: a configuration and modes of it."""
+    """List the data to leave out, one after the other: a configuration and some of its modes."""
     configurations = experiment.configurations
     if len(configurations) > 1:
         alone = [each for each in configurations if _judged(each, experiment, concerned)]
@@ -62,13 +62,16 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
 
 
 def _judged(test: Configuration, experiment: Experiment, concerned: set[str | None]) -> bool:
-    """Whether the other tests can judge one: of a state without effects, and not from one state that has some."""
+    """Whether the other tests can judge a test.
+
+    The state of the test must have no effects, and the other tests must not all be of one state with effects.
+    """
     states = {each.state for each in experiment.configurations if each is not test}
     return test.state not in concerned and (len(states) > 1 or not states <= concerned)
 
 
 def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitter) -> Errors:
-    """Predict the errors of the left-out frequencies that the rest determines."""
+    """Return the prediction errors of the left-out frequencies that the remaining data determine."""
     misfit = Misfit(
         estimate.experiment, estimate.effects, {name: mask}, estimate.misfit.noise, estimate.misfit.expectation
     )
@@ -76,7 +79,7 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     try:
         rest = fitted_with(misfit, estimate.theta, fitter.backend)
     except CvxshearError:
-        # No prediction can be made from the rest; what can be predicted elsewhere still counts.
+        # The remaining data allow no prediction here; predictions elsewhere still count.
         return {}
     if not rest.fit.converged:
         return {}

@@ -1,4 +1,4 @@
-"""What the loop looks for: every effect at every place, each with the odds that it is there beforehand."""
+"""Hypotheses of the loop: every effect at every place, each with its prior odds."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import T
 
 OPEN = "open"
-"""Kind of the open classes, and the name that stands for all of them."""
+"""Kind of the open classes, and the common name of all of them."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """An effect at a place, before anything is measured.
+    """Effect at a place, with its prior.
 
     Parameters
     ----------
     placed : Placed
     probability : float
-        That it is there.
+        Prior probability that the effect is present.
     size : float or None
-        Standard deviation of its first parameter, where the experiment knows better than the effect.
+        Standard deviation of the first parameter, if the experiment declares one in place of the effect's default.
     """
 
     placed: Placed
@@ -38,36 +38,36 @@ class Hypothesis:
 
     @property
     def log_odds(self) -> float:
-        """Logarithm of the odds that it is there."""
+        """Logarithm of the prior odds that the effect is present."""
         return log_odds(self.probability)
 
 
 def log_odds(probability: float) -> float:
-    """Logarithm of the odds of a probability."""
+    """Return the logarithm of the odds of a probability."""
     return float(np.log(probability) - np.log1p(-probability))
 
 
 def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequence[Placed] = ()) -> list[Hypothesis]:
-    """Everything that can be looked for.
+    """List all hypotheses.
 
-    An effect's probability is spread over its places by their weights: one with the share s of them all has
-    1 - (1 - p)^s, so that the effect is somewhere with the probability p. Where a reference is named, every other state
-    is one in which something may have been done to the frame: p is then that of each state, and spread over its floors
-    or stories. That of an open class is for all states together: a statement of the shear model either holds for a
-    frame or does not.
+    An effect's probability p is spread over its places by their weights. A place with the share s of all weights has
+    the probability 1 - (1 - p)^s, so the effect is present at one or more places with the probability p. If a reference
+    state is named, the frame may have been changed in every other state: p then holds for each state, and is spread
+    over its floors or stories. The probability of an open class holds for all states together, because a statement of
+    the shear model either holds for a frame or does not.
 
     Parameters
     ----------
     experiment : Experiment
-        With what it expects of effects.
+        Experiment with its priors of effects.
     effects : sequence of Effect
     there : sequence of Placed, optional
-        Already in the model.
+        Effects that the model holds already.
 
     Raises
     ------
     InputError
-        Where the experiment expects something of an effect that there is not.
+        If the experiment declares a prior for an unknown effect.
     """
     known = {OPEN, *(effect.name for effect in (*catalogue(), *open_classes(), *effects))}
     for each in experiment.expected:
@@ -83,7 +83,7 @@ def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequenc
 
 
 def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
-    """One effect at its places, but where it is excluded."""
+    """List one effect at its places, except the excluded ones."""
     said = {place: _said(experiment, effect, place) for place in effect.places(experiment)}
     places = [place for place, known in said.items() if not any(each.exclude for each in known)]
     by_state = experiment.frame.reference is not None and effect.kind != OPEN
@@ -110,7 +110,7 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
 
 
 def _said(experiment: Experiment, effect: Effect, place: Place) -> list[ExpectedEffect]:
-    """Say what the experiment expects of an effect at a place, the most general first."""
+    """List the experiment's priors for an effect at a place, the most general first."""
     at = dataclasses.asdict(place)
     names = (effect.name, OPEN) if effect.kind == OPEN else (effect.name,)
     said = [each for each in experiment.expected if any(each.concerns(name, at) for name in names)]
@@ -126,14 +126,14 @@ def _last(values: Sequence[T], default: T) -> T:
 
 
 def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
-    """List the effects to look for: names or objects, the whole catalogue and the open classes where none are given.
+    """List the effects to look for: names or objects; by default the whole catalogue and the open classes.
 
     The name "open" stands for all open classes.
 
     Raises
     ------
     InputError
-        Where there is none of a name.
+        If a name is unknown.
     """
     everything = (*catalogue(), *open_classes())
     if effects is None:
@@ -149,12 +149,12 @@ def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
 def able_to_take_part(
     wanted: Sequence[Effect], experiment: Experiment
 ) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """List the effects that can take part, and messages that say why others, of one's own, cannot.
+    """List the usable effects, and messages that explain why user-defined effects are unusable.
 
     Raises
     ------
     InputError
-        Where two go by one name, or the only one cannot take part.
+        If two effects share one name, or the only effect is unusable.
     """
     refuse_repeated(wanted)
     own = {id(effect) for effect in (*catalogue(), *open_classes())}
@@ -173,12 +173,12 @@ def able_to_take_part(
 
 
 def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Placed, ...]:
-    """List the effects that are declared from the start; one named alone must have only one place to sit.
+    """List the effects that are declared from the start; an effect given by name alone must have only one place.
 
     Raises
     ------
     InputError
-        Where an effect is not known, the experiment does not declare what it needs, or its place is not said.
+        If an effect is unknown, the experiment lacks a declaration that it needs, or its place is missing.
     """
     result = []
     for each in assume:

@@ -1,7 +1,7 @@
-"""The linearised model at a fit: what every effect that might be added would do to its evidence.
+"""Linearised model at a fit: the change of the evidence with every further effect.
 
-All that is looked for share a fit, and with it the factorization of its derivatives: at their null values the effects
-leave each other alone, so one evaluation with all of them gives every column.
+All hypotheses share one fit and the factorization of its derivatives. At their null values the effects do not influence
+each other, so one evaluation with all of them gives every column.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 12
-"""Effects that are taken in one go at most: nobody would believe more, and fits of sets of twenty or more run into
-their limit of steps without an end in sight."""
+"""Largest number of effects added in one sequence. More are not credible, and fits of sets of twenty or more reach
+their limit of steps without convergence."""
 
 NORMAL = ((1.0, 1.0),)
 STUDENT = ((0.8, 0.6), (1.6, 0.33), (4.0, 0.065), (12.0, 0.005))
-"""A normal distribution, and Student's t with four degrees of freedom, as factors on the size with their weights: near
-enough to rank what is worth a fit, which then has the prior itself."""
+"""Scale mixture of normal distributions in place of Student's t with four degrees of freedom: factors on the size, with
+their weights. The mixture is accurate enough to rank the effects; the fit then uses the prior itself."""
 
 WIDE = 4.0
-"""Factor on an effect's size under which its first prediction is made."""
+"""Factor on an effect's size for its first prediction."""
 
 LEAST_CURVATURE = 1e-9
-"""Least curvature, relative to that of the fit, of a direction that only residuals without weight determine."""
+"""Least curvature, relative to the fit's, of a direction that only residuals without weight determine."""
 
 LOG_SIZES = np.linspace(-4.0, 4.0, 33)
-"""Common sizes that are tried, as logarithms of factors, in units of their width."""
+"""Trial common sizes, as logarithms of factors, in units of their width."""
 
 
 class Linearised:
-    """The derivatives at a fit by its own parameters and by those of effects that it lacks.
+    """Derivatives at a fit by its own parameters and by the parameters of effects that it lacks.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Linearised:
         self._singles = _Singles(self.lacking, expectation)
 
     def _sensitivities(self) -> Floats:
-        """Compute the derivatives by the parameters that are lacking, at their null values, shape (d, p)."""
+        """Compute the derivatives by the parameters of the lacking effects, at their null values, shape (d, p)."""
         base = self.base
         misfit = base.misfit
         nulls = np.array([item.null for placed in self.lacking for item in placed.effect.parameters])
@@ -80,7 +80,7 @@ class Linearised:
         return columns
 
     def _shift(self, placed: Placed) -> Floats:
-        """Find the least change of the frame, in typical units, with which all equalities hold with the effect."""
+        """Find the least change of the frame, in typical units, that keeps all equalities with the effect."""
         scale, base = self.expectation.scale, self.base
         assert scale is not None
         n2 = 2 * base.experiment.stories
@@ -92,20 +92,20 @@ class Linearised:
         return shift
 
     def columns(self, placed: Placed) -> Floats:
-        """Return the derivatives of the residuals by an effect's parameters, the frame following it, shape (d, p)."""
+        """Return the derivatives of the residuals by an effect's parameters and the frame's change, shape (d, p)."""
         return self._columns[:, self._at[placed]]
 
     def gain(self, placed: Placed) -> float:
-        """By how much the logarithm of the evidence grows with an effect, as the linearised model has it."""
+        """Return the gain in log evidence with an effect, from the linearised model."""
         return float(self.gains[self.lacking.index(placed)])
 
     @cached_property
     def gains(self) -> Floats:
-        """The same for each effect that is lacking, shape (n,)."""
+        """Gain in log evidence of each lacking effect, shape (n,)."""
         return self._gains(self._own, self.base.fit.at.r)
 
     def _gains(self, own: Floats, r: Floats) -> Floats:
-        """Find the gains by columns that nothing else in the model can make, on what is left of the residual."""
+        """Find the gains from columns orthogonal to the model's own, on the remaining residual."""
         found = np.empty(len(self.lacking))
         single = self._singles
         columns = own[:, single.columns]
@@ -115,7 +115,7 @@ class Linearised:
         return found
 
     def _gain_of_several(self, placed: Placed, own: Floats, r: Floats) -> float:
-        """Find the gain of an effect of several parameters, or of one common size, or on the accuracy of data."""
+        """Find the gain of an effect with several parameters, with one common size, or on the accuracy of data."""
         effect = placed.effect
         if effect.rescales:
             rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
@@ -123,7 +123,7 @@ class Linearised:
         b, h, stds = -(own.T @ r), own.T @ own, self.expectation.of(placed)
         if effect.common_size:
             return _gain_of_common_size(b, h, stds, effect.size_width)
-        # Each parameter has a prior of its own: one may lie in its tail while another does not.
+        # Each parameter has its own prior: one may lie in its tail while another does not.
         factors, weights = np.moveaxis(np.array(list(itertools.product(_parts(placed), repeat=len(stds)))), -1, 0)
         each = factors * stds
         h = h + np.eye(len(stds)) / each[:, None, :] ** 2
@@ -136,7 +136,8 @@ class Linearised:
     def _likely_sizes(self, placed: Placed) -> Floats:
         """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
 
-        Those of Student's t are wide, so that a large effect is not held back; a common size is the best one.
+        A prior with Student's t gets a wide one, so that the prior does not shrink a large effect. A common size gets
+        its most probable value.
         """
         stds = self.expectation.of(placed)
         if not placed.effect.common_size:
@@ -147,12 +148,12 @@ class Linearised:
         return found
 
     def forward(self, log_priors: Floats) -> list[Placed]:
-        """Effects that the linearised model takes one after the other, the most promising first, while it gains.
+        """List the effects that the linearised model adds in sequence, the most promising first, while it gains.
 
         Parameters
         ----------
         log_priors : ndarray, shape (n,)
-            Logarithm of the prior odds of each effect that is lacking.
+            Logarithm of the prior odds of each lacking effect.
         """
         taken: list[Placed] = []
         open_to = np.array(log_priors)
@@ -166,7 +167,7 @@ class Linearised:
             taken.append(best)
             open_to[at] = -np.inf
             if best.effect.rescales:
-                # Residuals whose accuracy is left open weigh less in all that follows.
+                # Residuals with open accuracy have less weight in all further steps.
                 rows = self.base.misfit.rescaled_rows(self.base.fit.at, best)
                 weight = np.exp(-_best_log_noise(self._reached[rows], left[rows], best.effect.size_width))
                 basis[rows] *= weight
@@ -179,12 +180,12 @@ class Linearised:
         return taken
 
     def predicted(self, placed: Sequence[Placed]) -> Floats:
-        """Where the linearised model has its minimum with these effects, each kept within its bounds.
+        """Find the minimum of the linearised model with these effects, each within its bounds.
 
         Returns
         -------
         ndarray, shape (P + p,)
-            The parameters of the fit, then the effects'.
+            Parameters of the fit, then of the effects.
         """
         placed = [each for each in placed if each.effect.parameters]
         if not placed:
@@ -206,7 +207,7 @@ class Linearised:
         return np.concatenate([theta, values])
 
     def decrease(self, placed: Placed) -> float:
-        """By how much chi-square falls with an effect kept within its bounds, nothing being expected of it."""
+        """Return the decrease of chi-square with an effect within its bounds, without a prior on the effect."""
         own = self._at[placed]
         if own.start == own.stop:
             return 0.0
@@ -217,14 +218,14 @@ class Linearised:
         return float(-(2.0 * slope @ change + change @ h @ change))
 
     def confounders(self, placed: Placed, names: Sequence[str], share: float = 0.1) -> tuple[str, ...]:
-        """List the parameters of the fit whose change does what an effect does; largest part first."""
+        """List the parameters of the fit whose change imitates an effect; largest part first."""
         g = self._columns[:, self._at[placed]].sum(axis=1)
         part = np.abs(self._free @ (self._reached.T @ g)) * np.linalg.norm(self.base.fit.at.J, axis=0)
         order = ranking.order(part)
         return tuple(names[i] for i in order if part[i] > share * part[order[0]])
 
     def precision_gained(self, placed: Placed) -> float:
-        """How much more surely its first parameter is known with the data than without, as a ratio of precisions."""
+        """Return the ratio of the precisions of an effect's first parameter with the data and without."""
         own = self._at[placed]
         if own.start == own.stop:
             return np.inf
@@ -236,18 +237,18 @@ class Linearised:
 
 
 class _Singles:
-    """The effects of one parameter with a prior of its own, whose gains are found together.
+    """One-parameter effects with their own priors; their gains are found together.
 
     Attributes
     ----------
     at, others : ndarray of int
-        Places of these effects, and of the others, among those that are lacking.
+        Places of these effects, and of the others, among the lacking effects.
     columns : ndarray of int
-        Places of their parameters.
+        Places of the parameters.
     lower, upper : ndarray, shape (n,)
-        Their bounds, as distances from null.
+        Bounds of the parameters, as distances from null.
     precision, constants : ndarray, shape (k, n)
-        Of the normal parts of each prior, and the logarithms of their weights, constants of the priors included.
+        Precisions of the normal parts of each prior, and the logarithms of their weights with the priors' constants.
     """
 
     def __init__(self, lacking: Sequence[Placed], expectation: EffectPrior) -> None:
@@ -269,31 +270,31 @@ class _Singles:
             self.constants = np.log(weights) + _log_normal_constants(self.lower, self.upper, factors * stds)
 
     def gains(self, b: Floats, h: Floats) -> Floats:
-        """Find the gain of each, shape (n,), from its slope b and its curvature h, by which its prior is narrowed."""
+        """Find the gain of each effect, shape (n,), from its slope b and its curvature h, which narrows the prior."""
         precision = h + self.precision
         untouched = precision <= 0.0
         std = 1.0 / np.sqrt(np.where(untouched, 1.0, precision))
         parts = self.constants + log_interval(self.lower, self.upper, -b, std) + np.log(std)
-        # Nothing depends on it; what is even between its bounds stays so.
+        # The data do not depend on the parameter; a uniform prior between its bounds stays uniform.
         even = self.constants + np.log(np.where(untouched, self.upper - self.lower, 1.0)) - 0.5 * np.log(2 * np.pi)
         found: Floats = np.logaddexp.reduce(np.where(untouched, even, parts), axis=0)
         return found
 
 
 def _parts(placed: Placed) -> tuple[tuple[float, float], ...]:
-    """Return the normal distributions that stand for the prior of an effect."""
+    """Return the normal distributions that approximate the prior of an effect."""
     return NORMAL if np.isinf(placed.effect.tail) else STUDENT
 
 
 def _limits(effects: Sequence[Placed]) -> tuple[Floats, Floats]:
-    """Return the bounds of all their parameters, as distances from null, each shape (p,)."""
+    """Return the bounds of all parameters of the effects, as distances from null, each of shape (p,)."""
     items = [item for placed in effects for item in placed.effect.parameters]
     lower, upper = np.array([(item.lower - item.null, item.upper - item.null) for item in items]).reshape(-1, 2).T
     return lower, upper
 
 
 def _log_normal_constants(lower: Floats, upper: Floats, stds: Floats) -> Floats:
-    """Return the log constants of normal priors truncated at bounds, times sqrt(2 pi); even where a std is infinite."""
+    """Return the log constants of normal priors truncated at bounds, times sqrt(2 pi); uniform if a std is infinite."""
     flat = np.isinf(stds)
     with np.errstate(divide="ignore", invalid="ignore"):
         even = 0.5 * np.log(2 * np.pi) - np.log(upper - lower)
@@ -302,10 +303,10 @@ def _log_normal_constants(lower: Floats, upper: Floats, stds: Floats) -> Floats:
 
 
 def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> tuple[Floats, Floats]:
-    """Logarithms of common sizes, and the log evidence gained with each, the parameters integrated out.
+    """Return the logarithms of common sizes and the gain in log evidence with each, parameters integrated out.
 
-    In units of the sizes the information is V diag(l) V', the slope V c: with the factor e^u the gain is
-    sum (c^2 e^2u / (1 + l e^2u) - log(1 + l e^2u)) / 2, and u is normal about zero.
+    In units of the sizes the information is V diag(l) V', the slope V c. With the factor e^u the gain is sum (c^2 e^2u
+    / (1 + l e^2u) - log(1 + l e^2u)) / 2, and u is normal about zero.
     """
     values, vectors = np.linalg.eigh(stds[:, None] * h * stds)
     c = vectors.T @ (stds * b)
@@ -317,22 +318,22 @@ def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> t
 
 
 def _gain_of_common_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """Compute the log evidence gained by parameters of one common size, that size integrated out."""
+    """Compute the gain in log evidence by parameters of one common size, with the size integrated out."""
     _, gained = _log_evidence_by_size(b, h, stds, width)
     return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
 
 
 def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """Find the logarithm of the common size that the linearised model finds most probable."""
+    """Find the logarithm of the most probable common size under the linearised model."""
     u, gained = _log_evidence_by_size(b, h, stds, width)
     return float(u[np.argmax(gained)])
 
 
 def _log_evidence_by_noise(reached: Floats, r: Floats, width: float) -> tuple[Floats, Floats]:
-    """Logarithms u of factors on the deviation of some residuals, and the log evidence gained with each.
+    """Return logarithms u of factors on the deviation of some residuals, and the gain in log evidence with each.
 
-    e^u = sqrt(1 + s^2), s having a common size. The fit follows: with G = m'm and g = m'r of these rows m of the free
-    directions and w = e^-2u, chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
+    e^u = sqrt(1 + s^2) with the common size s. The fit follows: let m be these rows of the free directions, G = m'm, g
+    = m'r and w = e^-2u. Then chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
     """
     values, vectors = np.linalg.eigh(reached.T @ reached)
     c = vectors.T @ (reached.T @ r)
@@ -345,12 +346,12 @@ def _log_evidence_by_noise(reached: Floats, r: Floats, width: float) -> tuple[Fl
 
 
 def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
-    """Compute the log evidence gained where the accuracy of some residuals is left open, its factor integrated out."""
+    """Compute the gain in log evidence with open accuracy of some residuals, with the factor integrated out."""
     _, gained = _log_evidence_by_noise(reached, r, width)
     return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
 
 
 def _best_log_noise(reached: Floats, r: Floats, width: float) -> float:
-    """Find the logarithm of the factor on the deviation of some residuals that is most probable."""
+    """Find the logarithm of the most probable factor on the deviation of some residuals."""
     u, gained = _log_evidence_by_noise(reached, r, width)
     return float(u[np.argmax(gained)])

@@ -1,4 +1,4 @@
-"""Sets of effects that lie next to one that was fitted, and are worth a fit themselves.
+"""Neighbors of a fitted set of effects that are worth a fit.
 
 With one effect more, or several, as the linearised model at its fit promises; with the causes that the entries
 of an open class stand for; with an effect that brings a motion of its own; and the groups of its effects for which one
@@ -25,17 +25,18 @@ from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 WITHIN = 7.0
-"""Logarithm of a probability ratio: what is a thousandth as probable as the best is not followed up."""
+"""Largest distance from the best set, in log probability, of a set that is followed up: a thousandth of the best
+probability."""
 
 MOTIONS = 12
-"""Fits of effects that bring a motion of their own."""
+"""Largest number of fits of effects that add degrees of freedom."""
 
 FROM_FRAMES = 20
-"""Fits that start at frames of their own: each costs milliseconds, as frequencies are few."""
+"""Largest number of fits that start at given frames. Each fit costs milliseconds, because frequencies are few."""
 
 NEAR_ENOUGH = 4.0
-"""Times the objective of a set that explains the data that a first step may leave: far from its place a mass of its own
-is not linear, and further steps halve what the first one leaves."""
+"""Largest objective after a first step, relative to the objective of a set that explains the data. Far from its
+optimum, a mass on its own spring is not linear, and further steps halve the objective after the first one."""
 
 MOST_FURTHER = 10
 LEAST_FURTHER = 1
@@ -52,20 +53,20 @@ def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: flo
     ----------
     model : ModelClass
     linear : Linearised
-        At its fit, with what it lacks.
+        Linearised model at the fit of the set, with the effects that the set lacks.
     fitter : Fitter
     behind : float
-        By how much its logarithm of probability lies below the best: what is added must catch up.
+        Distance of the set from the best in log probability; the added effects must close this distance.
     """
     odds = fitter.log_priors(linear.lacking, model.effects)
     gains = linear.gains + odds
     order = ranking.order(gains)
     floor = max(float(gains[order[0]]), 0.0, behind) - WITHIN
-    # Far from the data the model is not linear: the order of the gains still says something, their sizes do not.
+    # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
     least = MOST_FURTHER if _far_off(model) else LEAST_FURTHER
     single = [linear.lacking[i] for at, i in enumerate(order[:MOST_FURTHER]) if at < least or gains[i] > floor]
     if model.improbable:
-        # What leaves the accuracy of some data open shows all that it is worth only once they weigh less.
+        # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.
         by_gain = [linear.lacking[i] for i in ranking.order(linear.gains)]
         single += [placed for placed in by_gain if placed.effect.rescales][:RESCALING]
     several = model.effects.union(linear.forward(odds))
@@ -73,16 +74,16 @@ def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: flo
 
 
 def _far_off(model: ModelClass) -> bool:
-    """Whether the residuals of a set are too large for its linearised model to tell how much an effect brings."""
+    """Whether the residuals of a set are too large for a linear prediction of an effect's gain."""
     assert model.estimate is not None
     at = model.estimate.fit.at
     return at.objective > HOPELESS * len(at.r)
 
 
 def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
-    """Propose the sets in which the entries of an open class that stand out are causes of the catalogue, it gone.
+    """Propose sets in which causes of the catalogue replace an open class: the causes of its significant entries.
 
-    Several large changes at once are hardly seen by derivatives at none of them; the class has found their sizes.
+    Derivatives at null hardly show several simultaneous large changes; the fitted class provides their sizes.
     """
     estimate, experiment = model.estimate, fitter.experiment
     assert estimate is not None, "only sets with a fit are expanded"
@@ -112,9 +113,9 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
 
 
 def with_motions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitProposal]:
-    """Propose sets of the shear model and one effect that brings a motion of its own, the most promising starts first.
+    """Propose sets of the shear model and one effect that adds degrees of freedom, the most promising starts first.
 
-    Where the best set explains the data, those of a step that leaves much more than it does are not followed.
+    If the best set explains the data, a start is dropped if its first step leaves a much larger objective.
     """
     motions = [item.placed for item in fitter.hypotheses if item.placed.effect.adds_motion]
     assert best.estimate is not None, "a best set has a fit"
@@ -123,10 +124,11 @@ def with_motions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitPr
 
 
 def with_companions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[FitProposal]:
-    """Propose the best set with the other of a motion and its companion, from the shear model's frame and all starts.
+    """Propose the best set with both an effect that adds degrees of freedom and its companion.
 
-    With the companion the motion may be another one, which the fit without it is far from; and something else at the
-    same place, such as a lighter floor, may have stood for it.
+    The best set holds one of the two. The fits begin at the shear model's frame and at all starts of the effect. With
+    the companion the optimum may be far from the fit without it. Another effect at the same place, such as a lighter
+    floor, may have imitated the missing one, so the pair is also tried without the other effects of this place.
     """
     assert best.estimate is not None, "a best set has a fit"
     looked_for = [item.placed for item in fitter.hypotheses]
@@ -148,9 +150,10 @@ def with_companions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[Fi
 
 
 def _from_starts(proposals: Sequence[tuple[FitProposal, Placed]], base: Estimate, most: float) -> list[FitProposal]:
-    """Start each proposal from the frame of the base and every start of the motion that is its last effect.
+    """Start each proposal from the frame of the base and from every start of its last effect.
 
-    Derivatives at a mass of none say nothing of it: one step from each of its starts tells which of them to follow.
+    Derivatives at zero mass carry no information on the effect, so one step from each start selects the starts to
+    follow.
     """
     frame = 2 * base.experiment.stories
     started = [
@@ -165,13 +168,13 @@ def _from_starts(proposals: Sequence[tuple[FitProposal, Placed]], base: Estimate
 
 
 def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fitter) -> list[FitProposal]:
-    """Propose fits of sets that start at frames of their own, those that promise most after one step first.
+    """Propose fits of sets that start at given frames, those with the lowest objective after one step first.
 
     Parameters
     ----------
     starts : sequence of (frozenset of Placed, ndarray of shape (2N,))
     base : Estimate
-        Whose data and noise they have.
+        Estimate that provides the data and the noise.
     fitter : Fitter
     """
     proposals = []
@@ -194,7 +197,7 @@ def _after_a_step(proposal: FitProposal) -> float:
 
 
 def groups(effects: Set, *, open_too: bool) -> list[Set]:
-    """List the groups of two effects or more: of a state, of a name, all; and, where wanted, each open class."""
+    """List groups of at least two effects: by state, by name, and all; if wanted, also each open class alone."""
     by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
     for placed in effects:
         by_name[placed.effect.name].add(placed)

@@ -1,4 +1,4 @@
-"""Which added mass to test next, in which state, and with which sensors, so that rivals part."""
+"""Proposal of the next test: added mass, state and sensors that distinguish the rivals best."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ from cvxshear.util.results import InJson
 from cvxshear.util.typing import Ints
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
-"""Added masses that are tried, as parts of the mean floor mass."""
+"""Candidate added masses, as fractions of the mean floor mass."""
 
 HEAVIEST = 1000.0
-"""kg on one floor: more is not carried up for a test."""
+"""Largest added mass on one floor, kg: a practical limit for a test."""
 
 MOST_RIVALS = 4
-"""Rival sets that a test is to tell from the accepted one, the most probable first."""
+"""Number of rival sets that a test should distinguish from the accepted set, the most probable first."""
 
 WORTHWHILE = 1.0
-"""Standard deviations below which no test is proposed."""
+"""Smallest distance, in standard deviations, of a test that is proposed."""
 
 CLEAR = 3.0
-"""Standard deviations from which on a test needs no more sensors."""
+"""Sufficient distance, in standard deviations: a test with this distance needs no more sensors."""
 
 WORTH_A_SENSOR = 1.2
-"""Times as many standard deviations that a sensor more must give."""
+"""Smallest factor on the distance that justifies one more sensor."""
 
 PROMISING = 8
-"""Tests, those that tell most with the sensors there are, that more sensors are tried in."""
+"""Number of tests, the best with the present sensors, for which more sensors are tried."""
 
 
 @dataclass(frozen=True)
 class NextTest(InJson):
-    """A test that would tell the rivals apart.
+    """Test that would distinguish the rivals.
 
     Parameters
     ----------
     floor : int
     added_mass : float
-        kg on that floor, beyond what the first configuration of its state carries.
+        Mass on that floor, kg, in addition to the first configuration of its state.
     state : str
-        In which it is tested.
+        State of the frame in the test.
     standard_deviations : float
-        How far the predictions of the accepted model and of its nearest rival lie apart.
+        Distance between the predictions of the accepted model and of its nearest rival.
     measured_floors : tuple of int or None
-        The floors with a sensor, where some are proposed beyond those of that configuration; else None.
+        Floors with a sensor, if sensors are proposed in addition to that configuration; else None.
     tells_all : bool
-        Whether no rival is left that no added mass would tell from the accepted model.
+        Whether some added mass would distinguish every rival from the accepted model.
     """
 
     floor: int
@@ -66,13 +66,15 @@ class NextTest(InJson):
 
 
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:
-    """Find the added mass whose test would best tell an accepted model from its rivals, and the sensors that it needs.
+    """Find the added mass whose test best distinguishes an accepted model from its rivals, and the required sensors.
 
-    For each state that can still be tested (of declared states the last), each floor and a few masses, the test is
-    simulated by the accepted model with the sensors and noise of the state's first configuration, and compared with
-    what each rival says of it (`fit/separation.py`).
-    The smallest distance over the rivals counts, without those that no such test tells where one tells others. Where it
-    stays below `CLEAR`, floors without a sensor get one, the best first, as long as each is worth it.
+    The accepted model simulates the test for each testable state (the last of declared states), each floor and several
+    masses, with the sensors and noise of the state's first configuration. The result is compared with the prediction of
+    each rival (`fit/separation.py`).
+
+    The criterion is the smallest distance over the rivals. Rivals that no such test distinguishes do not count if other
+    rivals can be distinguished. If the distance stays below `CLEAR`, more floors receive a sensor, the best first,
+    while each sensor is worth its cost.
     """
     if not rivals:
         return None
@@ -91,7 +93,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         try:
             said = _said(accepted, rivals, first, floor, mass)
         except NoModesError:
-            # A model buckles under this mass; nobody would test it.
+            # A model buckles under this mass, so the test is not proposed.
             continue
         possible.append((NextTest(floor, mass, first.state, 0.0), first))
         distances.append([each.at(first.measured_floors - 1) for each in said])
@@ -106,7 +108,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         (dataclasses.replace(test, standard_deviations=float(nearest), tells_all=bool(separable.all())), first)
         for (test, first), nearest in zip(possible, distance.min(axis=1), strict=True)
     ]
-    # The first of equals: the state, floor and mass that come first.
+    # Among equal tests, take the first by state, floor and mass.
     found = ranking.ranked(found, lambda each: each[0].standard_deviations)
     best = found[0][0]
     if best.standard_deviations < CLEAR:
@@ -116,10 +118,10 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
 
 
 def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Configuration]:
-    """List the first configuration of each state that can be tested again and that the models disagree on.
+    """List the first configuration of each state that can be tested again and that distinguishes the models.
 
-    Where states are declared, that is the last one in the file: what was changed between two states cannot be undone
-    for a test. Tests without a declared state are of one frame that still stands: of the first of all then too.
+    Among declared states, this is the last one in the file, because a change between two states cannot be undone for a
+    test. Tests without a declared state are of one frame that still stands, so their first configuration counts too.
     """
     tests = accepted.experiment.configurations
     firsts = {each.state: each for each in reversed(tests)}
@@ -133,7 +135,7 @@ def _first_of_states(accepted: Estimate, rivals: Sequence[Estimate]) -> list[Con
 def _said(
     accepted: Estimate, rivals: Sequence[Estimate], first: Configuration, floor: int, mass: float
 ) -> list[Disagreement]:
-    """Compare what the accepted model and each rival say of a configuration with this mass more."""
+    """Compare the predictions of the accepted model and each rival for a configuration with this added mass."""
     added = first.added_mass.copy()
     added[floor - 1] += mass
     test = imagined(accepted, first, added)
@@ -141,14 +143,14 @@ def _said(
 
 
 def _smallest_distance(said: Sequence[Disagreement], floors: Ints) -> float:
-    """Count the standard deviations between the accepted model and the nearest rival with sensors at these floors."""
+    """Return the number of standard deviations between the accepted model and its nearest rival, with these sensors."""
     return min(each.at(floors) for each in said)
 
 
 def _with_sensors(accepted: Estimate, rivals: Sequence[Estimate], test: NextTest, first: Configuration) -> NextTest:
-    """Add sensors to a test at more floors, one after the other, while each is needed and worth it."""
+    """Add sensors to a test at more floors, one after the other, while each is needed and worth its cost."""
     if not first.measured.any():
-        # Frequencies alone: there are no sensors to add one to.
+        # The test measures frequencies only and has no sensors to extend.
         return test
     said = _said(accepted, rivals, first, test.floor, test.added_mass)
     floors = first.measured_floors - 1

@@ -1,10 +1,11 @@
-"""Which modes of the frame the measured ones are, as a hypothesis like the effects.
+"""Numbering of the measured modes, as a hypothesis like the effects.
 
-A mode that a test overlooked, because every sensor stands near a node of it or nothing drove it, makes the next one
-count for it, and so all above. Shapes known at every floor tell the number by their changes of sign; shapes at a few
-floors and frequencies alone do not, and a wrong number then asks for effects that are not there. So other numbers are
-weighed by their evidence: those that a configuration names (`other_modes`), and where the numbers as given ask for an
-effect, or leave a residual, each mode but the lowest as one that was overlooked.
+A test may overlook a mode, because every sensor stands near a node or the excitation did not drive the mode. Then the
+next mode takes its number, and all higher modes shift. Shapes known at every floor determine the number by their
+changes of sign. Shapes at a few floors and frequencies alone do not, and a wrong number then requires effects that are
+absent. So other numberings are weighed by their evidence. These are the ones that a configuration names
+(`other_modes`). If the given numbers require an effect or leave a residual, each mode except the lowest is also assumed
+overlooked in turn.
 """
 
 from __future__ import annotations
@@ -20,24 +21,24 @@ from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.util.typing import Ints, Json
 
 OVERLOOKED = 0.05
-"""Probability that a test overlooked a mode between those that it found, where nothing is said of it. Ambient tests of
-tall buildings lose one more often, tests with a shaker or a hammer hardly ever."""
+"""Default probability that a test overlooked a mode between its modes. Ambient tests of tall buildings lose a mode more
+often, tests with a shaker or a hammer hardly ever."""
 
 Changes = tuple[tuple[str, tuple[int, ...]], ...]
-"""Configurations and the modes that they hold, where those are other than the ones given."""
+"""Configurations and their modes, if other than the given ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Numbering:
-    """An experiment with its modes numbered in one way.
+    """Experiment under one numbering of its modes.
 
     Parameters
     ----------
     experiment : Experiment
     log_odds : float
-        Logarithm of the odds of these numbers against those given, before anything is fitted.
+        Logarithm of the prior odds of these numbers against the given ones.
     changes : tuple of (str, tuple of int)
-        Name and modes of each configuration whose modes are other than those given.
+        Name and modes of each configuration whose modes differ from the given ones.
     """
 
     experiment: Experiment
@@ -47,12 +48,12 @@ class Numbering:
 
 @dataclass(frozen=True)
 class NumberingProbability:
-    """How probable a numbering is.
+    """Probability of a numbering.
 
     Parameters
     ----------
     changes : tuple of (str, tuple of int)
-        As in `Numbering`; none for the numbers as given.
+        As in `Numbering`; empty for the given numbers.
     probability : float
     """
 
@@ -70,7 +71,7 @@ def changes_to_dict(changes: Changes) -> list[Json]:
 
 
 def named_numberings(experiment: Experiment) -> list[Numbering]:
-    """List the numbers that configurations name besides their own, in all of those that name them or in one."""
+    """List the other numberings that configurations name, applied to all configurations that name them or to one."""
     named: dict[tuple[int, ...], dict[str, float]] = {}
     for each in experiment.configurations:
         rest = 1.0 - sum(other.probability for other in each.other_modes)
@@ -84,17 +85,17 @@ def named_numberings(experiment: Experiment) -> list[Numbering]:
 
 
 def overlooked_in_all(experiment: Experiment) -> list[Numbering]:
-    """List the numbers that follow where all configurations that could have overlooked a mode have."""
+    """List the numberings in which all configurations that may have overlooked a mode did so."""
     return [item[0] for item in _overlooked(experiment)]
 
 
 def overlooked_in_one(experiment: Experiment) -> list[Numbering]:
-    """List the numbers that follow where one configuration of several overlooked a mode that the others have."""
+    """List the numberings in which one configuration overlooked a mode that the others found."""
     return [each for item in _overlooked(experiment) for each in item[1:]]
 
 
 def _overlooked(experiment: Experiment) -> list[list[Numbering]]:
-    """For each mode that may have been overlooked the numbers that follow, in all configurations and in each alone."""
+    """List the numberings for each mode that may be overlooked: in all configurations, and in each alone."""
     highest = max(int(each.modes[-1]) for each in experiment.configurations)
     lost = [changes for mode in range(2, highest + 1) if (changes := _without(experiment, mode))]
     odds = OVERLOOKED / (1.0 - OVERLOOKED) / max(len(lost), 1)
@@ -104,7 +105,7 @@ def _overlooked(experiment: Experiment) -> list[list[Numbering]]:
 def _together_or_alone(
     experiment: Experiment, changes: Sequence[tuple[str, tuple[int, ...]]], odds: float
 ) -> list[Numbering]:
-    """All the changes at once, then each by itself, half of the odds for either.
+    """List the numbering with all the changes, then those with one change; each group gets half of the odds.
 
     Configurations of one frame lose a mode for the same reason.
     """
@@ -116,7 +117,7 @@ def _together_or_alone(
 
 
 def _without(experiment: Experiment, mode: int) -> list[tuple[str, tuple[int, ...]]]:
-    """List the configurations that may have overlooked a mode, with their modes then, where they do not name these."""
+    """List the configurations that may have overlooked a mode, with the new modes, unless they name these modes."""
     found = []
     for each in experiment.configurations:
         moved = tuple(_moved(each.modes, mode).tolist())
@@ -127,10 +128,10 @@ def _without(experiment: Experiment, mode: int) -> list[tuple[str, tuple[int, ..
 
 
 def _may_be_overlooked(configuration: Configuration, mode: int, stories: int) -> bool:
-    """Whether what goes by this number may be the next mode, and so all above.
+    """Whether the mode with this number may be the next higher one, and so all modes above.
 
-    The lowest mode is not overlooked, and shapes known at every floor tell their numbers: those given, unless their
-    signs speak against these.
+    The lowest mode is never overlooked. Shapes known at every floor confirm the given numbers, unless their changes of
+    sign contradict them.
     """
     modes = configuration.modes
     if mode not in modes[1:] or modes[-1] >= stories:

@@ -1,4 +1,4 @@
-"""What the visited sets say together: probabilities of sets and effects, rivals, twins, and the averaged frame."""
+"""Posterior over the visited sets: probabilities of sets and effects, rivals, twins, and the averaged frame."""
 
 from __future__ import annotations
 
@@ -20,36 +20,38 @@ from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 ADDED = 0.5
-"""Probability from which on an effect is added: the median model predicts best (Barbieri and Berger 2004)."""
+"""Smallest probability of an added effect: the median model predicts best (Barbieri and Berger 2004)."""
 
 RAISED = 3.0
-"""Factor by which the data must have raised the odds of what is added; what they cannot tell keeps its prior odds."""
+"""Smallest factor by which the data raise the odds of an added effect. Effects without influence on the data keep their
+prior odds."""
 
 RIVAL = 0.05
-"""Probability, relative to that of the best set, of a set whose effects count as rivals."""
+"""Smallest probability, relative to the best set, of a set whose effects count as rivals."""
 
 MANY_CAUSES = 3
 UNKNOWN_CAUSE, WITH_EACH_MORE = 1e-4, 10.0
-"""Number of kinds of effects in a state, those of the frame included, that one unknown cause can imitate; prior
-probability of such a cause for that number of kinds; factor on it for each further kind. One frame in fifty has a cause
-that the catalogue lacks. Three kinds of effects imitate one in two hundred of these causes, five kinds half of them."""
+"""Probability of an unknown cause that imitates several kinds of effects in one state (or in the frame). MANY_CAUSES is
+the smallest number of kinds that counts. UNKNOWN_CAUSE is the prior probability of such a cause for that number.
+WITH_EACH_MORE is the factor for each further kind. One frame in fifty has a cause that the catalogue lacks. Three kinds
+of effects imitate one in two hundred of these causes, five kinds half of them."""
 
 AS_PROBABLE = 0.01
-"""Relative difference of two probabilities below which they are one: fits end within some such distance of their
-optimum, and which of two equals comes first must not depend on the machine."""
+"""Relative difference of two probabilities that counts as none. Fits end within a similar distance of their optimum,
+and the order of two equal effects must not depend on the machine."""
 
 
 @dataclass(frozen=True)
 class Rival(InJson):
-    """What may be there in place of an effect.
+    """Effect that may be present instead of an added effect.
 
     Parameters
     ----------
     placed : Placed
     probability : float
-        That it is there in its place.
+        Probability that the rival is present instead.
     twin : bool
-        Whether no datum tells the two apart.
+        Whether the data cannot distinguish the two.
     """
 
     placed: Placed
@@ -60,14 +62,14 @@ class Rival(InJson):
 
 
 class Posterior:
-    """The probabilities of the sets that were visited.
+    """Probabilities of the visited sets.
 
     Parameters
     ----------
     models : iterable of ModelClass
     hypotheses : sequence of Hypothesis
     twins : mapping of Placed to sequence of Placed, optional
-        Effects that no datum can tell from one of the best set (`loop/twins.py`).
+        Twins of each effect of the best set (`loop/twins.py`).
     """
 
     def __init__(
@@ -87,30 +89,30 @@ class Posterior:
 
     @property
     def best(self) -> ModelClass:
-        """The most probable set."""
+        """Most probable set."""
         return self.models[0]
 
     @cached_property
     def of_sets(self) -> Floats:
-        """The probability that each set is right about all of its effects, shape (sets,)."""
+        """Probability that each set is right about all of its effects, shape (sets,)."""
         factor = self.many_causes_penalty
         least = [min((factor.get(placed, 1.0) for placed in model.effects), default=1.0) for model in self.models]
         return self.probabilities * least
 
     @cached_property
     def of_effects(self) -> dict[Placed, float]:
-        """The probability of each effect: the sum over the sets that hold it, with the penalty for many causes."""
+        """Probability of each effect: the sum over the sets that hold it, with the penalty for many causes."""
         factor = self.many_causes_penalty
         return {placed: probability * factor.get(placed, 1.0) for placed, probability in self._in_sets.items()}
 
     @cached_property
     def _in_sets(self) -> dict[Placed, float]:
-        """The probability of the sets that hold each effect, before the penalty for many causes."""
+        """Probability of the sets that hold each effect, before the penalty for many causes."""
         return {placed: min(self._any([placed]), 1.0) for placed in self._prior}
 
     @cached_property
     def numberings(self) -> tuple[NumberingProbability, ...]:
-        """The probability of each way of numbering the modes, most probable first."""
+        """Probability of each numbering of the modes, most probable first."""
         sums: dict[Changes, float] = {}
         for model, probability in zip(self.models, self.probabilities, strict=True):
             sums[model.changes] = sums.get(model.changes, 0.0) + float(probability)
@@ -118,19 +120,20 @@ class Posterior:
         return tuple(NumberingProbability(changes, min(sums[changes], 1.0)) for changes in order)
 
     def within(self, changes: Changes) -> Posterior:
-        """Restrict the probabilities to where the modes are known to be numbered in one way."""
+        """Return the probabilities under one known numbering of the modes."""
         return Posterior([model for model in self.models if model.changes == changes], self._hypotheses, self._twins)
 
     def with_twins(self, twins: Mapping[Placed, Sequence[Placed]]) -> Posterior:
-        """Return the same probabilities, with what no datum tells known."""
+        """Return a copy that knows the twins."""
         return Posterior(self.models, self._hypotheses, twins)
 
     @cached_property
     def many_causes_penalty(self) -> dict[Placed, float]:
-        """The factor on the probability of each effect of the verdict: many kinds against one unknown cause.
+        """Factor on the probability of each effect of the verdict: many kinds against one unknown cause.
 
-        With P the prior probability of the kinds of effects in one state, or in the frame, and u that of an unknown
-        cause that imitates them, the factor is P / (P + u). With fewer than `MANY_CAUSES` kinds there is none.
+        Let P be the prior probability of the kinds of effects in one state, or in the frame, and u the probability of
+        an unknown cause that imitates them. The factor is P / (P + u). With fewer than `MANY_CAUSES` kinds the factor
+        is 1.
         """
         factors: dict[Placed, float] = {}
         present = self.verdict_set()
@@ -149,7 +152,7 @@ class Posterior:
         return 1.0 - float(np.prod([1.0 - item.probability for item in places if item.placed.place.state == state]))
 
     def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
-        """Effects, the most probable first; of those as probable, what changed from state to state comes first."""
+        """Sort effects by probability; among equally probable effects, changes between states come first."""
         chance = self._in_sets if probability is None else probability
         position = {placed: at for at, placed in enumerate(self._prior)}
         groups: list[list[Placed]] = []
@@ -165,14 +168,14 @@ class Posterior:
         ]
 
     def verdict_set(self) -> frozenset[Placed]:
-        """Choose what is added.
+        """Choose the added effects.
 
-        For each effect of the best set that is there, or a rival in its place, with probability enough, the most
-        probable of these; and each effect beyond that set which is more probable than not.
+        For each effect of the best set: if the effect or one of its rivals is present with sufficient probability, add
+        the most probable of them. Also add each effect outside the best set whose probability exceeds one half.
         """
         best = [placed for placed in self.ranked(self.best.effects) if placed not in self._kept_odds]
         rivals = {placed: {rival.placed: rival.probability for rival in self.rivals(placed)} for placed in best}
-        # What replaces several effects belongs to the one that it replaces most often.
+        # An effect that replaces several others belongs to the one that it replaces most often.
         alternatives_of = {
             placed: [placed, *(each for each in own if own[each] >= max(r.get(each, 0.0) for r in rivals.values()))]
             for placed, own in rivals.items()
@@ -182,36 +185,37 @@ class Posterior:
             if self._enough(alternatives):
                 free = [each for each in alternatives if each not in chosen]
                 chosen.append(self.ranked(free or alternatives)[0])
-        # A rival of what is added is there in its place, not besides it.
+        # A rival of an added effect replaces the effect and does not join it.
         passed = {each for alternatives in alternatives_of.values() for each in alternatives}
         more = [placed for placed in self._prior if placed not in passed and self._enough([placed])]
         return frozenset((*chosen, *more))
 
     def _enough(self, alternatives: Sequence[Placed]) -> bool:
-        """Whether one of these effects is there with at least even odds, which the data have raised."""
+        """Whether one of these effects is present with at least even odds, and the data raised these odds."""
         return self._any(alternatives) >= ADDED and self._raised(alternatives) >= RAISED
 
     def _raised(self, alternatives: Sequence[Placed]) -> float:
-        """Return the factor by which the data have raised the odds that one of these effects is there."""
+        """Return the factor by which the data raised the odds that one of these effects is present."""
         probability = self._any(alternatives)
         prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in alternatives]))
         return probability / max(1.0 - probability, 1e-300) * (1.0 - prior) / prior
 
     def _any(self, alternatives: Sequence[Placed]) -> float:
-        """Return the probability that one of these effects is there."""
+        """Return the probability that one of these effects is present."""
         including = [not model.effects.isdisjoint(alternatives) for model in self.models]
         return float(self.probabilities[including].sum())
 
     @cached_property
     def _kept_odds(self) -> frozenset[Placed]:
-        """Effects whose odds the data left about as they were."""
+        """Effects with odds that the data hardly changed."""
         return frozenset(placed for placed in self._prior if 1.0 / RAISED < self._raised([placed]) < RAISED)
 
     @cached_property
     def _indifferent(self) -> frozenset[Placed]:
-        """Those of them that come and go with any set and replace nothing: no probable set is better for holding one.
+        """Effects with unchanged odds that replace no other effect: no probable set improves with one of them.
 
-        What is there only in the place of another may keep its odds, too; without that other it would be missed.
+        An effect that occurs only as a substitute may also keep its odds. Sets without the other effect need the
+        substitute, so it is not indifferent.
         """
         score = {model.effects: model.score for model in self.models}
         missed = {
@@ -228,15 +232,15 @@ class Posterior:
         return log_odds(self._prior[placed])
 
     def something(self) -> float:
-        """Return the probability that anything is there of what the data have made more probable than it was."""
+        """Return the probability that any effect is present, among the effects that the data made more probable."""
         return self._any([placed for placed in self._prior if self._raised([placed]) >= RAISED])
 
     def keeps_odds(self, placed: Placed) -> bool:
-        """Tell whether the data left an effect's odds about as they were."""
+        """Return whether the data hardly changed an effect's odds."""
         return placed in self._kept_odds
 
     def untold(self) -> list[Placed]:
-        """Effects whose odds the data left about as they were, though they are, or were, even or better."""
+        """List effects with odds that the data hardly changed, if the prior or posterior odds are at least even."""
         return [
             placed
             for placed, probability in self._in_sets.items()
@@ -244,10 +248,10 @@ class Posterior:
         ]
 
     def rivals(self, placed: Placed) -> list[Rival]:
-        """List what may stand in the place of an effect, most probable first.
+        """List the possible substitutes of an effect, most probable first.
 
-        What replaces it in sets a twentieth as probable as the best, or more; and its twins, however improbable they
-        were beforehand.
+        These are the effects that replace it in sets with at least a twentieth of the best probability, and its twins,
+        even those with a small prior probability.
         """
         found = self._in_place_of(placed, self._holding(placed))
         twins = self._twins.get(placed, ())
@@ -257,11 +261,11 @@ class Posterior:
         return [Rival(each, min(found[each], 1.0), each in twins) for each in order]
 
     def _holding(self, placed: Placed) -> ModelClass:
-        """Find the most probable set that holds an effect; the best of all where none does."""
+        """Find the most probable set that holds an effect; the best set of all if none does."""
         return next((model for model in self.models if placed in model.effects), self.best)
 
     def _in_place_of(self, placed: Placed, best: ModelClass) -> dict[Placed, float]:
-        """Find what replaces an effect of a set in the others, with its probability there."""
+        """Find the effects that replace an effect of the best set in other sets, with their probability there."""
         found: dict[Placed, float] = {}
         for model, probability in zip(self.models, self.probabilities, strict=True):
             if probability < RIVAL * self.probabilities[0]:
@@ -277,8 +281,8 @@ class Posterior:
     def deviations_about(self, estimate: Estimate, placed: Placed) -> Floats:
         """Find the standard deviations of an effect's parameters about their values in one fit, shape (p,), or nan.
 
-        With the scatter between the sets that hold the effect and are probable enough to be rivals: beside what the
-        data do not tell its size is another.
+        They include the scatter between the sets that hold the effect and are probable enough to be rivals. Next to an
+        effect that the data do not determine, the sizes of the other effects change.
         """
         mine, least = estimate.own(placed), RIVAL * self.probabilities[0]
         here, std, weights, squares = estimate.theta[mine], estimate.std[mine], [], []
@@ -309,7 +313,7 @@ class Posterior:
 
 
 def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
-    """Leave out fits of a set at the same optimum as another of its fits, where several searches found it."""
+    """Leave out fits of a set at the same optimum, which several searches may have found."""
     found = defaultdict[tuple[frozenset[Placed], Changes], list[ModelClass]](list)
     kept = []
     for model in models:
@@ -321,9 +325,9 @@ def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
 
 
 def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]) -> Placed | None:
-    """Which of the effects that have come stands for one that has gone: of the same state, the same kind, or the only.
+    """Find the new effect that replaces a removed one: an effect of the same state, of the same kind, or the only one.
 
-    None where nothing has come, or it stands for another.
+    Return None if no effect was added, or if the new effect replaces another one.
     """
     if not come:
         return None
@@ -331,7 +335,8 @@ def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]
     def likeness(a: Placed, b: Placed) -> int:
         return 2 * (a.place.state == b.place.state) + (a.effect.name == b.effect.name)
 
-    # Sets have no order of their own: equal likeness goes by the label, so that every run says the same.
+    # Sets have no order of their own: equally good effects are sorted by label, so that every run gives the same
+    # result.
     pairs = sorted(
         ((likeness(a, b), a, b) for a in gone for b in come), key=lambda item: (-item[0], item[1].label, item[2].label)
     )

@@ -1,4 +1,4 @@
-"""Where a residual sits: part by part, and by floor."""
+"""Location of a residual: by part of the data, and by floor."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.util import ranking
 
 CONSPICUOUS = 0.01
-"""Probability below which a part of the residual is pointed out, the number of parts accounted for."""
+"""Largest probability of a part of the residual that is reported, corrected for the number of parts."""
 
 
 def _compared(estimate: Estimate) -> list[tuple[Datum, Model, float]]:
-    """Each datum with its model and the factor of its noise."""
+    """List each datum with its model and the factor of its noise."""
     models = {id(model.state.tested): model for model in estimate.fit.at.models}
     return [
         (datum, models[id(datum.tested)], 1.0 if datum.declared else estimate.misfit.noise.of(datum.noise.name))
@@ -25,7 +25,7 @@ def _compared(estimate: Estimate) -> list[tuple[Datum, Model, float]]:
 
 
 def by_part(estimate: Estimate) -> list[Deviation]:
-    """List the residuals of each part of each datum and of each soft prior, in deviations of the fit's noise."""
+    """List the residuals of each part of each datum and soft prior, in standard deviations of the fit's noise."""
     return [
         dataclasses.replace(part, deviations=part.deviations / factor)
         for datum, model, factor in _compared(estimate)
@@ -34,7 +34,7 @@ def by_part(estimate: Estimate) -> list[Deviation]:
 
 
 def by_floor(estimate: Estimate) -> dict[int, float]:
-    """Root mean square of the residuals at each measured floor, in standard deviations, all tests."""
+    """Return the root mean square of the residuals at each measured floor, in standard deviations, over all tests."""
     squares: dict[int, list[float]] = {}
     for datum, model, factor in _compared(estimate):
         for floor, z in datum.by_floor(model).items():
@@ -43,7 +43,7 @@ def by_floor(estimate: Estimate) -> dict[int, float]:
 
 
 def where_it_sits(estimate: Estimate) -> list[str]:
-    """Name the conspicuous parts of a residual in words, the largest first; empty where none stands out."""
+    """Describe the significant parts of a residual, the largest first; empty if no part is significant."""
     parts, floors = by_part(estimate), by_floor(estimate)
     level = CONSPICUOUS / max(len(parts) + len(floors), 1)
     found = [
@@ -61,7 +61,7 @@ def where_it_sits(estimate: Estimate) -> list[str]:
 
 
 def _said(part: Deviation) -> str:
-    """Put a part and its size into words."""
+    """Describe a part and its size in words."""
     if part.entries > 1:
         return f"{part.label} ({part.deviations:.1f} standard deviations a floor)"
     error = "" if part.error is None else f"{100 * part.error:+.2f} %, "

@@ -1,4 +1,4 @@
-"""What closing the loop returns."""
+"""Results of closing the loop."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Step(InJson):
-    """One fit on the way.
+    """One fit of the loop.
 
     Parameters
     ----------
     estimate : Estimate
-        In the noise of the final model.
+        Fit in the noise of the final model.
     action : str
-        What it is, in words.
+        Description of the fit in words.
     p_value : float or None
-        Of the residual that it leaves, in the noise of the final model; of that noise where it is the final model's
-        own and nobody declared it.
+        p-value of the residual in the noise of the final model. If this noise is the final model's own estimate, the
+        p-value of the noise.
     held_out : float or None
         Held-out frequency error.
     """
@@ -56,20 +56,20 @@ class Step(InJson):
 
 @dataclass(frozen=True, eq=False)
 class AddedEffect(InJson):
-    """An effect that was added, with its rivals.
+    """Added effect, with its rivals.
 
     Parameters
     ----------
     placed : Placed
     probability : float
-        That it is there.
+        Probability that the effect is present.
     parameters, std : dict of str to float
     size : str
         Effect, place and size in words.
     rivals : tuple of Rival
-        What may be there in its place.
+        Effects that may be present instead.
     remarks : tuple of str
-        Parameters at an end of what is physical.
+        Parameters on a physical bound.
     """
 
     placed: Placed
@@ -85,23 +85,23 @@ class AddedEffect(InJson):
 
 @dataclass(frozen=True)
 class Candidate(InJson):
-    """An effect that was looked for.
+    """Effect that was looked for.
 
     Parameters
     ----------
     placed : Placed
     probability : float
-        That it is there.
+        Probability that the effect is present.
     prior : float
-        The same before anything was measured.
+        Prior probability.
     chi2 : float
-        With it in the final model, all else following, as the linearised model has it; of the final model itself
-        where it is in that.
+        Chi-square of the final model with the effect added, from the linearised model; if the final model holds the
+        effect, its own chi-square.
     dof : int
     p_value : float
-        Of its gain in chi-square, times the number of effects that were looked for.
+        p-value of the gain in chi-square, times the number of effects that were looked for.
     confounded_with : tuple of str
-        Parameters that the data cannot tell it from; empty where they can.
+        Parameters that the data cannot distinguish from the effect; empty if there are none.
     """
 
     placed: Placed
@@ -117,7 +117,7 @@ class Candidate(InJson):
 
 @dataclass(frozen=True)
 class EffectSet:
-    """A set of effects among those visited.
+    """Set of effects among the visited ones.
 
     Parameters
     ----------
@@ -125,9 +125,9 @@ class EffectSet:
     probability : float
     log_evidence : float
     chi2 : float
-        In its own noise.
+        Chi-square in the noise of the set's own fit.
     changes : tuple of (str, tuple of int)
-        Configurations whose modes are numbered otherwise than given, with their modes then.
+        Configurations with other mode numbers than the given ones, with these modes.
     """
 
     effects: tuple[Placed, ...]
@@ -137,7 +137,7 @@ class EffectSet:
     changes: Changes = ()
 
     def to_dict(self) -> Json:
-        """Return the fields by name; the numbering only where it is other than given."""
+        """Return the fields by name; the numbering only if it differs from the given one."""
         return {
             "effects": [placed.to_dict() for placed in self.effects],
             **({"numbering": changes_to_dict(self.changes)} if self.changes else {}),
@@ -149,29 +149,27 @@ class EffectSet:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Closure(Shown):
-    """The result of `close_loop`.
+    """Result of `close_loop`.
 
     Parameters
     ----------
     experiment : Experiment
-        Its modes numbered in the most probable way.
+        Experiment under the most probable numbering of its modes.
     backend : str
     verdict : str
-        Of `cvxshear.loop.verdicts.VERDICTS`.
+        Key of `cvxshear.loop.verdicts.VERDICTS`.
     rests_on : tuple of str
-        What the verdict rests on: the declared noise or an estimate of it, and what it takes for granted because the
-        data hardly tell.
+        Basis of the verdict: the declared or estimated noise, and the assumptions that the data hardly test.
     steps : tuple of Step
         The first is the shear model, the last the final one.
     judged : Estimate
-        The fit that the effects are read from: the last step's or, where that leaves a residual that nothing explains,
-        one under noise so wide that the residual is probable.
+        Fit that determines the effects: the fit of the last step. If its residual is unexplained, a fit under noise so
+        wide that the residual is probable.
     effects : tuple of AddedEffect
-        Most probable first; provisional where the verdict is.
+        Most probable first; provisional if the verdict is provisional.
     assumed : tuple of Placed
     numberings : tuple of NumberingProbability
-        Which modes of the frame the measured ones are, most probable first; the numbers as given alone where they were
-        not in question.
+        Numberings of the measured modes, most probable first; only the given one if no other was considered.
     models : tuple of EffectSet
         The sets of a probability of 0.1 % or more, most probable first.
     averaged : IdentifiedFrame
@@ -179,16 +177,16 @@ class Closure(Shown):
     candidates : tuple of Candidate
         All effects that were looked for, most probable first.
     not_considered : dict of str to str
-        Effects that were not looked for, and what the experiment would have to declare.
+        Effects that were not looked for, with the declarations that the experiment lacks.
     remains : tuple of str
-        Where a significant residual sits, in words.
+        Location of a significant residual, in words.
     information : tuple of str
-        What the data cannot show but is known, and what else a reader should know of the fits.
+        Knowledge that the data cannot show, and further messages about the fits.
     next_test : NextTest or None
     fits, programs : int
-        How many fits were made, and how many step programs they solved.
+        Number of fits, and number of step programs that they solved.
     warnings : tuple of screening.Finding
-        What looks doubtful in the measurement; empty where `cvxshear.screening` was not asked.
+        Doubtful parts of the measurement; empty if `cvxshear.screening` was not used.
     """
 
     experiment: Experiment
@@ -220,27 +218,27 @@ class Closure(Shown):
 
     @property
     def before(self) -> Step:
-        """The model that the loop began with."""
+        """Initial model of the loop."""
         return self.steps[0]
 
     @property
     def after(self) -> Step:
-        """The model that it ended with."""
+        """Final model of the loop."""
         return self.steps[-1]
 
     @property
     def estimate(self) -> Estimate:
-        """The final fit."""
+        """Final fit."""
         return self.after.estimate
 
     @property
     def frame(self) -> IdentifiedFrame:
-        """The identified frame, its deviations those of the noise that the residual asks for."""
+        """Identified frame; its standard deviations follow from the noise that explains the residual."""
         return self.judged.frame
 
     @property
     def noise(self) -> NoiseEstimate:
-        """The noise that was estimated."""
+        """Estimated noise."""
         return self.estimate.noise
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -255,7 +253,7 @@ class Closure(Shown):
         Raises
         ------
         InputError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         columns: dict[str, Sequence[object]] = {"floor": range(1, self.experiment.stories + 1), **self.frame.columns}
         columns |= {f"averaged_{key}": values for key, values in self.averaged.columns.items()}
@@ -263,12 +261,12 @@ class Closure(Shown):
 
     @property
     def provisional(self) -> bool:
-        """Whether the verdict says that something remains unexplained."""
+        """Whether the verdict reports an unexplained residual."""
         return VERDICTS[self.verdict].provisional
 
     @property
     def residual(self) -> Json:
-        """The residual of each part of the data and of each floor, by the first model and the last."""
+        """Residual of each part of the data and of each floor, by the first model and the last."""
         models = {"before": self.before.estimate, "after": self.estimate}
         return {
             "by_part": {name: by_part(model) for name, model in models.items()},

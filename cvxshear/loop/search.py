@@ -1,4 +1,4 @@
-"""The search among sets of effects: forward from the shear model, then exchange and removal, none visited twice.
+"""Search among sets of effects: forward from the shear model, then by exchange and removal. No set is visited twice.
 
 A set is expanded by what the linearised model at its fit promises of each further effect, of each pair, and of all
 that it would take one after the other; where an open class stands in it, its conspicuous entries are tried as causes.
@@ -40,38 +40,40 @@ from cvxshear.util.typing import Floats
 
 BEAM = 6
 REACH = 20.0
-"""Sets that are expanded: the best of those visited, so many at most and none further behind in log probability."""
+"""Number of best visited sets that are expanded, and their largest distance from the best in log probability."""
 
 A_PILE = 3
-"""Effects from which on a set is no simple explanation: two causes at once are met now and then, three seldom."""
+"""Number of effects that a simple explanation does not reach: two simultaneous causes are rare, three are very rare."""
 
 WEAKEST = 2
-"""Effects, the weakest of a set, without which it must be worse before no more are taken out."""
+"""Number of weakest effects whose removal must make a set worse before pruning stops."""
 
 STAND_FOR_A_GROUP = 3
-"""Single effects, the most promising ones, that are tried in place of a group."""
+"""Number of single effects, the most promising ones, that are tried in place of a group."""
 
 MOST_CAUSES = 4
-"""Causes that are put one after the other in the place of a group."""
+"""Largest number of causes that replace a group, added one after the other."""
 
 MOST_SETS = 300
-"""Sets after which a search ends, but for what it is at and the neighbors of the best sets: twice what sound files of
-three states need (up to some 150), so that a file that no set explains ends too. What is left out then is said."""
+"""Number of visited sets after which a search ends, except for the current step and the neighbors of the best sets. The
+limit is twice the need of consistent data of three states (about 150 sets). The result reports that the search was cut
+short."""
 
 TWINS_DIFFER = 0.1
-"""Difference of chi-square, relative where it is above one, that rounding and the priors of sizes leave of twins."""
+"""Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
+"""
 
 
 class Search:
-    """Sets of effects that were visited, and the way to more of them.
+    """Visited sets of effects, and the steps that visit more.
 
     Parameters
     ----------
     fitter : Fitter
     base : Estimate
-        Of the set without any.
+        Fit of the model without looked-for effects.
     looked_for : sequence of Hypothesis, optional
-        Those of the fitter that sets are made of; all of them where not given.
+        Effects that sets may hold; by default all hypotheses of the fitter.
     """
 
     def __init__(self, fitter: Fitter, base: Estimate, looked_for: Sequence[Hypothesis] | None = None) -> None:
@@ -98,13 +100,16 @@ class Search:
 
     @property
     def beam(self) -> list[ModelClass]:
-        """The most probable sets so far, those with an open class counted by themselves: they go with every cause."""
+        """Most probable sets so far.
+
+        Sets with an open class are counted apart, because a class can join every cause.
+        """
         fitted = [model for model in self.visited.values() if model.estimate is not None]
         fitted = ranking.ranked(fitted, lambda model: model.score, same=ranking.SAME_ODDS)
         causes = [model for model in fitted if not holds_open(model.effects)][:BEAM]
         others: list[ModelClass] = []
         for model in fitted:
-            # What only adds to a better set would leave no room for sets that are other explanations.
+            # A set that only adds effects to a better set would displace other explanations.
             if holds_open(model.effects) and not any(better.effects < model.effects for better in others):
                 others.append(model)
             if len(others) == BEAM // 2:
@@ -112,7 +117,7 @@ class Search:
         return ranking.ranked((*causes, *others), lambda model: model.score, same=ranking.SAME_ODDS)
 
     def run(self) -> None:
-        """Visit sets until the beam has nothing left to expand, or the budget is spent."""
+        """Visit sets until no set of the beam is left to expand, or the budget is spent."""
         ways: tuple[Callable[[], bool], ...] = (
             partial(self._follow, self._prune, self.pruned, 0.0),
             partial(self._follow, self._expand, self.expanded, 0.0),
@@ -128,23 +133,23 @@ class Search:
             pass
 
     def _follow(self, way: Callable[[ModelClass], None], done: set[Set], within: float) -> bool:
-        """Go one way from the best set that has not gone it yet; tell whether there was one."""
+        """Apply one step to the best set that has not had this step; return whether there was such a set."""
         model = self._next(done, within)
         if model is not None:
             way(model)
         return model is not None
 
     def _look_elsewhere(self) -> bool:
-        """Where nothing simple explains the data, or an open class has to, look far from the best set first."""
+        """Look far from the best set if no simple set explains the data, or only an open class does."""
         if not (self._unsatisfied() or holds_open(self.best.effects)):
             return False
         return self.add_motions() or self._descend_among_causes() or self._add_companions()
 
     def _descend_among_causes(self) -> bool:
-        """Visit, where the best set holds an open class, what causes alone lead to; tell whether one of them is better.
+        """Search among causes alone if the best set holds an open class; return whether the best set changed.
 
-        A class that does the work of several causes hides them, which are seen only together: by themselves each of
-        them brings less than the class. Without it the way to them is short.
+        An open class that fits the effect of several causes hides them: each single cause gains less than the class.
+        Without the class, the search reaches these causes in a few steps.
         """
         if self.descended or not holds_open(self.best.effects):
             return False
@@ -160,7 +165,7 @@ class Search:
         return self.best is not before
 
     def add_motions(self) -> bool:
-        """Visit sets with an effect that brings a motion of its own, unless the shear model wins as it should."""
+        """Visit sets with an effect that adds degrees of freedom, unless the shear model wins and explains the data."""
         if self.moved or (self.best is self.base and not self.base.improbable):
             return False
         self.moved = True
@@ -171,9 +176,9 @@ class Search:
         return bool(found)
 
     def _add_companions(self) -> bool:
-        """Visit the best set with what may stand beside the motions that it holds.
+        """Visit the best set with the companions of its effects that add degrees of freedom.
 
-        With both the data may leave a ridge with several optima, and all of them count.
+        With both, the posterior may have a ridge with several optima, and all of them count.
         """
         best = self.best
         if best.effects in self.accompanied:
@@ -185,12 +190,12 @@ class Search:
         return self._record(found)
 
     def _unsatisfied(self) -> bool:
-        """Whether nothing simple explains the data so far."""
+        """Whether no simple set explains the data so far."""
         return self.best.improbable or len(self.best.effects) >= A_PILE
 
     @property
     def spent(self) -> bool:
-        """Whether the search has made as many fits as it may."""
+        """Whether the budget of sets is spent."""
         return len(self.visited) >= MOST_SETS
 
     def probe(self) -> None:
@@ -205,21 +210,21 @@ class Search:
             self._visit(self.base.estimate, self.linearised(self.base), new)
 
     def visit_from(self, starts: Sequence[tuple[Set, Floats]]) -> bool:
-        """Fit sets that are named from outside, each from a frame of its own; tell whether a better fit was found.
+        """Fit given sets, each from a given frame; return whether a better fit was found.
 
         Parameters
         ----------
         starts : sequence of (frozenset of Placed, ndarray of shape (2N,))
-            Sets, and the floor masses and story stiffnesses at which a fit of each starts, its effects at null.
+            Sets, each with the floor masses and story stiffnesses of the start. Effects start at null.
         """
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
         return self._record(self.fitter.models(from_frames(starts, base, self.fitter)))
 
     def visit_exchanges(self) -> bool:
-        """Visit the best set with each of its effects at every other place; tell whether a better set was found.
+        """Visit the best set with each of its effects at every other place; return whether a better set was found.
 
-        Far from the frame at which a model was linearised it says little of where a change sits.
+        Far from the frame of the linearisation, the linearised model does not locate a change.
         """
         best = self.best
         assert best.estimate is not None, "a best set has a fit"
@@ -239,7 +244,7 @@ class Search:
         return self.best is not best
 
     def visit_twins(self) -> None:
-        """Visit, beside each of the best sets, those in which an effect has given its place to a twin."""
+        """Visit, for each of the best sets, the sets in which a twin replaces an effect."""
         for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
             if not model.effects or not self._worth_following(model):
                 continue
@@ -255,18 +260,18 @@ class Search:
                     self._visit(base.estimate, self.linearised(base), new, FULL)
 
     def invariances(self, model: ModelClass) -> Invariances:
-        """Find what no datum tells at the fit of a set."""
+        """Find the invariances of the data at the fit of a set."""
         return invariances(self.linearised(model))
 
     def linearised(self, model: ModelClass) -> Linearised:
-        """Linearise the model at the fit of a set, by all that it lacks; that of the last set asked for is kept."""
+        """Linearise the model at the fit of a set, with all effects that the set lacks; the latest result is kept."""
         assert model.estimate is not None, "only sets with a fit are linearised"
         if self._last is None or self._last.base is not model.estimate:
             self._last = Linearised(model.estimate, self.lacking(model), self.fitter.expectation)
         return self._last
 
     def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
-        """List the effects that no datum tells from one of a set, where the set with them fits as well."""
+        """List the twins of an effect in a set whose fit with the twin is equally good."""
         assert model.estimate is not None
         found = []
         for twin in self.invariances(model).twins(placed):
@@ -275,13 +280,13 @@ class Search:
         return found
 
     def refine(self) -> None:
-        """Fit the sets that count most to full accuracy."""
+        """Fit the most probable sets to full accuracy."""
         floor = self.best.score - REACH
         for model in [each for each in self.beam if each.score >= floor]:
             self.visited[model.effects] = self.fitter.refined(model)
 
     def fit_of(self, effects: Set) -> Estimate:
-        """Find the fit of a set, made where it was not visited."""
+        """Return the fit of a set; fit the set first if it was not visited."""
         model = self.visited.get(effects)
         if model is not None and model.estimate is not None:
             return model.estimate
@@ -296,7 +301,7 @@ class Search:
         return found.estimate
 
     def _next(self, done: set[Set], within: float) -> ModelClass | None:
-        """Find the best set of the beam that was not dealt with yet."""
+        """Find the best set of the beam that has not had this step."""
         floor = self.best.score - within
         return next(
             (
@@ -308,7 +313,10 @@ class Search:
         )
 
     def _worth_following(self, model: ModelClass) -> bool:
-        """Whether a set may lead to a better one: what only adds to one that explains the data hardly does."""
+        """Whether a set may lead to a better one.
+
+        A set that only adds effects to a set that explains the data hardly does.
+        """
         if self.best.improbable or model is self.best:
             return True
         return not holds_open(model.effects) and not any(
@@ -316,7 +324,7 @@ class Search:
         )
 
     def lacking(self, model: ModelClass) -> list[Placed]:
-        """List the effects that a set lacks and the linearised model at its fit can judge."""
+        """List the effects that a set lacks and that the linearised model at its fit can judge."""
         there = {"", *(placed.effect.name for placed in (*model.effects, *self.fitter.assumed))}
         return [
             item.placed
@@ -327,7 +335,7 @@ class Search:
         ]
 
     def _expand(self, model: ModelClass) -> None:
-        """Visit the most promising sets with one more effect, or two."""
+        """Visit the most promising sets with one or two more effects."""
         self.expanded.add(model.effects)
         if not self.lacking(model) or model.estimate is None:
             return
@@ -339,7 +347,10 @@ class Search:
         self._record(self.fitter.models(named))
 
     def _hopeless(self, effects: Set) -> bool:
-        """Whether a set holds an open class that was tried and fell far behind what explains the data without it."""
+        """Whether a set holds an open class that was tried in vain.
+
+        Such a class is far less probable than the best set, which explains the data without the class.
+        """
         if self.best.improbable:
             return False
         for placed in effects:
@@ -350,7 +361,7 @@ class Search:
         return False
 
     def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set], accuracy: Accuracy = ROUGH) -> None:
-        """Fit these sets, each with the effects of a fit and some that it lacks."""
+        """Fit these sets; each holds the effects of a fit and some that the fit lacks."""
         proposals = []
         for effects in dict.fromkeys(sets):
             new = [placed for placed in linear.lacking if placed in effects]
@@ -360,7 +371,7 @@ class Search:
         self._record(self.fitter.models(proposals, accuracy))
 
     def _record(self, models: Iterable[ModelClass]) -> bool:
-        """Keep fits of sets, of a set that was visited the better one; tell whether there was any."""
+        """Keep the better fit of each set; return whether any fit was kept."""
         kept = False
         for model in models:
             known = self.visited.get(model.effects)
@@ -368,25 +379,26 @@ class Search:
                 continue
             self.visited[model.effects] = model
             kept = True
-            # What was said of the neighbors of another fit was said of another frame.
+            # The neighbors were tried from another frame, so they may be tried again.
             for done in (self.expanded, self.pruned, self.reduced, self.regrouped):
                 done.discard(model.effects)
         return kept
 
     def _regroup(self, model: ModelClass) -> None:
-        """Visit sets in which other causes, one or several, stand for a whole group: all of a state, all of a name, ...
+        """Visit sets in which one or several causes replace a group: all effects of a state, all of one name, or all.
 
-        Where every floor of a state is heavier, or every story softer, one cause takes the place of many; taking them
-        out one at a time never gets there. Where nothing simple explains the data, causes that explain only together
-        (joints that turn, and braces that turn none) stand in the place of an open class, too: beside a class that does
-        the work of both neither is seen.
+        If every floor of a state is heavier, or every story softer, one cause replaces many effects. Removal of one
+        effect at a time never finds this cause. If no simple set explains the data, causes that explain only together
+        (flexible joints, and braces that prevent joint rotation) also replace an open class: with the class in the set
+        neither cause gains anything.
         """
         self.regrouped.add(model.effects)
         for group in groups(model.effects, open_too=self._unsatisfied()):
             if self.spent:
                 break
             rest = model.effects - group
-            # From the shear model on, each fitted in turn, any may come: the first guess took all of them at once.
+            # Without other effects, any effect is allowed: the first expansion took several at once, now each is fitted
+            # in turn.
             barred = group if rest else frozenset()
             self._fit_without(model, [rest])
             firsts = self._with_one_of(self.lacking(self.visited[rest]), self.visited[rest], barred)
@@ -401,7 +413,7 @@ class Search:
                     best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
     def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
-        """Visit the most promising sets with one of these effects more, none that is barred."""
+        """Visit the most promising sets with one of these effects added, except the barred ones."""
         effects = [placed for placed in effects if placed not in barred]
         if model.estimate is None or not effects:
             return []
@@ -414,7 +426,7 @@ class Search:
         return [self.visited[each] for each in sets]
 
     def _prune(self, model: ModelClass) -> None:
-        """Visit sets with ever fewer effects, the weakest taken out first: what came early may be superfluous."""
+        """Visit sets with fewer effects, the weakest removed first: an effect added early may be superfluous."""
         at, kept = model, set[Placed]()
         while at.estimate is not None and len(kept) < WEAKEST:
             self.pruned.add(at.effects)
@@ -431,7 +443,7 @@ class Search:
                 kept.add(weakest)
 
     def _reduce(self, model: ModelClass) -> None:
-        """Visit the sets with one effect less, and expand those: what is added takes its place."""
+        """Visit the sets with one effect less, and expand them: the added effect replaces the removed one."""
         self.reduced.add(model.effects)
         assert model.estimate is not None
         fewer = [model.effects - {placed} for placed in model.estimate.effects if placed in model.effects]
@@ -441,7 +453,7 @@ class Search:
                 self._expand(self.visited[each])
 
     def _fit_without(self, model: ModelClass, sets: Sequence[Set]) -> None:
-        """Fit sets that hold some of the effects of one, started there, where they have no fit that is as good yet."""
+        """Fit subsets of a fitted set, started at its fit, unless they have an equally good fit already."""
         assert model.estimate is not None
         assumed = set(self.fitter.assumed)
         new = [each for each in sets if each not in self.visited or self._untried(self.visited[each])]
@@ -455,7 +467,7 @@ class Search:
 
 
 def _strength(estimate: Estimate, placed: Placed) -> float:
-    """Largest distance of an effect's parameters from null, in standard deviations; zero where it has none."""
+    """Return the largest distance of a parameter from null, in standard deviations; zero without parameters."""
     own = estimate.own(placed)
     nulls = [item.null for item in placed.effect.parameters]
     with np.errstate(divide="ignore", invalid="ignore"):

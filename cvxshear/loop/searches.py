@@ -1,9 +1,9 @@
-"""The searches of one loop: with the modes numbered as given, numbered otherwise, and from the dual of the frame.
+"""Searches of one loop: with the modes numbered as given, with other numberings, and from the dual frame.
 
-A search among sets of effects that cannot mend a wrong number is long and in vain. So the shear model is fitted under
-every numbering first, then the most promising take the effects that their linearised models promise, and only what is
-still near the best is searched to its end. Where frequencies alone leave a second frame open (`loop/twins.py`), sets of
-effects are visited from there too.
+Effects cannot correct a wrong mode number, and a search that tries this is long. So the shear model is fitted under
+every numbering first. The most promising numberings then receive the effects that their linearised models predict. Only
+numberings near the best are searched to the end. If frequencies alone admit a second frame (`loop/twins.py`), sets of
+effects are also visited from this frame.
 """
 
 from __future__ import annotations
@@ -33,31 +33,32 @@ from cvxshear.util.errors import CvxshearError, NoSolutionError
 from cvxshear.util.typing import Floats
 
 PROBED = 4
-"""Numberings, the best by their shear models, that are probed with effects before one is searched to its end."""
+"""Number of numberings, the best by their shear models, that are tried with effects before one is searched fully."""
 
 CARRIED_OVER = 3
-"""Best sets of effects of the leading numbering that are tried with every other one that is probed."""
+"""Number of best sets of the leading numbering that are tried with every other tried numbering."""
 
 FAR_BEHIND = 100.0
-"""Logarithm of a probability ratio at which a numbering is given up once another one explains the data: the others by
-their shear models, as effects that both need bring both as much; the numbers as given by the best that was tried."""
+"""Largest log probability ratio between the best numbering and one that stays in the search, after the best one
+explains the data. Other numberings are compared by their shear models, because effects that both need gain the same in
+both. The given numbering is compared by its best set."""
 
 SAME_FRAME = 1e-3
-"""Relative difference of masses and stiffnesses below which two fits have one frame: fits end closer than that."""
+"""Largest relative difference of masses and stiffnesses between fits of the same frame. Fits converge more closely."""
 
 MOST_PAIRED = 10
-"""Stories up to which all pairs of changes of a state are tried: 180 fits a state."""
+"""Largest number of stories for which all pairs of changes of a state are tried: 180 fits per state."""
 
 
 @dataclass(frozen=True)
 class Searches:
-    """What all searches of one loop share.
+    """Settings that all searches of one loop share.
 
     Parameters
     ----------
     backend : Backend
     there : tuple of Placed
-        Effects that are in the model from the start.
+        Effects that the model holds from the start.
     looked_for : sequence of Hypothesis
     expectation : EffectPrior
     start : Estimate
@@ -77,14 +78,14 @@ class Searches:
     widened: float = 1.0
 
     def run(self, experiment: Experiment) -> list[Search]:
-        """Run the searches that count: with the modes numbered as given, then with each numbering near the best.
+        """Run the searches: with the modes numbered as given, then with each numbering near the best.
 
-        Each is searched to its end, but the one with the modes as given where others leave it far behind.
+        Each search runs to its end. The search with the given numbering is dropped if another numbering is far better.
 
         Raises
         ------
         NoSolutionError
-            Where the shear model could not be fitted to the modes as given.
+            If the shear model could not be fitted to the modes as given.
         """
         given = self.begun(Numbering(experiment))
         others = list(self._possible(named_numberings(experiment)))
@@ -94,7 +95,7 @@ class Searches:
             others += self._possible(overlooked_in_all(experiment))
         leader = _leader(given, others)
         if leader.best.improbable or holds_open(leader.best.effects):
-            # Before a statement of the shear model is given up the numbers are doubted one test at a time.
+            # Before a statement of the shear model is rejected, the mode numbers are questioned one test at a time.
             others += self._possible(overlooked_in_one(experiment))
             leader = _leader(given, others)
         leader.run()
@@ -106,7 +107,7 @@ class Searches:
         return [*near, *duals]
 
     def begun(self, numbering: Numbering) -> Search:
-        """Begin a search under one numbering of the modes, its shear model fitted."""
+        """Begin a search under one numbering of the modes, with its shear model fitted."""
         theta = self.start.theta
         if numbering.changes:
             theta = nearest_start(Misfit(numbering.experiment, self.there))
@@ -119,12 +120,12 @@ class Searches:
         try:
             found = fitter.fit(misfit, theta, accuracy)
         except NoSolutionError:
-            # Far from the data a fit may follow a curved valley without an end; effects are looked for from there, too.
+            # Far from the data a fit may follow an endless curved valley; effects are searched for from there, too.
             found = fitter.fit(misfit, theta, ROUGH)
         return Search(fitter, found)
 
     def _possible(self, numberings: Iterable[Numbering]) -> Iterator[Search]:
-        """Begin a search under each numbering with which the frame can be what was declared of it."""
+        """Begin a search under each numbering for which a frame satisfies the declarations."""
         for numbering in numberings:
             try:
                 yield self.begun(numbering)
@@ -132,10 +133,10 @@ class Searches:
                 continue
 
     def _dual(self, search: Search) -> Search | None:
-        """Visit what frequencies alone leave open: sets with frames far from that of the search.
+        """Visit sets whose frames are far from the frame of the search, because frequencies alone do not exclude them.
 
-        Where no datum tells a frame from its dual, begin the search that starts at the dual of the shear model; None
-        elsewhere, and where the dual start leads to the same frame.
+        If the data do not distinguish a frame from its dual, begin a search at the dual of the shear model. Return None
+        otherwise, or if the dual start leads to the same frame.
         """
         numbering = search.fitter.numbering
         if search.base.estimate is None or not few_floors_seen(numbering.experiment):
@@ -158,7 +159,7 @@ class Searches:
         try:
             other = self._search(numbering, theta, FULL)
         except CvxshearError:
-            # What was declared of the frame excludes its dual.
+            # The declarations exclude the dual.
             return None
         if other.base.score < search.base.score - REACH or _same_frame(other.base, search.base):
             return None
@@ -168,7 +169,7 @@ class Searches:
         return other
 
     def _duals(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
-        """List the duals of the best sets of a search, each with the dual of the frame that it has with its set."""
+        """List the duals of the best sets of a search, each with the dual of its fitted frame."""
         n = search.fitter.experiment.stories
         known = [item.placed for item in self.looked_for]
         return [
@@ -181,7 +182,7 @@ class Searches:
         return [each.placed for each in self.looked_for if each.placed.effect.dual(each.placed.place, stories)]
 
     def _pairs(self, search: Search) -> list[frozenset[Placed]]:
-        """List two changes of a kind in one state: two that are seen only together are seen by no step towards one."""
+        """List pairs of changes of one kind in one state: a search for single changes may not find such a pair."""
         n = search.fitter.experiment.stories
         return [
             frozenset([a, b])
@@ -190,9 +191,10 @@ class Searches:
         ]
 
     def _changes(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
-        """List every change of a state that has a dual, from the frame of each state by itself, and from its dual.
+        """List every change of a state that has a dual, with several frames to start from.
 
-        The shear model of all states together lies between their frames, and may be nearer to another minimum.
+        These are the frame of each single state and its dual. The shear model of all states lies between their frames,
+        and may be nearer to another minimum.
         """
         base, experiment = search.base.estimate, search.fitter.experiment
         assert base is not None, "the shear model was fitted"
@@ -212,7 +214,7 @@ class Searches:
 
 
 def _leader(given: Search, others: Sequence[Search]) -> Search:
-    """Probe the most promising, and return the best of them."""
+    """Try the most promising numberings with effects, and return the best of them."""
     if not others:
         return given
     promising = ranking.ranked(others, lambda search: search.base.score, same=ranking.SAME_ODDS)[: PROBED - 1]
@@ -222,7 +224,7 @@ def _leader(given: Search, others: Sequence[Search]) -> Search:
 
 
 def _near(given: Search, others: Sequence[Search], leader: Search) -> list[Search]:
-    """Search what is near the best to its end, and the numbers as given where they may still win."""
+    """Search the numberings near the best to the end, and the given numbering if it may still win."""
     rest = ranking.ranked(
             (each for each in (given, *others) if each is not leader),
             lambda search: search.base.score,
@@ -244,7 +246,7 @@ def _near(given: Search, others: Sequence[Search], leader: Search) -> list[Searc
 
 
 def _same_frame(a: ModelClass, b: ModelClass) -> bool:
-    """Whether two fits have one frame: from another, even one that no datum tells from it, other sets are reached."""
+    """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
     assert a.estimate is not None, "the shear model was fitted"
     assert b.estimate is not None, "the shear model was fitted"
     return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))

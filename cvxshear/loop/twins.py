@@ -1,14 +1,14 @@
-"""What no datum tells: effects whose place in a model another effect can take without any change of the data.
+"""Twins: effects that can replace each other in a model without any change of the data.
 
-Two effects are twins where the derivatives of the data by the one lie in the span of those by the frame and by the
-other, to rounding: a direction in which nothing that was measured changes. Where all floor masses of a state grow by
-a factor, for one, every frequency falls as if all its stories were softer. That is a property of the model and of what
-was measured, not of the sets that a search happened to visit.
+Effect A has the twin B if the derivatives of the data by A lie in the span of the derivatives by the frame and by B, to
+rounding. For example, if all floor masses of a state grow by one factor, every frequency falls in the same way as if
+all its stories were softer. Twins depend on the model and the measured quantities, not on the sets that a search
+visited.
 
-Frequencies alone have another frame, too. A chain of N stories k_i and floors m_i has the eigenvalues of the chain with
-stories 1 / m_(N+1-i) and floors 1 / k_(N+1-i), up to scale: every set of effects has a dual that fits as well, in which
-a loss in story j is a mass on floor N+1-j (`Effect.dual`). With added mass in some tests the dual fits worse, or
-better, and is near a minimum of its own, to which no fit from the other frame leads.
+Frequencies alone also admit a second frame. A chain of N stories k_i and floors m_i has the eigenvalues of the chain
+with stories 1 / m_(N+1-i) and floors 1 / k_(N+1-i), up to scale. So every set of effects has a dual that fits equally
+well, in which a loss in story j is a mass on floor N+1-j (`Effect.dual`). With added mass in some tests the dual fits
+worse or better, and lies near its own minimum. No fit from the first frame reaches this minimum.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.typing import Floats
 
 EXACT = 1e-5
-"""Share of an effect's derivatives that nothing else can make, below which that is rounding."""
+"""Rounding: share of an effect's derivatives outside the span of the others that counts as zero."""
 
 BEYOND_FRAME = 1e-3
-"""Share that must be left without the twin: what the frame alone can make has no need of a twin."""
+"""Smallest share of an effect's derivatives outside the span of the frame. An effect with less is redundant and needs
+no twin."""
 
 
 @dataclass(frozen=True)
 class Invariances:
-    """The derivatives of all data at a fit, as far as twins need them.
+    """Derivatives of all data at a fit, for the search for twins.
 
     Parameters
     ----------
     estimate : Estimate
     free : ndarray, shape (d, f)
-        Derivatives by the directions that the declarations leave free.
+        Derivatives by the directions that the declarations do not fix.
     owner : tuple of (Placed or None)
-        The effect that each of these directions belongs to; None for the frame.
+        Effect of each direction; None for the frame.
     lacking : dict
         Derivatives by the parameters of each effect that the model lacks, shape (d, p).
     """
@@ -54,7 +55,7 @@ class Invariances:
     lacking: dict[Placed, Floats]
 
     def twins(self, placed: Placed) -> list[Placed]:
-        """List the effects that can take the place of one in the model, whatever was measured."""
+        """List the effects that can replace an effect in the model without any change of the data."""
         own = np.array([owner is placed for owner in self.owner])
         if not own.any():
             return []
@@ -70,9 +71,9 @@ class Invariances:
         ]
 
     def untold(self, placed: Placed, others: Sequence[Placed]) -> bool:
-        """Whether what an effect of its expected size does is less than a standard deviation of all data together.
+        """Whether an effect of its expected size changes all data together by less than one standard deviation.
 
-        What the frame, the effects there are, and those others can do in its place does not count.
+        Changes that the frame, the effects of the model, or the given others can also make do not count.
         """
         columns = self.lacking[placed] * placed.effect.expected_sizes(self.estimate.scale)
         if not columns.shape[1]:
@@ -83,7 +84,7 @@ class Invariances:
 
 
 def invariances(linear: Linearised) -> Invariances:
-    """Take the derivatives of all data, soft priors among them, from the linearised model at a fit."""
+    """Collect the derivatives of all data, with the soft priors, from the linearised model at a fit."""
     estimate = linear.base
     measured = estimate.fit.at.measured
     basis = free_basis(estimate, linear.expectation)
@@ -101,7 +102,7 @@ def invariances(linear: Linearised) -> Invariances:
 
 
 def _basis(columns: Floats) -> Floats:
-    """Orthonormal columns that span others, up to what is rounding among them."""
+    """Return orthonormal columns that span the given columns, to rounding."""
     lengths = np.linalg.norm(columns, axis=0)
     unit = columns[:, lengths > 0] / lengths[lengths > 0]
     left, values, _ = np.linalg.svd(unit, full_matrices=False)
@@ -109,14 +110,14 @@ def _basis(columns: Floats) -> Floats:
 
 
 def _without(basis: Floats, columns: Floats) -> Floats:
-    """Return what a basis cannot make of some columns; zero where that is rounding."""
+    """Return the part of each column outside the span of a basis; zero if that part is rounding."""
     left: Floats = columns - basis @ (basis.T @ columns)
     rounding = np.linalg.norm(left, axis=0) <= EXACT * np.linalg.norm(columns, axis=0)
     return np.where(rounding, 0.0, left)
 
 
 def _beyond(columns: Floats, wanted: Floats) -> float:
-    """Return the largest share of a wanted column that a combination of others cannot make."""
+    """Return the largest share of a wanted column outside the span of the given columns."""
     size = np.linalg.norm(wanted, axis=0)
     if columns.shape[1] == 1 and np.any(columns):
         unit = columns / np.linalg.norm(columns)
@@ -127,19 +128,22 @@ def _beyond(columns: Floats, wanted: Floats) -> float:
 
 
 def few_floors_seen(experiment: Experiment) -> bool:
-    """Whether no test shows more than half of the floors: frames far from each other may fit such data as well."""
+    """Whether no test measured more than half of the floors: very different frames may fit such data equally well."""
     return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
 
 
 def dual_fits_as_well(experiment: Experiment) -> bool:
-    """Whether nothing but frequencies was measured, and no mass added: data that do not tell a frame from its dual."""
+    """Whether only frequencies were measured, without added mass.
+
+    Such data do not distinguish a frame from its dual.
+    """
     return not experiment.static and not any(
         each.measured.any() or np.any(each.added_mass) for each in experiment.configurations
     )
 
 
 def dual_frame(frame: Floats) -> Floats:
-    """Masses and stiffnesses of the dual frame of the same total mass, shape (2N,).
+    """Return the masses and stiffnesses of the dual frame of the same total mass, shape (2N,).
 
     Parameters
     ----------
@@ -153,13 +157,13 @@ def dual_frame(frame: Floats) -> Floats:
 
 
 def dual_set(effects: frozenset[Placed], known: Sequence[Placed], stories: int) -> frozenset[Placed] | None:
-    """Find the effects of the dual frame that have the same frequencies; None where one of them has no dual.
+    """Find the effects of the dual frame that give the same frequencies; None if an effect has no dual.
 
     Parameters
     ----------
     effects : frozenset of Placed
     known : sequence of Placed
-        All that are looked for.
+        All effects that are looked for.
     stories : int
     """
     by_place = {(placed.effect.name, placed.place): placed for placed in known}

@@ -1,15 +1,15 @@
-"""What closing the loop can conclude: each verdict with its words, in one table."""
+"""Table of the verdicts of the loop, each with its sentences."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 FIELDS = ("model", "found", "doubt", "place", "change", "within")
-"""What a headline may name in braces.
+"""Fields that a headline may hold in braces.
 
-model: the model that the loop began with; found: the effects in clauses, each with its probability; doubt: why the
-verdict is not certain; place: where the residual that is left sits; change: what became of the error that carried the
-verdict; within: the noise that the residual stays within.
+model: the initial model of the loop; found: the effects in clauses, each with its probability; doubt: the reason why
+the verdict is not certain; place: the place of the remaining residual; change: the final value of the error that
+carried the verdict; within: the noise level that the residual does not exceed.
 """
 
 
@@ -20,24 +20,24 @@ class Verdict:
     Parameters
     ----------
     name : str
-        As it stands in the JSON.
+        Name in the JSON.
     sentence : str
-        What it means of a result with effects, or of any result where `plain` is empty.
+        Meaning for a result with effects, or for any result if `plain` is empty.
     plain : str
-        What it means of a result without effects.
+        Meaning for a result without effects.
     headline : str
         Sentence for a result with effects, with `FIELDS` in braces. A semicolon separates its parts; a part whose
         fields are all empty is left out.
     bare : str
         The same for a result without effects.
     advice : str
-        What to do with such a result; stands below what to test next.
+        Advice on the use of the result, printed below the next test.
     colour, dark : str
         CSS colour of its mark on a light and on a dark page.
     provisional : bool
         Whether the effects of such a result are provisional: none of them is reported as found.
     certain : bool
-        Whether the result may be used as it stands; `cvxshear loop --strict` ends with status 3 where not.
+        Whether the result may be used directly; if not, `cvxshear loop --strict` ends with status 3.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Verdict:
     certain: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a headline that names what no result has, rather than failing in the first report."""
+        """Raise an error for an unknown field of a headline now, not in the first report."""
         nothing = dict.fromkeys(FIELDS, "")
         for text in (self.headline, self.bare):
             try:
@@ -68,7 +68,7 @@ class Verdict:
         added : bool
             Whether the result has effects.
         **fields : str
-            What stands for each of `FIELDS`; empty where the result has no such thing.
+            Text for each of `FIELDS`; empty if the result has none.
         """
         parts = (self.headline if added else self.bare).split("; ")
         given = [part for part in parts if "{" not in part or any(fields[n] for n in FIELDS if f"{{{n}}}" in part)]
@@ -132,4 +132,4 @@ _ALL = (
 )
 
 VERDICTS = {each.name: each for each in _ALL}
-"""Every verdict that a loop can end with, by name; another one is added as another entry."""
+"""Verdicts of a loop by name; a new verdict is one more entry."""
