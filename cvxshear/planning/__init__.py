@@ -1,4 +1,4 @@
-"""Planning: which floors to measure and which masses to add, before a test."""
+"""Planning of tests: the floors to measure and the masses to add."""
 
 from cvxshear.planning.design import Design, measurement_of, read_design
 from cvxshear.planning.expected_noise import Declared, Recorded, TestNoise

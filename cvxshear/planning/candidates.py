@@ -1,13 +1,13 @@
-"""What floors to measure and tests to make add to what is known of a frame: the candidates of a plan.
+"""Candidates of a plan: information that sensors and tests add to the prior of a frame.
 
-The information of the parameters is a sum over the candidates that are chosen,
+The information of the parameters is a sum over the chosen candidates,
 
     M(w) = M_0 + sum over j of w_j G_j,   G_j = J_j' J_j,
 
-with w_j = 1 for what is chosen. The free scale of every measured shape would spoil the sum if it were eliminated from
-each shape; it is a parameter of its own here, and what is asked is always a covariance with the others marginalised.
-Where design values are vague every matrix is there once for each of several frames that they allow, and a criterion is
-an average over these.
+with w_j = 1 for a chosen candidate. The scale of every measured shape is unknown. Eliminating the scale from each shape
+would spoil the sum, so the scale is a parameter here, and the criteria use the covariance with the other parameters
+marginalized. If the design values are uncertain, every matrix has a version for each of several allowed frames, and a
+criterion is an average over these frames.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
 KNOWN_EXACTLY = 1e-12
-"""Length of a row of the question, each parameter in its own size, below which the parameter is known exactly."""
+"""Largest length of a row of the question, with each parameter relative to its size, for an exactly known parameter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What is known and what each candidate would add, in coordinates in which it is well scaled.
+    """Prior information and the information of each candidate, in well-scaled coordinates.
 
-    In these coordinates z the parameters asked for are x = F z_a, z_a the first of them, and the information of equal
-    weights of all candidates is the identity.
+    The goal's parameters are x = F z_a; z_a are the first of these coordinates z. The information of all
+    candidates with equal weights is the identity.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Candidates:
 
     @staticmethod
     def averaged(frames: Sequence[Candidates]) -> Candidates:
-        """Return the candidates on several frames, over which a criterion is an average."""
+        """Return the candidates on several frames; a criterion is an average over these frames."""
         parts = [[each.base for each in frames], [each.rows for each in frames], [each.asked for each in frames]]
         return Candidates(*map(np.concatenate, parts))
 
@@ -60,16 +60,16 @@ class Candidates:
 
     @cached_property
     def log_volume(self) -> Floats:
-        """log det of the covariance of what is asked for where that of z_a is the identity, in its own directions."""
+        """log det of the covariance of the goal's parameters if the covariance of z_a is the identity."""
         return np.asarray(np.sum(np.log(np.linalg.svd(self.asked, compute_uv=False) ** 2), axis=-1))
 
     @property
     def count(self) -> int:
-        """How many candidates there are."""
+        """Number of candidates."""
         return int(self.rows.shape[1])
 
     def information(self, weights: Floats) -> Floats:
-        """M(w), shape (..., q, p, p), for weights w of shape (..., n)."""
+        """Compute M(w), shape (..., q, p, p), for weights w of shape (..., n)."""
         return np.asarray(self.base + np.tensordot(weights, self.added, axes=(-1, 1)))
 
     def subset(self, chosen: Ints | list[int]) -> Floats:
@@ -77,14 +77,14 @@ class Candidates:
         return np.asarray(self.base + self.added[:, chosen].sum(axis=1))
 
     def own(self, information: Floats) -> Floats:
-        """Covariance of z_a with all others marginalised, shape (..., q, a, a)."""
+        """Compute the covariance of z_a with all others marginalized, shape (..., q, a, a)."""
         a = self.asked.shape[-1]
         return np.asarray(np.linalg.inv(information), dtype=np.float64)[..., :a, :a]
 
     def own_with_each(self, chosen: Ints | list[int], others: Ints | list[int]) -> Floats:
-        """Covariance of z_a with the chosen candidates and one of the others, for each of these; shape (k, q, a, a).
+        """Compute the covariance of z_a with the chosen candidates and each one of the others, shape (k, q, a, a).
 
-        C - C J' (1 + J C J')^-1 J C: one inverse for all of them.
+        C - C J' (1 + J C J')^-1 J C needs only one inverse for all of them.
         """
         a = self.asked.shape[-1]
         covariance = np.linalg.inv(self.subset(chosen))
@@ -96,13 +96,13 @@ class Candidates:
         return result.swapaxes(0, 1)
 
     def covariance(self, own: Floats) -> Floats:
-        """Covariance of the parameters asked for, shape (..., s, s), from that of z_a: the mean over the frames."""
+        """Compute the covariance of the goal's parameters, (..., s, s), from the covariances of z_a, as a mean."""
         return np.asarray(np.mean(self.asked @ own @ self.asked.swapaxes(1, 2), axis=-3))
 
     def slopes(self, information: Floats, weight: Floats) -> Floats:
-        """Differentiate by the weights the frames' mean tr(weight C_aa), C the whole covariance, shape (n,).
+        """Differentiate the frames' mean of tr(weight C_aa) by the weights, shape (n,); C is the whole covariance.
 
-        Of one frame -tr(weight C_a. G_j C_.a).
+        The derivative for one frame is -tr(weight C_a. G_j C_.a).
 
         Parameters
         ----------
@@ -116,25 +116,25 @@ class Candidates:
 
 
 def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, weight: float) -> Candidates:
-    """Candidates on one frame in coordinates in which they are well scaled.
+    """Build the candidates on one frame in well-scaled coordinates.
 
     Parameters
     ----------
     known : ndarray, shape (k, p)
-        Rows of what is known without any candidate, in standard deviations: K'K is its information.
+        Rows of the prior information, in standard deviations: K'K is its information.
     fixed : ndarray, shape (e, p)
-        Rows on which every change is zero: what is known exactly.
+        Rows whose product with every allowed change is zero: exact knowledge.
     rows : ndarray, shape (n, d, p)
-        For each candidate its data's derivatives in standard deviations.
+        Derivatives of each candidate's data in standard deviations.
     question : ndarray, shape (s, p)
-        Rows that make the parameters asked for of all p.
+        Rows that compute the goal's parameters from all p parameters.
     weight : float
-        That every candidate has in the information that is the identity.
+        Weight of every candidate in the coordinates' scaling: this information becomes the identity.
 
     Raises
     ------
     InputError
-        Where all that is asked for is known exactly.
+        If the goal's parameters are all known exactly.
     """
     free = free_changes(fixed)
     left, sizes, right = np.linalg.svd(question @ free)
@@ -150,12 +150,12 @@ def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, wei
 
 
 def free_changes(fixed: Floats) -> Floats:
-    """Orthonormal columns, shape (p, f), that span the changes of p parameters on which fixed rows (e, p) are zero."""
+    """Find an orthonormal basis, shape (p, f), of the changes of p parameters with zero products with fixed rows."""
     return np.asarray(linalg.null_space(fixed, rcond=1e-12)) if len(fixed) else np.eye(fixed.shape[1])
 
 
 def _lower(whole: Floats) -> Floats:
-    """Find lower triangular L with (whole L)'(whole L) = 1: the first coordinates depend on the first of z alone."""
+    """Find lower triangular L with (whole L)'(whole L) = 1: the first coordinates depend only on the first of z."""
     # QR of the columns in reverse order gives whole' whole = U U' with U upper triangular; L is U^-T.
     triangle = np.asarray(np.linalg.qr(whole[:, ::-1], mode="r"))
     upper = triangle.T[::-1, ::-1]

@@ -1,10 +1,10 @@
-"""How probable it is, before a test, that the loop will come to the right verdict on a few effects.
+"""Probability, before a test, of the right verdict of the loop on a few effects.
 
-Where the model is linear and the noise Gaussian, all that the data say of the effects is y = G x + e, x their values in
-units of their expected size, G the information about them with the frame's masses and stiffnesses marginalised, and
-cov(e) = G (`fit/separation.py`). From the evidence of each effect alone and even odds follows a probability of each.
-The verdict is right where the effect that is there has 95 %; where there is none, where none has a half, from which on
-one would be added.
+In a linear model with Gaussian noise, the data determine the effects by y = G x + e. Here x are the effects' values
+relative to their expected sizes, G is the information about the effects with the frame's masses and stiffnesses
+marginalized, and cov(e) = G (`fit/separation.py`). The evidence of each single effect and even prior odds give the
+probability of each effect. If an effect is present, the verdict is right if this effect has a probability of 95 %. If
+no effect is present, the verdict is right if all effects stay below 50 %, the limit for adding an effect.
 """
 
 from collections.abc import Sequence
@@ -23,27 +23,27 @@ from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 DRAWS = 20_000
-"""Simulated outcomes a possibility: a probability of 90 % is then known to 0.2 %."""
+"""Number of simulated outcomes per possibility: the standard error of a probability of 90 % is 0.2 %."""
 
 DRAWS_SEED = 2014
-"""Seed of these, so that a plan comes out the same each time."""
+"""Seed of the simulated outcomes; a fixed seed makes plans repeatable."""
 
 SUFFICES = 0.9
-"""Probability of the right verdict from which on a test is said to suffice: nine tests in ten."""
+"""Least probability of the right verdict of a sufficient test: nine tests in ten."""
 
 NONE = "none of them"
-"""What the possibility is called that no effect is there."""
+"""Label of the possibility without any effect."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """An effect of one parameter at a place, with the size that it would have.
+    """An effect with one parameter at a place, and its assumed size.
 
     Parameters
     ----------
     placed : Placed
     size : float
-        How far its parameter would be from the null value, in its unit.
+        Assumed distance of the parameter from its null value, in the parameter's unit.
     unit : str
     """
 
@@ -53,23 +53,23 @@ class Target:
 
     @property
     def null(self) -> float:
-        """The value at which the effect vanishes."""
+        """Value without an effect."""
         return self.placed.effect.parameters[0].null
 
     @property
     def mean(self) -> float:
-        """The value expected if the effect is there, in sizes: 1 where physics confines it to an interval without 0."""
+        """Expected value of a present effect, in sizes: 1 if physics confines the value to an interval without 0."""
         return 1.0 if self._confined else 0.0
 
     @property
     def std(self) -> float:
-        """Standard deviation of the value if the effect is there, in sizes."""
+        """Standard deviation of the value of a present effect, in sizes."""
         item = self.placed.effect.parameters[0]
         return (item.upper - item.lower) / np.sqrt(12) / self.size if self._confined else 1.0
 
     @property
     def side(self) -> int:
-        """1 or -1 where physics lets the value be on that side of none alone, from none on; else 0."""
+        """1 or -1 if physics allows only values above or only values below the null value; else 0."""
         item = self.placed.effect.parameters[0]
         return 0 if self._confined else int(item.lower == item.null) - int(item.upper == item.null)
 
@@ -80,21 +80,21 @@ class Target:
 
 
 def target(text: str, frame: Frame, scale: Scale) -> Target:
-    """Return the effect that "NAME", "NAME@PLACE", or either with "=SIZE", stands for.
+    """Parse an effect from "NAME" or "NAME@PLACE", optionally followed by "=SIZE".
 
     Parameters
     ----------
     text : str
         PLACE is a floor or a story, SIZE a change of the effect's parameter in its unit.
     frame : Frame
-        With its number of stories.
+        Frame with its number of stories.
     scale : Scale
-        Of the frame, which effects expect their size in.
+        Scale of the frame, for the expected sizes of effects.
 
     Raises
     ------
     InputError
-        Where the effect is not known, sits elsewhere, needs what the frame does not declare, or has no expected size.
+        If the effect is unknown, has another kind of place, needs undeclared data, or has no expected size.
     """
     head, _, size = text.partition("=")
     name, _, where = head.strip().partition("@")
@@ -119,7 +119,7 @@ def target(text: str, frame: Frame, scale: Scale) -> Target:
 
 
 def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories: int) -> Place:
-    """Return the place that stands behind the @."""
+    """Parse the place after the @."""
     if not sits_at:
         if where:
             raise InputError(f"effect {name} has no place of its own; write {name} alone, not {name}@{where}")
@@ -133,24 +133,24 @@ def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories
 
 @dataclass(frozen=True)
 class Chance(InJson):
-    """What becomes of one of the possibilities.
+    """Chance of the right verdict for one possibility.
 
     Parameters
     ----------
     label : str
         The effect at its place, or "none of them".
     size : float or None
-        That it is expected to have.
+        Expected size of the effect.
     unit : str or None
-        Of the size.
+        Unit of the size.
     distance : float or None
-        Standard deviations that its effect on the data is from none, the frame following.
+        Distance from no effect, in standard deviations, with the frame's parameters unknown.
     nearest : str or None
-        What it is hardest to distinguish from.
+        The possibility that is hardest to distinguish from this one.
     nearest_distance : float or None
-        Standard deviations from that, whatever the size of the other.
+        Distance from the nearest possibility, in standard deviations, for any size of the other effect.
     probability : float
-        That the verdict is right if it is this.
+        Probability of the right verdict if this possibility is true.
     """
 
     label: str
@@ -168,18 +168,18 @@ class Chance(InJson):
 
     @property
     def suffices(self) -> bool:
-        """Whether these tests can be said to show it."""
+        """Whether these tests are sufficient for this possibility."""
         return self.probability >= SUFFICES
 
 
 def chances(targets: Sequence[Target], information: Floats) -> tuple[Chance, ...]:
-    """Say what becomes of each possibility: none of the effects, or one of them.
+    """Compute the chance of the right verdict for each possibility: no effect, or one of the effects.
 
     Parameters
     ----------
     targets : sequence of Target
     information : ndarray, shape (q, e, e)
-        G for each frame that the design values allow: distances and probabilities are averages over these.
+        G for each frame that the design values allow; distances and probabilities are averages over these frames.
     """
     right = np.mean([_right(targets, G) for G in information], axis=0)
     own = np.mean(np.sqrt(np.diagonal(information, axis1=1, axis2=2)), axis=0)
@@ -197,9 +197,9 @@ def chances(targets: Sequence[Target], information: Floats) -> tuple[Chance, ...
 
 
 def _distances(targets: Sequence[Target], G: Floats) -> Floats:
-    """Compute standard deviations of each effect (row) from the value of each other that does most like it, (e, e).
+    """Compute the distance of each effect (row) from the nearest value of each other effect, shape (e, e).
 
-    That value is among those that physics allows.
+    Distances are in standard deviations. Only physically possible values count.
     """
     own = np.diag(G)
     allowed = np.array([[G[i, j] * other.side >= 0 for j, other in enumerate(targets)] for i in range(len(targets))])
@@ -207,7 +207,7 @@ def _distances(targets: Sequence[Target], G: Floats) -> Floats:
 
 
 def _right(targets: Sequence[Target], G: Floats) -> list[float]:
-    """Probability of the right verdict if there is none of the effects, and for each if it is there."""
+    """Compute the probability of the right verdict without any effect, and with each effect."""
     rng = np.random.default_rng(DRAWS_SEED)
     noise = rng.standard_normal((DRAWS, len(targets))) @ np.linalg.cholesky(G).T
     result = []

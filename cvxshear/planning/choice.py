@@ -1,14 +1,14 @@
-"""The best choice of candidates: a convex program behind it, rounding, exchanges, and what no choice can beat.
+"""Best choice of candidates: a convex program, rounding, exchanges, and a bound on all choices.
 
     minimize  criterion of C_a(w)   subject to   0 <= w <= 1,  sum w = N,
 
-weights between 0 and 1 in place of yes and no (Joshi and Boyd, 2009), with C_a(w) the covariance of what is asked for.
-The program's matrices have a row a direction in the space of the parameters. Directions of which the candidates tell
-next to nothing, compared with what is known without them, are left out, and of very many only those they tell most of
-are used; it is stated for the frame as designed. Where that is not the whole problem the weights are then improved
-with every direction and every frame (sequential quadratic programming, scipy's SLSQP). The bound rests on neither
-solver: it is computed afterwards from the weights found. From the weights a choice comes by rounding, and by exchanging
-one candidate for another while that improves it.
+Weights between 0 and 1 replace the decisions (Joshi and Boyd, 2009); C_a(w) is the covariance of the goal's parameters.
+The program's matrices have one row per direction in the space of the parameters. Directions are left out if the
+candidates add almost no information to the prior. If very many directions remain, the program uses only those with the
+most information from the candidates. The program is stated for the frame as designed. If this is not the whole problem,
+sequential quadratic programming (scipy's SLSQP) then improves the weights with every direction and every frame. The
+bound does not depend on the accuracy of either solver: it is computed afterwards from the weights. Rounding the weights
+gives a choice, and exchanges of candidates improve this choice.
 """
 
 import warnings
@@ -29,58 +29,60 @@ from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 
 SOLVERS = ("clarabel", "scs")
-"""Conic solvers that cvxpy brings along and that know semidefinite constraints."""
+"""Conic solvers that cvxpy installs and that solve semidefinite constraints."""
 
 SOLVER_ACCURACY: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7},
     "scs": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 40_000},
 }
-"""Accuracies that they are asked for: the bound is computed afterwards, and rough weights only make it lower."""
+"""Accuracies of the solvers. The bound is computed afterwards, so rough weights only give a lower bound."""
 
 TELLING = 1e-3
-"""Part of a direction's information that the candidates must give for the direction to stand in the program: the
-others' standard deviations change by less than 0.05 %."""
+"""Least share of a direction's information that the candidates must give for a direction in the program. The standard
+deviations along the other directions change by less than 0.05 %."""
 
 DIRECTIONS_ASKED = 16
-"""Directions asked for in the program, and as many again of the rest: its time grows with their fourth power."""
+"""Largest number of directions of the goal's parameters in the program, and largest number of other directions. The
+time grows with the fourth power of this number."""
 
 IMPROVES = 1e-9
-"""Relative gain from which on an exchange is made; less is rounding."""
+"""Least relative gain of an exchange; a smaller gain is rounding."""
 
 AT_ONCE = 2_000_000
-"""Numbers in the information matrices that are formed at a time: 16 MB."""
+"""Largest number of entries of the information matrices that are formed together: 16 MB."""
 
 FEW = 20_000
-"""Choices up to which all are looked at, of information with `TYPICAL` rows: eighteen floors choose six."""
+"""Largest number of choices that are all tried, for information with `TYPICAL` rows: 6 of 18 floors."""
 
 TYPICAL = 45
-"""Rows of the information of an eighteen-story frame with three modes: a cubic measure of what one choice takes."""
+"""Rows of the information of an 18-story frame with three modes. The cost of a choice grows with the cube of the
+rows."""
 
 AT_LAST = 2
-"""Factor on `FEW` where windows leave a gap: a few sensors on a tall frame are then all looked at."""
+"""Factor on `FEW` if windows leave a gap; all choices of a few sensors on a tall frame are then tried."""
 
 CLOSE_ENOUGH = 0.05
-"""Relative gap to the bound up to which no closer bound is looked for: expected noise is no better known."""
+"""Relative gap that ends the search for a closer bound; the noise is not known more accurately."""
 
 WIDTHS = (4, 6, 8, 10)
-"""Numbers of floors in the windows of the closer bound, tried one after the other while the time allows."""
+"""Numbers of floors in the windows of the closer bound; they are tried in turn while the time allows."""
 
 MOST_WORK = 6e7
-"""Parameters times choices in a window times the numbers each takes that are affordable: two seconds."""
+"""Largest product of parameters, choices in a window and numbers per choice: two seconds."""
 
 ROUNDING_SEED = 2009
-"""Seed of the choices that are drawn, so that a plan comes out the same each time."""
+"""Seed of the drawn choices; a fixed seed makes plans repeatable."""
 
 ROUNDINGS, FEWER_ROUNDINGS = 8, 1
-"""Choices drawn with the weights as odds; fewer where there are more than `MANY` candidates, and each takes long."""
+"""Number of choices drawn with the weights as odds; fewer for more than `MANY` candidates, because each takes long."""
 
 MANY = 24
-"""Candidates above which a round of exchanges takes seconds: its time goes with the cube of their number."""
+"""Largest number of candidates with fast exchanges; the time of a round grows with the cube of this number."""
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Candidates that are chosen, and how far from the best and the worst they are.
+    """Chosen candidates, and bounds on the best and the worst choice.
 
     Parameters
     ----------
@@ -89,9 +91,9 @@ class Choice:
     value : float
         The criterion's standard deviation.
     bound : float
-        What no choice of as many can beat; the value itself where all were looked at.
+        Lower bound on all choices of the same size; the value itself if all choices were tried.
     worst : float
-        What no choice exceeds: the worst of all where all were looked at, else the value without any candidate.
+        Upper bound on all choices: the worst if all choices were tried, else the value without any candidate.
     """
 
     chosen: Ints
@@ -101,7 +103,7 @@ class Choice:
 
     @property
     def gap(self) -> float:
-        """How far the choice is above the bound, relative."""
+        """Relative difference of the choice's value and the bound."""
         return self.value / self.bound - 1.0 if self.bound > 0 else float("inf")
 
 
@@ -113,20 +115,20 @@ def choose(
     enumerate_up_to: int = FEW,
     widths: Sequence[int] = WIDTHS,
 ) -> Choice:
-    """Find the best choice: of all, where there are few, else the best that rounding and exchange find.
+    """Find the best choice by trying all, or a good choice by rounding and exchanges if there are too many.
 
     Parameters
     ----------
     problem : Candidates
     number : int
-        How many.
+        Number of candidates to choose.
     by : Criterion
     solver : str, optional
     enumerate_up_to : int, optional
-        Where there are no more choices than this, each is looked at.
+        Largest number of choices that are all tried.
     widths : sequence of int, optional
-        Of the windows with which a closer bound is looked for while the gap is above `CLOSE_ENOUGH`; none where
-        the choice alone is wanted.
+        Widths of the windows for a closer bound, which is computed while the gap exceeds `CLOSE_ENOUGH`; empty if
+        only the choice is required.
     """
     frames, rows, _ = problem.base.shape
     work = comb(problem.count, number) * frames * (rows / TYPICAL) ** 3
@@ -134,7 +136,7 @@ def choose(
         return _best_of_all(problem, number, by)
     weights, bound = relaxed(problem, number, by, solver)
     value, chosen = min(exchanged(problem, start, by) for start in _roundings(weights, number))
-    # Tangents at the program's own weights are far below where it leaves whole parts of the frame without any.
+    # The program may give no weight to whole parts of the frame, and the tangent bound is poor at such weights.
     evened = (weights + number / problem.count) / 2
     for width in _affordable(widths, problem):
         if value <= (1 + CLOSE_ENOUGH) * bound:
@@ -167,22 +169,22 @@ def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criteri
 
 
 def _affordable(widths: Sequence[int], problem: Candidates) -> list[int]:
-    """List the windows whose choices can all be looked at in a few seconds."""
+    """List the widths of the windows whose choices can all be tried in a few seconds."""
     frames, n, d, _ = problem.rows.shape
     work = problem.asked.shape[1] * n * d**2 * frames
     return [width for width in widths if width <= n and 2**width * work <= MOST_WORK]
 
 
 def equally_spaced(floors: int, number: int) -> list[int]:
-    """List so many floors at equal distances, the top one among them; zero-based."""
+    """List `number` floors at equal distances, including the top floor; zero-based."""
     return [round((place + 1) * floors / number) - 1 for place in range(number)]
 
 
 def _roundings(weights: Floats, number: int) -> list[list[int]]:
-    """Choices to exchange from: the largest weights, equal distances, and a few drawn with the weights as odds."""
+    """List starting choices: the largest weights, equal distances, and a few drawn with the weights as odds."""
     rng = np.random.default_rng(ROUNDING_SEED)
     count = len(weights)
-    # The largest of log(weight) + Gumbel noise are a draw without replacement with the weights as odds.
+    # The largest values of log(weight) + Gumbel noise are a draw without replacement with the weights as odds.
     odds = np.log(np.maximum(weights, 1e-6))
     drawn = [odds + rng.gumbel(size=count) for _ in range(ROUNDINGS if count <= MANY else FEWER_ROUNDINGS)]
     largest = [ranking.order(each)[:number] for each in (weights, *drawn)]
@@ -190,7 +192,7 @@ def _roundings(weights: Floats, number: int) -> list[list[int]]:
 
 
 def exchanged(problem: Candidates, start: Sequence[int], by: Criterion) -> tuple[float, list[int]]:
-    """Exchange one candidate for another, the best exchange each time, while that improves the choice.
+    """Repeat the best exchange of one candidate for another while the choice improves.
 
     Returns
     -------
@@ -217,13 +219,13 @@ def exchanged(problem: Candidates, start: Sequence[int], by: Criterion) -> tuple
 
 
 def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clarabel") -> tuple[Floats, float]:
-    """Weights of the candidates at which the criterion is least, and the bound that follows.
+    """Find the weights that minimize the criterion, and compute the bound at these weights.
 
     Parameters
     ----------
     problem : Candidates
     number : int
-        How many are to be chosen, N.
+        Number N of candidates to choose.
     by : Criterion
     solver : str, optional
         "clarabel" or "scs".
@@ -232,12 +234,12 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
     -------
     weights : ndarray, shape (n,)
     bound : float
-        Standard deviation that no choice can beat.
+        Lower bound of the standard deviation over all choices.
 
     Raises
     ------
     NoSolutionError
-        Where the solver finds no weights.
+        If the solver finds no weights.
     """
     checks.choice(solver, SOLVERS, "solver")
     if number >= problem.count:
@@ -245,7 +247,7 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
         return weights, float(by.value(problem, problem.information(weights)))
     import cvxpy  # noqa: PLC0415 - takes a second
 
-    # Most of its functions have no types.
+    # Most functions of cvxpy have no types.
     cp: Any = cvxpy
     reduced = _reduced(problem, number / problem.count)
     w = cp.Variable(problem.count)
@@ -255,7 +257,7 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
     conic = cp.Problem(objective, [w >= 0, w <= 1, cp.sum(w) == number, *constraints])
     try:
         with warnings.catch_warnings():
-            # "Solution may be inaccurate": how accurate it is shows in the bound.
+            # "Solution may be inaccurate": the bound accounts for the inaccuracy.
             warnings.simplefilter("ignore")
             conic.solve(solver=solver.upper(), **SOLVER_ACCURACY[solver])
     except cp.SolverError as error:
@@ -274,7 +276,7 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
 
 
 def _reduced(problem: Candidates, weight: float) -> Reduced:
-    """Return the frame as designed in the directions that its candidates tell of."""
+    """Return the frame as designed in the directions on which its candidates have information."""
     base, added, asked = problem.base[0], problem.added[0], problem.asked[0]
     whole = weight * added.sum(axis=0)
     a = asked.shape[1]
@@ -289,7 +291,7 @@ def _reduced(problem: Candidates, weight: float) -> Reduced:
 
 
 def _telling(whole: Floats) -> tuple[Floats, bool]:
-    """Orthonormal columns, the directions that the candidates tell of, most first; and whether these are all."""
+    """Return orthonormal directions with information of the candidates, the largest first; and whether all are used."""
     values, vectors = np.linalg.eigh(whole)
     many = max(1, int(np.sum(values > TELLING)))
     used = ranking.order(values)[: min(many, DIRECTIONS_ASKED)]
@@ -297,7 +299,7 @@ def _telling(whole: Floats) -> tuple[Floats, bool]:
 
 
 def _as_mixture(matrix: Floats) -> Floats:
-    """Find the nearest positive semidefinite matrix, of trace 1: what rounding leaves of a multiplier is made one."""
+    """Return the nearest positive semidefinite matrix of trace 1; a solver's multiplier is one only up to rounding."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     values = np.maximum(values, 0.0)
     return np.asarray((vectors * (values / values.sum())) @ vectors.T)
@@ -310,7 +312,7 @@ def descended(
     rounds: int,
     tolerance: float,
 ) -> Floats:
-    """Where a function of weights between 0 and 1 is least, or at least lower than at the start (scipy's SLSQP).
+    """Minimize a function of weights between 0 and 1, or at least reduce it from the start (scipy's SLSQP).
 
     Parameters
     ----------
@@ -319,9 +321,9 @@ def descended(
     start : ndarray, shape (n,)
     within : LinearConstraint
     rounds : int
-        Steps at most.
+        Maximum number of steps.
     tolerance : float
-        Of the value.
+        Tolerance of the value.
     """
     found = minimize(
         function,

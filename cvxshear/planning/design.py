@@ -1,4 +1,4 @@
-"""What is known of a frame before the test: its values, how sure they are, and what was measured of it before."""
+"""Knowledge of a frame before the test: design values, their uncertainty, and earlier measurements."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats
 
 FRAME_QUANTITIES = ("floor_mass", "story_stiffness")
-"""Quantities that a frame has, in the order in which parameters stand."""
+"""Quantities of a frame, in the order of the parameters."""
 
 UNKNOWN_STD = 1.0
-"""Relative standard deviation from which on a mass or stiffness counts as unknown: as uncertain as it is large."""
+"""Least relative standard deviation of an unknown mass or stiffness; the uncertainty equals the value."""
 
 
 @dataclass(frozen=True)
 class MeasuredFrequency:
-    """A measured frequency beside that of the frame that the plan starts from.
+    """A measured frequency and the corresponding frequency of the plan's frame.
 
     Parameters
     ----------
@@ -51,33 +51,33 @@ class MeasuredFrequency:
 
     @property
     def error(self) -> float:
-        """Relative difference."""
+        """Relative difference of the two frequencies."""
         return self.expected / self.measured - 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A frame before a test.
+    """Knowledge of a frame before a test.
 
     Parameters
     ----------
     frame : Frame
-        With its number of stories.
+        Frame with its number of stories.
     floor_mass, story_stiffness : ndarray, shape (N,)
-        The values that are expected, kg without added mass and N/m.
+        Expected values, kg without added mass and N/m.
     priors : tuple of Prior
-        How sure they are.
+        Uncertainty of the expected values.
     measured : Experiment or None
-        What was measured before; its information counts.
+        Earlier measurements; their information counts.
     declared : tuple of Configuration
-        The configurations of the file that the values come from.
+        Configurations of the file that gave the values.
     name : str
     effects : tuple of Placed
-        Effects that an earlier loop found in the frame; they are in it when it is tested again.
+        Effects that an earlier loop found in the frame; they act in the planned tests, too.
     values, value_std : ndarray, shape (e,)
-        Their parameters in their units, and the standard deviations of these where no measurement counts.
+        Parameters of the effects in their units, and their standard deviations if no measurement counts.
     state : str or None
-        State of the frame that is to be tested; None where it does not matter.
+        State of the frame in the planned tests; None if it does not matter.
     """
 
     frame: Frame
@@ -99,7 +99,7 @@ class Design:
 
     @property
     def scale(self) -> Scale:
-        """Mean floor mass and story stiffness, and the heights; effects expect sizes in these."""
+        """Mean floor mass, mean story stiffness and story heights; the expected sizes of effects depend on these."""
         heights = np.ones(self.stories) if self.frame.story_heights is None else self.frame.story_heights
         return Scale(float(self.floor_mass.mean()), float(self.story_stiffness.mean()), heights)
 
@@ -110,12 +110,12 @@ class Design:
 
     @property
     def theta(self) -> Floats:
-        """Floor masses, story stiffnesses, and the parameters of the effects that were found, shape (2N + e,)."""
+        """Floor masses, story stiffnesses, and parameters of the effects found, shape (2N + e,)."""
         return np.concatenate([self.sizes, self.values])
 
     @property
     def units(self) -> Floats:
-        """Size of each parameter, by which derivatives are made relative, shape (2N + e,)."""
+        """Size of each parameter, the unit of relative derivatives, shape (2N + e,)."""
         parameters = [item for placed in self.effects for item in placed.effect.parameters]
         away = [
             abs(value - item.null) or abs(item.start - item.null) or 1.0
@@ -124,7 +124,7 @@ class Design:
         return np.concatenate([self.sizes, away])
 
     def measured_frequencies(self) -> tuple[MeasuredFrequency, ...]:
-        """Every frequency that the file measured beside that of this frame."""
+        """Pairs of each frequency measured in the file and the frequency of this frame."""
         found: list[MeasuredFrequency] = []
         shell = self.shell()
         for test in self.declared:
@@ -135,8 +135,8 @@ class Design:
         return tuple(found)
 
     def shell(self) -> Experiment:
-        """Make an experiment that holds the frame's dimensions for the forward model; its masses are those expected."""
-        # The states that the file names are those of its tests, not of the one that is planned.
+        """Make an experiment with the frame's dimensions and expected masses for the forward model."""
+        # The states of the file's tests do not apply to the planned test.
         unsaid = dataclasses.replace(
             self.frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False, reference=None
         )
@@ -144,12 +144,12 @@ class Design:
         return Experiment(frame, (self.blank(np.zeros(self.stories)),))
 
     def blank(self, added_mass: Floats) -> Configuration:
-        """Make a configuration with these masses that nothing was measured on yet."""
+        """Make a configuration with these added masses and without measurements."""
         nothing = np.full((1, self.stories), np.nan)
         return Configuration(np.array([1.0]), nothing, "planned test", self.state or "", np.array(added_mass))
 
     def fixed(self) -> Floats:
-        """Rows on which every relative change of masses and stiffnesses is zero, shape (e, 2N)."""
+        """Return rows whose product with every relative change of masses and stiffnesses is zero, shape (e, 2N)."""
         n, size = self.stories, self.sizes
         rows = [np.zeros((0, 2 * n))]
         if self.frame.floor_masses is not None:
@@ -167,22 +167,22 @@ class Design:
 
     @property
     def _of_the_total(self) -> Floats:
-        """Relative change of the total mass by that of masses and stiffnesses, shape (1, 2N)."""
+        """Return the relative change of the total mass per relative change of each parameter, shape (1, 2N)."""
         share: Floats = np.concatenate([self.floor_mass, np.zeros(self.stories)])[None] / self.floor_mass.sum()
         return share
 
     def known(self, more: Sequence[Placed] = (), nulls: Sequence[float] = ()) -> Floats:
-        """Return what is known before the test, rows in standard deviations, shape (k, 2N + e + m).
+        """Return the prior information, rows in standard deviations, shape (k, 2N + e + m).
 
         Derivatives are relative to `units`.
 
         Parameters
         ----------
         more : sequence of Placed
-            Effects of one parameter that may be there besides those that were found; derivatives by these, m of them,
-            are in their own units.
+            Possible effects with one parameter, besides the effects found; derivatives by these m parameters are in
+            the parameters' own units.
         nulls : sequence of float
-            Their values without an effect.
+            Values of the parameters without an effect.
         """
         n, size = self.stories, self.sizes
         units = np.concatenate([self.units, np.ones(len(more))])
@@ -212,13 +212,13 @@ class Design:
         Parameters
         ----------
         experiment : Experiment, path or name of a built-in
-            Fitted first.
+            Experiment that is fitted first.
         fresh : bool, optional
-            Take the values from it, and its priors, but count none of its measurements as known.
+            Use the fitted values and the priors, but do not count the measurements as known.
         loop : bool, optional
-            Take the frame with the effects that the loop finds, in place of the shear frame.
+            Use the frame with the effects that the loop finds, instead of the shear frame.
         configuration : str, optional
-            Configuration or state of the frame that is to be tested; the first configuration if None.
+            Configuration or state of the frame in the planned tests; the first configuration if None.
         """
         experiment = opened(experiment)
         state_of = {each.state: each.state for each in experiment.configurations}
@@ -256,7 +256,7 @@ class Design:
         Raises
         ------
         InputError
-            Where no design values are declared.
+            If no design values are declared.
         """
         if "record" in declared:
             raise InputError(
@@ -293,12 +293,12 @@ class Design:
 
     @staticmethod
     def of_result(result: Mapping[str, Any], name: str) -> Design:
-        """Read the frame of a result's JSON, of `identify` or `loop`: values with standard deviations.
+        """Read the frame from the JSON of a result of `identify` or `loop`: values with standard deviations.
 
         Raises
         ------
         InputError
-            Where it has none.
+            If the result has no frame.
         """
         frame = result.get("frame")
         keys = [f"{quantity}{part}" for quantity in FRAME_QUANTITIES for part in ("", "_std")]
@@ -321,18 +321,18 @@ def _place(prior: Prior, n: int) -> slice:
 
 
 def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | None:
-    """Read the design values of a quantity, where a prior declares all of them; `stories` is 0 where not declared."""
+    """Read the design values of a quantity if a prior declares all of them; `stories` is 0 if not declared."""
     values = [prior.suggested(stories) for prior in priors if prior.quantity == quantity]
     return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
 
 
 def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Floats]:
-    """Read the effects that a result of the loop holds in every state, their parameters and standard deviations.
+    """Read the effects that a loop's result has in every state, their parameters and standard deviations.
 
     Raises
     ------
     InputError
-        Where one of them cannot be made again from the result alone, which holds no story heights.
+        If an effect needs data that the result lacks, such as story heights.
     """
     there = {effect.name: effect for effect in catalogue()}
     found, values, std = [], [], []
@@ -361,16 +361,16 @@ def read_design(
     source : str, Path or Experiment
         "paper"; a TOML file with configurations (fitted first) or without (design values); the JSON of a result.
     fresh : bool, optional
-        Count nothing of what was measured as known.
+        Do not count earlier measurements as known.
     loop : bool, optional
-        Close the loop on what was measured, and plan for the frame with the effects that it finds.
+        Close the loop on the measurements, and plan for the frame with the effects found.
     configuration : str, optional
-        Configuration or state of the frame that is to be tested.
+        Configuration or state of the frame in the planned tests.
 
     Raises
     ------
     InputError
-        Naming the file and what would be right.
+        If the source is not valid; the message names the file and the remedy.
     """
     measured = source if isinstance(source, Experiment) else measurement_of(source)
     if measured is not None:
@@ -387,12 +387,12 @@ def read_design(
 
 
 def measurement_of(source: str | Path) -> Experiment | None:
-    """Read what was measured from a file; None where it holds design values or the JSON of a result.
+    """Read the measurements of a file; None if the file has design values or the JSON of a result.
 
     Raises
     ------
     InputError
-        Naming the file and what would be right.
+        If the file is not valid; the message names the file and the remedy.
     """
     if is_built_in(source):
         return load(source)

@@ -1,6 +1,7 @@
-"""Plan a test: which floors to measure, which masses to add.
+"""Plan a test: choose the floors to measure and the masses to add.
 
-Masses are the best of a grid of tests, then what is between the grid's points; floors and masses are chosen by turns.
+The masses are chosen from a grid of tests, then refined between the grid's points. Floors and masses are chosen in
+turn.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": 
 """Goals of a plan other than effects, each with the quantities to determine."""
 
 DECLARED = "declared"
-"""In place of a number of tests: those that the file declares."""
+"""Value of `tests` for the tests that the file declares, instead of a number."""
 
 USUAL_MODES = 4
 """Default number of modes of a plan: ambient tests of buildings commonly give four."""
@@ -38,7 +39,7 @@ MOST_TESTS = 50
 """Largest number of tests; the time of the program grows with it."""
 
 TURNS = 3
-"""Times that floors and masses are chosen, one given the other; the third turn seldom changes anything."""
+"""Number of choices of floors and masses, each given the other; the third choice seldom changes anything."""
 
 PARTS = (0.5, 1.0)
 """Added masses of the grid, as fractions of the limit of a floor."""
@@ -47,25 +48,25 @@ MOST_REFINED = 60
 """Largest number of masses, over all tests, that are refined between the points of the grid."""
 
 DESCENT_STEPS = 15
-"""Steps of the refinement at most; its gradient takes a test's modes for each mass."""
+"""Maximum number of steps of the refinement; its gradient needs a test's modes for each mass."""
 
 MASS_STEP = 1e-3
 """Step of a mass in the difference quotients of that gradient, as a fraction of the limit of its floor."""
 
 MASS_DIGITS = 2
-"""Decimals of a refined mass in percent of its limit; scales are not finer."""
+"""Decimals of a refined mass in percent of its limit; scales are not more accurate."""
 
 
 @dataclass(frozen=True, eq=False)
 class MassLimits:
-    """What can be added to the frame.
+    """Limits of the added masses.
 
     Parameters
     ----------
     floor : ndarray, shape (N,)
-        kg on each floor; zero where nothing can be put.
+        Limit of each floor, kg; zero if the floor cannot carry added mass.
     total : float
-        kg in one test.
+        Limit of one test, kg.
     """
 
     floor: Floats
@@ -73,7 +74,7 @@ class MassLimits:
 
     @staticmethod
     def of(floor: object, total: object, stories: int) -> MassLimits:
-        """Read the limits that options declare: one number or one a floor, and a number or nothing for all together."""
+        """Read the limits from options: one number or one per floor, and a number or None for the total."""
         if floor is None:
             if total is not None:
                 raise InputError("a limit of the added mass in all needs one of each floor: give added_mass as well")
@@ -84,11 +85,11 @@ class MassLimits:
 
     @property
     def any(self) -> bool:
-        """Whether anything can be added."""
+        """Whether any mass can be added."""
         return self.total > 0
 
     def grid(self) -> list[Floats]:
-        """List the tests to choose from: nothing, each floor alone, all floors, lower and upper half; none twice."""
+        """List the tests to choose from: nothing, each single floor, all floors, lower and upper half; none twice."""
         n = len(self.floor)
         patterns = [np.zeros(n), *np.eye(n), np.ones(n)]
         if n > 2:
@@ -98,11 +99,11 @@ class MassLimits:
         return list({tuple(np.round(test, 9)): test for test in tests}.values())
 
     def _within(self, test: Floats) -> Floats:
-        """Make the test smaller where it is too heavy in all."""
+        """Scale the test down if its total exceeds the limit."""
         return np.asarray(test * min(1.0, self.total / max(float(test.sum()), 1e-300)))
 
     def practical(self, test: Floats) -> Floats:
-        """Round the masses as one would weigh them, within the limits."""
+        """Round the masses to practical values, within the limits."""
         largest = float(self.floor.max())
         result: Floats = np.minimum(np.round(test / largest, MASS_DIGITS) * largest, self.floor)
         return self._within(result)
@@ -130,32 +131,32 @@ def plan(
     Parameters
     ----------
     source : str, Path, Experiment or Design
-        A file of design values; a measurement file or the JSON of an earlier result, which are then known beforehand.
+        A file of design values, a measurement file or the JSON of an earlier result; earlier results count as known.
     sensors : int, optional
-        How many floors can be measured; all where not given.
+        Number of floors to measure; all by default.
     tests : int or str, optional
-        How many tests; "declared" for those of the measurement file with their masses, planned as if nothing had been
-        measured yet.
+        Number of tests; "declared" for the tests of the measurement file with their masses, without their
+        measurements.
     modes : int or sequence of int, optional
-        How many of the lowest modes will be identified, or which.
+        Number of the lowest modes that will be identified, or the modes' numbers.
     noise : TestNoise, optional
-        What the source's tests state where not given; 0.2 % of frequencies and 1 % of shapes where they state nothing.
+        By default, the noise that the source's tests declare; without it, 0.2 % of frequencies and 1 % of shapes.
     added_mass : float or array_like, shape (N,), optional
-        kg that each floor can carry; without it no mass is added.
+        Largest added mass of each floor, kg; by default no mass is added.
     added_mass_total : float, optional
-        kg that one test can carry in all.
+        Largest total of added masses in one test, kg.
     goal : str, optional
-        "masses", "stiffnesses", "all", or effects to tell from one another and from none, commas between, each as
-        "NAME", "NAME@PLACE" and with "=SIZE" where it has no usual one.
+        "masses", "stiffnesses", "all", or effects to distinguish from each other and from no effect, separated by
+        commas. Each effect is "NAME" or "NAME@PLACE", with "=SIZE" if it has no usual size.
     criterion : str, optional
-        "D", "A", "E" or "worst"; D for the frame and worst for effects where not given.
+        "D", "A", "E" or "worst"; by default, D for the frame and worst for effects.
     fresh : bool, optional
-        Count nothing of what the source measured as known.
+        Do not count the source's measurements as known.
     loop : bool, optional
-        Close the loop on what the source measured, and plan for the frame with the effects that it finds; the shear
-        frame that fits best where not.
+        Close the loop on the source's measurements, and plan for the frame with the effects found; by default, plan
+        for the shear frame with the best fit.
     configuration : str, optional
-        Test or state of the source that is tested again; its first configuration if None.
+        Test or state of the source that is tested again; the first configuration if None.
     backend : str, optional
         "clarabel" or "scs".
 
@@ -166,9 +167,9 @@ def plan(
     Raises
     ------
     InputError
-        Naming the option, the value found and what would be right.
+        If an option is not valid; the message names the option, its value and the remedy.
     NoSolutionError
-        Where the backend finds no solution.
+        If the backend finds no solution.
     """
     checks.choice(backend, SOLVERS, "backend")
     declared = tests == DECLARED
@@ -196,7 +197,7 @@ def plan(
 
 
 def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: TestNoise) -> TestModel:
-    """Build the model of the tests, for this goal."""
+    """Build the model of the tests for this goal."""
     which = _which(modes, design)
     if goal in GOALS:
         return TestModel(design, (), GOALS[goal], which, noise)
@@ -217,7 +218,7 @@ def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
 
 
 def _names(design: Design, count: int) -> list[str]:
-    """Names for the planned tests that no test of the file has."""
+    """Make names for the planned tests that differ from the names of the file's tests."""
     taken = {each.name for each in design.declared}
     free = (name for name in (f"planned test {i}" for i in range(1, count + len(taken) + 1)) if name not in taken)
     return [next(free) for _ in range(count)]
@@ -226,7 +227,7 @@ def _names(design: Design, count: int) -> list[str]:
 def _masses(
     model: AveragedModel, number: int, count: int, by: Criterion, limits: MassLimits, backend: str
 ) -> list[Floats]:
-    """Choose the masses of so many tests, kg, the lightest first; floors and masses chosen by turns."""
+    """Choose the masses of `number` tests, kg, the lightest first; choose floors and masses in turn."""
     n = len(limits.floor)
     grid = limits.grid()
     if count > len(grid):
@@ -238,7 +239,7 @@ def _masses(
         if number == n:
             break
         before = floors
-        # On the way the choice is wanted, not how far it is from the best.
+        # Intermediate choices need no bound.
         problem = model.sensors([expected[i] for i in found.chosen], number)
         floors = choose(problem, number, by, backend, widths=()).chosen
         if np.array_equal(floors, before):
@@ -256,17 +257,17 @@ def value_of(model: AveragedModel, tests: Sequence[Test], floors: Ints, by: Crit
 def refined(
     model: AveragedModel, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: MassLimits
 ) -> list[Floats]:
-    """Move the masses of the tests between the grid's points, where that is better.
+    """Move the masses of the tests between the grid's points if this improves the criterion.
 
-    The masses are looked for on the frame as designed, and judged on all that the design values allow.
+    The search uses the frame as designed; the comparison uses all frames that the design values allow.
 
     Parameters
     ----------
     model : AveragedModel
     tests : sequence of ndarray, shape (N,)
-        kg.
+        Added masses, kg.
     floors : ndarray of int
-        Measured, zero-based.
+        Measured floors, zero-based.
     by : Criterion
     limits : MassLimits
     """
@@ -289,7 +290,7 @@ def refined(
         here = [designed.expected(test) for test in masses(x)]
         now, slope = value(here), np.zeros(len(x))
         for place in range(len(x)):
-            # Into the interior, so that no mass becomes negative or too large.
+            # Move into the interior, so that no mass becomes negative or too large.
             step = MASS_STEP if x[place] < 0.5 else -MASS_STEP
             moved, test = x.copy(), place // size
             moved[place] += step
@@ -313,7 +314,7 @@ def _finished(
     backend: str,
     limits: MassLimits | None,
 ) -> Plan:
-    """Make the plan with the accuracy expected of it, of one sensor more, of one less, and of sensors everywhere."""
+    """Make the plan with its expected accuracy, also for one sensor more, one less, and sensors everywhere."""
     designed = model.frames[0]
     n = designed.design.stories
     expected = [model.expected(test) for test in masses]
@@ -342,7 +343,7 @@ def _finished(
 
 
 def expected_accuracy(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> ExpectedAccuracy:
-    """State what is expected of the shear model with the chosen floors.
+    """Compute the expected accuracy of the shear model with the chosen floors.
 
     Parameters
     ----------

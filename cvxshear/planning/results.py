@@ -1,4 +1,4 @@
-"""What planning returns: the choice and what it promises, and the planned tests as a file to fill in."""
+"""Results of planning: the choice and its expected accuracy, and the planned tests as a file to fill in."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ARBITRARY = 0.01
-"""Relative difference of best and worst choice up to which it does not matter: noise is not known to a hundredth."""
+"""Largest relative difference of best and worst choice that counts as equal; the noise is not known to one percent."""
 
 MISFIT = 0.02
-"""Relative error of the frame's frequencies that a plan mentions: ten times the noise expected where none is stated."""
+"""Least relative error of the frame's frequencies that a plan reports: ten times the default noise of frequencies."""
 
 MOST_POINTS = 10
-"""Numbers of sensors in the curve of accuracy."""
+"""Largest number of points in the curve of accuracy."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedAccuracy(InJson):
-    """What is expected with sensors on some floors.
+    """Expected accuracy with sensors on some floors.
 
     Parameters
     ----------
     floors : ndarray of int, shape (N,)
         1 the lowest.
     objective : float
-        The criterion's standard deviation, relative (to the effects' sizes where the plan is for effects).
+        The criterion's standard deviation, relative; for effects, relative to their sizes.
     bound : float
-        What no choice of as many floors can beat in these tests.
+        Lower bound on all choices of the same number of floors in these tests.
     worst : float
-        What no choice of as many floors exceeds.
+        Upper bound on all choices of the same number of floors.
     floor_mass_std, story_stiffness_std : ndarray, shape (N,)
-        kg and N/m, of the shear model; nan where it stays open.
+        kg and N/m, of the shear model; nan if undetermined.
     """
 
     floors: Ints
@@ -63,12 +63,12 @@ class ExpectedAccuracy(InJson):
 
     @property
     def gap(self) -> float:
-        """How far the choice is above what none can beat, relative."""
+        """Relative difference of the objective and the bound."""
         return self.objective / self.bound - 1.0 if self.bound > 0 else float("inf")
 
     @property
     def arbitrary(self) -> bool:
-        """Whether every choice of as many floors gives the same, so that nothing speaks for these."""
+        """Whether every choice of the same number of floors is equally good."""
         return self.worst <= (1 + ARBITRARY) * self.bound
 
     @property
@@ -79,7 +79,7 @@ class ExpectedAccuracy(InJson):
 
 @dataclass(frozen=True)
 class ExpectedMode(InJson):
-    """A mode before it is measured.
+    """Expected properties of a mode.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ class ExpectedMode(InJson):
     frequency : float
         Hz.
     frequency_std, mode_shape_std : float
-        Relative; of an entry, the mode's largest being 1.
+        Relative deviation of the frequency; deviation of a shape entry if the mode's largest entry is 1.
     damping_std : float or None
-        Relative, of the damping ratio, where the noise follows from a record.
+        Relative deviation of the damping ratio, if the noise is computed from a record.
     """
 
     mode: int
@@ -107,23 +107,23 @@ class Plan(Shown):
     Parameters
     ----------
     averaged : AveragedModel
-        The frames that the design values allow, over which the objective and the standard deviations are averaged.
+        Frames that the design values allow; objective and standard deviations are averages over these frames.
     criterion, backend : str
     tests : tuple of ndarray, shape (N,)
-        Added mass of each, kg.
+        Added mass of each test, kg.
     names : tuple of str
-        Of the tests.
+        Names of the tests.
     chosen : ExpectedAccuracy
-        With the sensors of the plan.
+        Accuracy with the sensors of the plan.
     fewer, more : ExpectedAccuracy or None
-        With the best choice of one sensor less, and one more.
+        Accuracy with the best choice of one sensor less, and of one sensor more.
     everywhere : ExpectedAccuracy
-        With every floor measured.
+        Accuracy with sensors on every floor.
     grid_bound, grid_worst : float or None
-        What no tests of the grid of added masses can beat with the chosen sensors, and what none exceeds, where the
-        masses were chosen. The planned masses may lie between the grid's points, and below this bound.
+        Lower and upper bound on all tests of the grid of added masses, with the chosen sensors; None if the masses
+        were given. The planned masses may lie between the grid's points and be below the lower bound.
     apart : tuple of Chance
-        What becomes of each effect; empty where the plan is for the frame.
+        Chance of the right verdict for each effect; empty without effects.
     """
 
     averaged: AveragedModel
@@ -148,22 +148,22 @@ class Plan(Shown):
 
     @property
     def model(self) -> TestModel:
-        """The frame as designed, what the plan is for, the modes and their noise."""
+        """The frame as designed, the goal of the plan, the modes and their noise."""
         return self.averaged.frames[0]
 
     @property
     def frames(self) -> int:
-        """Number of frames that the plan is an average over; 1 where the design values are firm."""
+        """Number of frames in the plan's average; 1 if the design values are certain."""
         return len(self.averaged.frames)
 
     @property
     def arbitrary_masses(self) -> bool:
-        """Whether all tests of the grid of added masses give the same."""
+        """Whether all tests of the grid of added masses are equally good."""
         return self.grid_bound is not None and (self.grid_worst or 0.0) <= (1 + ARBITRARY) * self.grid_bound
 
     @property
     def misfit(self) -> MeasuredFrequency | None:
-        """The measured frequency that the frame of the plan is farthest from, where that is more than `MISFIT`."""
+        """The measured frequency with the largest error of the plan's frame, if the error exceeds `MISFIT`."""
         worst = max(self.model.design.measured_frequencies(), key=lambda each: abs(each.error), default=None)
         return None if worst is None or abs(worst.error) <= MISFIT else worst
 
@@ -184,12 +184,12 @@ class Plan(Shown):
 
     @property
     def gap(self) -> float:
-        """How far the choice is above the bound, relative."""
+        """Relative difference of the objective and the bound."""
         return self.chosen.gap
 
     @property
     def expected_modes(self) -> tuple[ExpectedMode, ...]:
-        """The modes of the first test, and how well they will be known."""
+        """Modes of the first test, and their expected standard deviations."""
         which, noise = self.model.which, self.model.noise
         first = self.model.expected(self.tests[0])
         frequencies = first.found.frequencies[which]
@@ -214,7 +214,7 @@ class Plan(Shown):
 
     @property
     def floors_arbitrary(self) -> bool:
-        """Whether floors were chosen, and every choice of as many gives the same."""
+        """Whether floors were chosen, and every choice of the same number is equally good."""
         return self.chosen.arbitrary and len(self.sensors) < self.model.design.stories
 
     @property
@@ -224,11 +224,11 @@ class Plan(Shown):
 
     @property
     def frame(self) -> dict[str, object]:
-        """The frame that the plan is for."""
+        """Frame of the plan."""
         return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness", "effects", "state")}
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return the tests and what they will determine as a table of pandas.
+        """Return the tests and their expected accuracy as a table of pandas.
 
         Returns
         -------
@@ -240,7 +240,7 @@ class Plan(Shown):
         Raises
         ------
         InputError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         design = self.model.design
         floors = range(1, design.stories + 1)
@@ -254,7 +254,7 @@ class Plan(Shown):
 
 
 def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
-    """List numbers of sensors, the criterion of the best choice found, and what no choice is below; ascending.
+    """List numbers of sensors (ascending), the criterion of the best choice found, and its lower bound.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
 
 
 def predicted(plan: Plan) -> Experiment:
-    """Simulate the planned tests, measured without error on the frame as it is expected.
+    """Simulate the planned tests on the expected frame, without noise.
 
     Parameters
     ----------
@@ -280,12 +280,12 @@ def predicted(plan: Plan) -> Experiment:
     Returns
     -------
     Experiment
-        With what is declared of the frame, and what was measured of it before.
+        The declared frame with the earlier and the planned measurements.
 
     Raises
     ------
     InputError
-        Where the tests would not tell how heavy the frame is.
+        If the tests do not determine the mass scale.
     """
     floors = plan.chosen.floors - 1
     tests = tuple(
@@ -308,13 +308,13 @@ def _configuration(plan: Plan, name: str, masses: Floats, test: Expected, floors
         measured_floors=floors + 1,
         modes=which + 1,
         frequency_std=test.frequency_std,
-        # As a file has it: of a mode's largest measured entry.
+        # A file declares the deviation relative to a mode's largest measured entry.
         mode_shape_std=test.shape_std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
     )
 
 
 def write_template(path: str | Path, plan: Plan) -> None:
-    """Write a measurement file with the planned tests, nan in place of what is to be measured.
+    """Write a measurement file with the planned tests, with nan for the values to be measured.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def write_template(path: str | Path, plan: Plan) -> None:
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     exact = predicted(plan)
     declared = exact.to_dict()

@@ -1,21 +1,21 @@
-"""A bound that sees whole sensors: near each parameter every choice of floors is looked at, far from it weights do.
+"""Lower bounds that use whole sensors: all choices of floors near a parameter, weights far from it.
 
-Weights overrate few sensors: half a sensor on every floor sees every story a little, a whole one on every other floor
-does not. But the floors near a story determine its stiffness. Let phi be a variance, or the logarithm of one, convex in
-the weights; T a window of neighbouring floors; pi the choice within it; v the weights at which the tangent is taken.
-For every choice w that is pi in T,
+The tangent bound with weights is too optimistic for few sensors. Half a sensor on every floor observes every story a
+little; whole sensors on every other floor do not. But mainly the floors near a story determine its stiffness. Let phi
+be a variance, or the logarithm of one, convex in the weights; T a window of neighboring floors; pi the choice within
+the window; v the weights of the tangent. For every choice w that equals pi in T,
 
     phi(w) >= phi(pi, v) + sum over k outside T of (d phi / d w_k)(pi, v) (w_k - v_k).
 
-With slopes b_k in place of those that depend on pi, and the least that the difference can be over all choices of the
-rest put into the constant, this is a number for each pi and one for each floor outside. What so many sensors make least
-of a sum of such terms, or of the largest of them, is found exactly along the floors (`path`). Windows of no floor
-would give the tangent bound of the convex program back, and a window of all floors looks at every choice.
+The slopes depend on pi. Fixed slopes b_k replace them, and the constant gets the least difference over all choices of
+the other floors. The bound then is a number for each pi plus a number for each floor outside. `path` finds the exact
+minimum, over all choices of N sensors, of a sum of such terms or of the largest term. Empty windows would give the
+tangent bound of the convex program; a window of all floors would try every choice.
 
-Criteria are made of such phi (`Term`), each of them determined by few floors. The trace of the covariance is one
-already. Its volume is one by the chain rule: the logarithms of the variances of x_i with x_1, ..., x_(i-1) known add up
-to log det C. Known parameters are struck from the information, and the information of one parameter with the rest
-marginalised is concave in the whole information, so each of these logarithms is convex.
+Criteria consist of such phi (`Term`); few floors determine each. The trace of the covariance is a sum of variances. Its
+volume follows from the chain rule: the logarithms of the variances of x_i, given x_1, ..., x_(i-1), add up to
+log det C. Each logarithm is convex for two reasons: given parameters are deleted from the information, and the
+information of one parameter with the rest marginalized is concave in the whole information.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,18 +28,19 @@ from cvxshear.planning.candidates import Candidates
 from cvxshear.util.typing import Bools, Floats, Ints
 
 MIXTURE_ROUNDS = 60
-"""Rounds at most in which mixtures are added that bound the best choice so far; most bounds end before."""
+"""Maximum number of rounds that add mixtures against the best choice so far; most bounds need fewer."""
 
 A_ROUND = 4
-"""Windows in which a mixture is added in each round."""
+"""Number of windows that get a new mixture in each round."""
 
 Hardest = Callable[[Floats], tuple[Floats, Floats]]
-"""From covariances, shape (..., s, s): the criterion's variance, (...), and its mixture of the parameters, (..., s)."""
+"""Function of covariances, shape (..., s, s): the criterion's variance, (...), and its mixture of the parameters,
+(..., s)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """v' C(w) v, or its logarithm, C(w) the inverse of an information that the weights add up to.
+    """v' C(w) v, or its logarithm; C(w) is the inverse of an information that is linear in the weights.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ class Term:
 
 
 def variance(problem: Candidates, mixture: Floats) -> list[Term]:
-    """Return the variance of a mixture of the parameters asked for: a term a frame, whose sum is the mean.
+    """Return the variance of a mixture of the goal's parameters: one term per frame; their sum is the mean.
 
     Parameters
     ----------
@@ -88,21 +89,21 @@ def variance(problem: Candidates, mixture: Floats) -> list[Term]:
 
 
 def log_volume(problem: Candidates, weights: Floats) -> tuple[list[Term], float]:
-    """Terms, and a number to add, whose sum is the mean over the frames of log det of the covariance of z_a.
+    """Return terms and a constant; their sum is the mean over the frames of log det of the covariance of z_a.
 
     Parameters
     ----------
     problem : Candidates
     weights : ndarray, shape (n,)
-        At which it is seen which candidates tell of which parameter: parameters are taken along the candidates.
+        Weights that show which candidates determine which parameter; the parameters are sorted along the candidates.
     """
     a, share = problem.asked.shape[-1], 1.0 / len(problem.base)
     terms, constant = [], 0.0
     every = zip(problem.base, problem.rows, problem.asked, problem.information(weights), strict=True)
     for base, rows, asked, information in every:
-        # As many of the parameters asked for as there are coordinates, where an equality ties some to the others.
+        # If an equality ties some parameters to others, only independent ones (a in number) are picked.
         picked = np.sort(linalg.qr(asked.T, mode="r", pivoting=True)[1][:a])
-        # Where each parameter is measured best: the mean place weighed with the slopes of its variance.
+        # Mean position of the candidates that determine each parameter, weighted with the slopes of its variance.
         slopes = np.sum((rows @ np.linalg.inv(information)[:, :a] @ asked[picked].T) ** 2, axis=1)
         picked = picked[np.argsort(np.arange(len(rows)) @ slopes / slopes.sum(axis=0), kind="stable")]
         square = asked[picked]
@@ -116,24 +117,24 @@ def log_volume(problem: Candidates, weights: Floats) -> tuple[list[Term], float]
 
 
 def least_of_sum(terms: Sequence[Term], weights: Floats, number: int, width: int) -> tuple[float, list[int]]:
-    """Bound the sum of terms from below for any choice of so many candidates; return the choice at the bound, too.
+    """Compute a lower bound of the sum of terms over all choices of `number` candidates; return its choice, too.
 
     Parameters
     ----------
     terms : sequence of Term
     weights : ndarray, shape (n,)
-        Of the candidates, 0 to 1: where tangents are taken.
+        Weights of the candidates, 0 to 1; the tangents are taken there.
     number : int
-        How many are to be chosen.
+        Number of candidates to choose.
     width : int
-        Neighbouring candidates of which every choice is looked at.
+        Number of neighboring candidates in a window; every choice within a window is tried.
     """
     n = len(weights)
     values, slopes = np.zeros((n - width + 1, 2**width)), np.zeros(n)
     for term in terms:
         here = term.slopes(weights)
         steepness = np.convolve(here, np.ones(width), mode="valid")
-        # Of windows that tell the same, as in a symmetric frame, the first: rounding is not to decide.
+        # Windows of a symmetric frame can have equal slopes: take the first one, so that rounding does not decide.
         first = int(np.argmax(steepness <= steepness.min() * (1 - 1e-9)))
         outside = np.delete(here, np.s_[first : first + width])
         values[first] += within_window(term, weights, number, first, width, outside)
@@ -145,19 +146,20 @@ def least_of_sum(terms: Sequence[Term], weights: Floats, number: int, width: int
 def least_of_largest(
     problem: Candidates, hardest: Hardest, weights: Floats, number: int, width: int, enough: float
 ) -> tuple[float, list[int]]:
-    """Bound the largest variance of a mixture of the parameters from below for any choice of so many candidates.
+    """Compute a lower bound, over all choices of `number` candidates, of the largest variance of a mixture.
 
-    Mixtures that bound the choice that is best as far as is known are added in turn, each in a window.
+    Each round takes the choice with the least bound so far and adds mixtures with large variances at this choice, each
+    in a window.
 
     Parameters
     ----------
     problem : Candidates
     hardest : callable
-        The largest variance of a covariance, and its mixture.
+        Function that returns the largest variance of a covariance, and its mixture.
     weights, number, width
         As in `least_of_sum`.
     enough : float
-        The bound at which looking ends.
+        The search ends at this bound.
 
     Returns
     -------
@@ -172,7 +174,7 @@ def least_of_largest(
         least, chosen = path(values, np.zeros(n), number, np.maximum)
         if least >= enough:
             break
-        # The choice within each window, the weights outside of it.
+        # The choice within each window, and the weights outside.
         near = np.abs(np.arange(n) - np.arange(count)[:, None] - (width - 1) / 2) < width / 2
         mixed = np.where(near, np.isin(np.arange(n), chosen), weights)
         largest, mixtures = hardest(problem.covariance(problem.own(problem.information(mixed))))
@@ -191,7 +193,7 @@ def least_of_largest(
 
 
 def within_window(term: Term, weights: Floats, number: int, first: int, width: int, slopes: Floats) -> Floats:
-    """For each choice within a window, what a term is at least beyond the slopes' part; infinite where it is none.
+    """Compute the minimum of a term minus the slopes' part, for each choice within a window; infinite if infeasible.
 
     Parameters
     ----------
@@ -199,10 +201,10 @@ def within_window(term: Term, weights: Floats, number: int, first: int, width: i
     weights : ndarray, shape (n,)
     number : int
     first : int
-        Candidate of the window.
+        First candidate of the window.
     width : int
     slopes : ndarray, shape (n - width,)
-        Of the candidates outside.
+        Slopes of the candidates outside the window.
 
     Returns
     -------
@@ -220,7 +222,7 @@ def within_window(term: Term, weights: Floats, number: int, first: int, width: i
     if term.logarithm:
         value, steep = np.log(value), steep / value[:, None]
     value, steep = term.weight * value, term.weight * steep
-    # The least of (steep - slopes)'w over choices of the rest: the lowest, as many as are left.
+    # Minimum of (steep - slopes)'w over choices of the other candidates: the sum of the lowest entries.
     lowest = np.zeros((len(value), len(outside) + 1))
     np.cumsum(np.sort(steep - slopes, axis=1), axis=1, out=lowest[:, 1:])
     rest = np.clip(left, 0, len(outside))
@@ -229,9 +231,9 @@ def within_window(term: Term, weights: Floats, number: int, first: int, width: i
 
 
 def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, width: int) -> tuple[Floats, Floats]:
-    """v' C v and far C v for every choice within a window, one candidate after the other taken in or left out.
+    """Compute v' C v and far C v for every choice within a window, by adding one candidate after the other.
 
-    C - C J' (1 + J C J')^-1 J C for each that is taken in, of what is needed later alone.
+    A candidate that is added changes C to C - C J' (1 + J C J')^-1 J C; only the required parts are computed.
 
     Parameters
     ----------
@@ -239,7 +241,7 @@ def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, widt
     near, far : ndarray, shapes (width d, p) and (f, p)
         Rows of the window's candidates and of the others.
     covariance : ndarray, shape (p, p)
-        Without the window's.
+        Covariance without the window's candidates.
     width : int
 
     Returns
@@ -249,7 +251,7 @@ def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, widt
     """
     d = len(near) // width
     rows = np.concatenate([near, far])
-    # A row each for the window's candidates that are still to come, then for the others.
+    # Rows of the window's remaining candidates, then rows of the others.
     value, with_v = (v @ covariance @ v)[None], (rows @ covariance @ v)[None]
     between = (rows @ covariance @ near.T)[None]
     for _ in range(width):
@@ -263,22 +265,22 @@ def _every_choice(v: Floats, near: Floats, far: Floats, covariance: Floats, widt
 
 
 def patterns(width: int) -> Ints:
-    """Every choice within a window, shape (2^width, width): bit b of a choice's place is candidate b."""
+    """List every choice within a window, shape (2^width, width): bit b of a choice's index is candidate b."""
     return np.asarray((np.arange(2**width)[:, None] >> np.arange(width)) & 1)
 
 
 def path(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> tuple[float, list[int]]:
-    """Find the least that the windows' values and the chosen candidates' slopes can make together, and where.
+    """Minimize the windows' values plus the chosen candidates' slopes; return the minimum and the choice.
 
     Parameters
     ----------
     values : ndarray, shape (n - width + 1, 2^width)
-        Of each window, for each choice within it.
+        Value of each window, for each choice within the window.
     slopes : ndarray, shape (n,)
     number : int
-        Candidates that are chosen.
+        Number of chosen candidates.
     together : ufunc
-        `np.add` for the sum of the windows' values, `np.maximum` for the largest of them.
+        `np.add` for the sum of the windows' values, `np.maximum` for their maximum.
     """
     every = values.shape[1]
     half, width = every // 2, every.bit_length() - 1
@@ -289,7 +291,7 @@ def path(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> tup
     cost[few, counts[few]] = (values[0] + within @ slopes[:width])[few]
     gone = []
     for first in range(1, len(values)):
-        # The lowest candidate leaves the window, of whose two states the better is kept; a new one enters at the top.
+        # The lowest candidate leaves the window: keep the better of its two states. A new one enters at the top.
         without, with_it = cost[0::2], cost[1::2]
         gone.append(with_it < without)
         kept = np.minimum(without, with_it)
@@ -302,7 +304,7 @@ def path(values: Floats, slopes: Floats, number: int, together: np.ufunc) -> tup
 
 
 def _traced(state: int, number: int, gone: Sequence[Bools], width: int) -> list[int]:
-    """Return the candidates of the path that ends in a state of the last window, ascending."""
+    """Return the candidates of the path that ends in this state of the last window, ascending."""
     last = len(gone)
     chosen = [last + bit for bit in range(width) if state >> bit & 1]
     for first in range(last - 1, -1, -1):

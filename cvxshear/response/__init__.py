@@ -1,4 +1,4 @@
-"""From an identified frame to how it moves: damping, prediction of responses, comparison with a record."""
+"""Motion of an identified frame: damping, prediction of responses, comparison with a record, reconstruction."""
 
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response.compare import RecordComparison

@@ -116,7 +116,7 @@ def power_at(estimated: Transfer, natural: Floats, mode: int, frequency: float) 
 
 
 def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
-    """Find the frequency at which the transfer functions of all floors together peak near a mode, Hz; None if none.
+    """Find the peak of the transfer functions of all floors together near a mode, Hz; None without a peak.
 
     The peak is the top of the parabola through the logarithms of the largest line and its neighbors.
     """
@@ -319,7 +319,7 @@ def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bo
 
 
 def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
-    """Report contradictions that one factor, a sign or an exchange of two channels explains; empty if there is none."""
+    """Report contradictions that one factor, a sign or an exchange of two channels explains; empty without any."""
     y, p = np.concatenate(measured), np.concatenate(predicted)
     size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
     if not np.all(size_y > 0) or not np.all(size_p > 0):

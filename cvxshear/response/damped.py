@@ -1,15 +1,15 @@
-"""A frame with damping, and how its floors move under base motion or a force.
+"""Frame with damping, and the motion of its floors under base motion or a force.
 
 The poles s and complex shapes psi of (s^2 M + s C + K) psi = 0 give the displacements under forces b p(t) from rest,
 
     u(t) = sum over all poles of psi (psi' b) / a z(t),   a = psi' (2 s M + C) psi,   z' = s z + p
 
-(Foss 1958). Real modes with modal damping are the case psi = phi, s = -zeta omega +- i omega sqrt(1 - zeta^2). Where p
-is a straight line between samples, z(t + h) = e^(s h) z(t) + (f1 - f2) p(t) + f2 p(t + h) with
+(Foss 1958). Real modes with modal damping are the case psi = phi, s = -zeta omega +- i omega sqrt(1 - zeta^2). If p is
+a straight line between samples, z(t + h) = e^(s h) z(t) + (f1 - f2) p(t) + f2 p(t + h) with
 
-    f1 = (e^(s h) - 1) / s,   f2 = (e^(s h) - 1 - s h) / (s^2 h),
+    f1 = (e^(s h) - 1) / s,   f2 = (e^(s h) - 1 - s h) / (s^2 h).
 
-the first-order hold (for one oscillator: Nigam and Jennings, 1969): a linear filter of one pole.
+This is the first-order hold (for one oscillator: Nigam and Jennings, 1969), a linear filter with one pole.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Complexes, Floats
 
 UNCOUPLED = 1e-12
-"""Damping between two modes, relative to their own, that is rounding: the modes are real then."""
+"""Largest damping between two modes, relative to their own damping, that counts as zero: the modes are real then."""
 
 
 @dataclass(frozen=True, eq=False)
 class DampedPoles:
-    """DampedPoles of a damped frame, one of each conjugate pair.
+    """Poles of a damped frame, one of each conjugate pair.
 
     Parameters
     ----------
     values : ndarray of complex, shape (p,)
-        s, rad/s; ascending in size. Overdamped modes have two real ones each.
+        s, rad/s; ascending in size. Overdamped modes have two real poles each.
     shapes : ndarray of complex, shape (N, p)
-        psi, a column a pole.
+        psi, one column per pole.
     scales : ndarray of complex, shape (p,)
         a = psi' (2 s M + C) psi.
     """
@@ -50,7 +50,7 @@ class DampedPoles:
 
     @property
     def weights(self) -> Floats:
-        """2 for a pole that stands for its conjugate too, else 1, shape (p,)."""
+        """Weight of each pole: 2 for a pole with a conjugate, 1 for a real pole, shape (p,)."""
         return np.where(self.values.imag > 0, 2.0, 1.0)
 
     @property
@@ -60,17 +60,17 @@ class DampedPoles:
 
 
 def modal_damping(real: Modes, C: Floats) -> Floats:
-    """Gamma = Phi' C Phi, shape (N, N): diagonal with 2 zeta omega where the modes do not couple."""
+    """Compute Gamma = Phi' C Phi, shape (N, N): diagonal with 2 zeta omega if the modes are uncoupled."""
     return real.shapes @ C @ real.shapes.T
 
 
 def poles(M: Floats, C: Floats, K: Floats) -> DampedPoles:
-    """Compute the complex modes of a damped frame, of symmetric matrices.
+    """Compute the complex modes of a damped frame with symmetric matrices.
 
     Raises
     ------
     InputError
-        Where the undamped frame has no modes.
+        If the undamped frame has no modes.
     """
     real = modes(M, K)
     gamma = modal_damping(real, C)
@@ -82,7 +82,7 @@ def poles(M: Floats, C: Floats, K: Floats) -> DampedPoles:
 
 
 def classical(real: Modes, own: Floats) -> DampedPoles:
-    """DampedPoles of modes that damping does not couple; own is 2 zeta omega of each, rad/s."""
+    """Return the poles of modes without coupling by damping; `own` is 2 zeta omega of each mode, rad/s."""
     omega = np.sqrt(real.eigenvalues)
     half = 0.5 * own
     root = np.sqrt((half**2 - omega**2).astype(np.complex128))
@@ -95,9 +95,9 @@ def classical(real: Modes, own: Floats) -> DampedPoles:
 
 
 def coupled(real: Modes, gamma: Floats) -> DampedPoles:
-    """DampedPoles of modes that damping couples.
+    """Compute the poles of modes that damping couples.
 
-    The state is (omega q, q') of the modal coordinates q, in which the undamped part is skew and of even scale.
+    The state is (omega q, q') of the modal coordinates q. Its undamped part is skew and evenly scaled.
     """
     n = len(gamma)
     omega = np.sqrt(real.eigenvalues)
@@ -116,14 +116,14 @@ def coupled(real: Modes, gamma: Floats) -> DampedPoles:
 
 
 SMALL = 0.1
-"""|s h| below which the differences are taken from their series, before they cancel."""
+"""Largest |s h| for the power series; the differences themselves would lose digits there."""
 
 TERMS = 12
-"""Terms of that series: |x|^12 over 12! is far below rounding."""
+"""Number of terms of this series; |x|^12 / 12! is far below rounding."""
 
 
 def first_order_hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, Complexes]:
-    """e^(s h), and the weights of the sample now and of the one before, of the shape of s."""
+    """Compute e^(s h), and the weights of the present and the previous sample, in the shape of s."""
     x: Complexes = np.asarray(s * step, dtype=np.complex128)
     E: Complexes = np.exp(x)
     small = np.abs(x) < SMALL
@@ -137,10 +137,10 @@ def first_order_hold(s: Complexes, step: float) -> tuple[Complexes, Complexes, C
 
 
 def _series(x: Complexes, order: int) -> Complexes:
-    """(e^x - its Taylor polynomial below `order`) / x^order = sum of x^k / (k + order)!."""
+    """Compute (e^x - its Taylor polynomial below `order`) / x^order = sum of x^k / (k + order)!."""
     result = np.zeros_like(x)
     for k in reversed(range(TERMS)):
-        # Horner: the coefficient of x^(k+1) is that of x^k over k + 1 + order.
+        # Horner's scheme: the coefficient of x^(k+1) is the coefficient of x^k divided by k + 1 + order.
         result = 1.0 + x / (k + 1 + order) * result
     return result / math.factorial(order)
 
@@ -148,12 +148,12 @@ def _series(x: Complexes, order: int) -> Complexes:
 def driven_poles(s: Complexes, p: Floats, step: float) -> Complexes:
     """Solve z' = s z + p for every pole from rest, by the first-order hold: shape (p, samples).
 
-    Zero at the first sample; p is a straight line between samples.
+    The value at the first sample is zero; p is a straight line between samples.
     """
     E, now, before = first_order_hold(np.asarray(s), step)
     z = np.empty((len(E), len(p)), dtype=np.complex128)
     for row in range(len(E)):
-        # The state before the first sample is such that the first output is zero: the frame is at rest.
+        # This state before the first sample makes the first output zero: the frame is at rest.
         z[row], _ = scipy.signal.lfilter(
             [now[row], before[row]], [1.0, -E[row]], p, zi=np.array([-now[row] * p[0]])
         )  # fmt: skip
@@ -169,13 +169,13 @@ class DampedModel:
     M, C, K : ndarray, shape (N, N)
         kg, N s/m, N/m.
     gain : ndarray, shape (N,)
-        What a sensor on each floor shows in place of 1.
+        Value that a sensor on each floor shows for a value of 1.
     heights : ndarray, shape (N,), optional
         Story heights, m.
     mass_known : bool, optional
-        Whether the masses have a scale, without which forces have none.
+        Whether the mass scale is known; without it, forces have no scale.
     input_gain : float, optional
-        What drove the frame over what the sensor of the excitation shows.
+        Ratio of the real excitation to the value that its sensor shows.
     """
 
     M: Floats
@@ -198,7 +198,7 @@ class DampedModel:
 
     @cached_property
     def ratios(self) -> Floats:
-        """Damping ratio of each mode, shape (N,): of its pole, of Phi' C Phi where a mode is overdamped."""
+        """Damping ratio of each mode, shape (N,): from its pole, or from Phi' C Phi if a mode is overdamped."""
         if len(self.poles.values) == len(self.M) and np.all(self.poles.values.imag > 0):
             return self.poles.ratios
         ratios: Floats = np.diag(modal_damping(self.modes, self.C)) / (2 * np.sqrt(self.modes.eigenvalues))
@@ -207,7 +207,7 @@ class DampedModel:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """How every floor moves, from rest.
+    """Motion of every floor, from rest.
 
     Parameters
     ----------
@@ -216,10 +216,10 @@ class Response:
     acceleration : ndarray, shape (samples, N)
         Total accelerations of the floors, m/s2.
     displacement : ndarray, shape (samples, N)
-        Of the floors against the ground, m.
+        Displacements of the floors against the ground, m.
     story_force : ndarray, shape (samples, N)
-        Shear that story i carries to what lies below: the forces on floors i and above less their inertia, N.
-        Per kilogram of the frame where its masses have no scale.
+        Shear of story i: the forces on floors i and above minus their inertia, N. Without a mass scale, per kilogram
+        of the frame.
     heights : ndarray, shape (N,), optional
         Story heights, m.
     mass_known : bool
@@ -234,17 +234,17 @@ class Response:
 
     @property
     def drift(self) -> Floats:
-        """Story drifts, each floor less the floor below, shape (samples, N), m."""
+        """Story drifts: each floor's displacement minus the lower floor's, shape (samples, N), m."""
         return np.diff(self.displacement, axis=1, prepend=0.0)
 
     @property
     def drift_ratio(self) -> Floats | None:
-        """Drift over story height, shape (samples, N); None where heights are not declared."""
+        """Drift over story height, shape (samples, N); None if heights are not declared."""
         return None if self.heights is None else self.drift / self.heights
 
     @property
     def story_shear(self) -> Floats | None:
-        """`story_force`, N; None where the masses have no scale."""
+        """`story_force`, N; None if the mass scale is unknown."""
         return self.story_force if self.mass_known else None
 
     @property
@@ -254,25 +254,25 @@ class Response:
 
     @property
     def overturning_moment(self) -> Floats | None:
-        """Moment of the floors' forces about the base, shape (samples,), N m; without weights on displaced floors."""
+        """Moment of the floors' forces about the base, shape (samples,), N m; without gravity on displaced floors."""
         return self.story_force @ self.heights if self.mass_known and self.heights is not None else None
 
 
 def response(model: DampedModel, run: DrivenRun, step: float) -> Response:
-    """How the floors move, exact for an excitation that is a straight line between samples.
+    """Compute the motion of the floors, exactly for an excitation that is a straight line between samples.
 
     Parameters
     ----------
     model : DampedModel
     drive : DrivenRun
-        A base acceleration where its floor is 0, else a force.
+        A base acceleration if its floor is 0, else a force.
     step : float
         Time between samples, s.
 
     Raises
     ------
     InputError
-        Where the force acts on a floor that the frame has not.
+        If the force acts on a floor that the frame does not have.
     """
     n, p = len(model.M), run.excitation
     lines = p if run.between is None else run.between
@@ -280,8 +280,8 @@ def response(model: DampedModel, run: DrivenRun, step: float) -> Response:
     own = model.poles
     factors = own.weights * (own.shapes.T @ load) / own.scales
     z = driven_poles(own.values, lines, step)
-    # u = Re(sum of shapes factors z); its second derivative has s^2 in each term, and a jump at the load itself that
-    # for base motion is the ground's own acceleration, which the total one has besides.
+    # u = Re(sum of shapes factors z). Its second derivative has s^2 in each term, and a jump at the load itself. For
+    # base motion, this jump is the ground's own acceleration, which is also part of the total acceleration.
     table = own.shapes * factors
     both = np.concatenate([table * own.values**2, table])
     moved = np.hstack([both.real, -both.imag]) @ np.vstack([z.real, z.imag])
@@ -302,7 +302,7 @@ def response(model: DampedModel, run: DrivenRun, step: float) -> Response:
 
 
 def _load(model: DampedModel, floor: int) -> Floats:
-    """b of the forces b p(t): -M 1 for a base acceleration, a unit vector for a force."""
+    """Return b of the forces b p(t): -M 1 for a base acceleration, a unit vector for a force."""
     n = len(model.M)
     if floor == 0:
         total: Floats = model.M.sum(axis=1)

@@ -1,6 +1,6 @@
-"""Damping ratios of all modes, and the story dashpots or Rayleigh's factors that have them.
+"""Damping ratios of all modes, and the story dashpots or Rayleigh factors with these ratios.
 
-Either is a least-squares program of the form that every backend solves.
+Both are solutions of least-squares programs that every backend can solve.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Floats, Ints
 
 DEFAULT_STD = 0.2
-"""Relative standard deviation of a measured damping ratio where none is declared: repeated tests scatter by as much."""
+"""Relative standard deviation of a measured damping ratio without a declared one: the scatter of repeated tests."""
 
 ASSUMED_STD = 0.5
-"""Relative standard deviation of the damping ratio of a mode that was not measured: modes of one frame differ so."""
+"""Relative standard deviation of the damping ratio of an unmeasured mode: the scatter between modes of one frame."""
 
 
 HIGH = 0.2
-"""Damping ratio from which on it is asked whether percent were meant: frames with dampers have less."""
+"""Least damping ratio that is questioned as a value in percent; frames with dampers have lower ratios."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,12 @@ class Ratios:
     Parameters
     ----------
     values : ndarray, shape (N,)
-        Fraction of critical; where not measured, the mean of those that were.
+        Fraction of critical; for unmeasured modes, the mean of the measured ratios.
     std : ndarray, shape (N,)
         Relative.
     measured : ndarray of bool, shape (N,)
     tested : Configuration
-        The state in which they were measured.
+        The configuration in which they were measured.
     """
 
     values: Floats
@@ -58,7 +58,7 @@ class Ratios:
     tested: Configuration
 
     def assumed(self) -> tuple[str, ...]:
-        """Say what is taken for known and was not measured."""
+        """Report the assumptions about the ratios."""
         said = []
         if not self.measured.all():
             names = ranged([int(j) + 1 for j in np.flatnonzero(~self.measured)])
@@ -81,12 +81,12 @@ class Ratios:
 
 
 def damping_ratios(experiment: Experiment, configuration: Configuration) -> Ratios:
-    """Return the ratios of a configuration, or of the first that has some where it has none.
+    """Return the ratios of a configuration; if it has none, of the first configuration with ratios.
 
     Raises
     ------
     InputError
-        Where no configuration declares any.
+        If no configuration declares ratios.
     """
     sources = [each for each in experiment.configurations if each.damping_ratios is not None]
     if not sources:
@@ -108,32 +108,31 @@ def damping_ratios(experiment: Experiment, configuration: Configuration) -> Rati
 
 
 QUANTITY = "story_damping"
-"""Quantity of the priors that speak of the dashpots."""
+"""Quantity of priors on the dashpots."""
 
 LOOSE = 10.0
-"""Relative standard deviation of the assumption that the dashpots are in proportion to the stiffnesses: it decides only
-what neither the ratios nor the priors do."""
+"""Relative standard deviation of the assumption of dashpots proportional to the stiffnesses. The large value only
+affects combinations that neither the ratios nor the priors determine."""
 
 LEAST_RATIO = 1e-3
-"""Damping ratio below which a measured one is known no better than one of this size."""
+"""Least damping ratio that sets the accuracy: a smaller ratio has the same absolute standard deviation."""
 
 DASHPOT_STEPS = 100
 SETTLED_DASHPOTS = 1e-5
-"""Gauss-Newton steps at most, and largest change of a ratio, in its standard deviation, at which the dashpots have
-settled."""
+"""Maximum number of Gauss-Newton steps, and largest change of a ratio, in its standard deviation, at convergence."""
 
 LEFT_OPEN = 1e-6
-"""Change of the data, each dashpot in units of its own effect, below which they leave a combination of dashpots
-open."""
+"""Largest relative singular value of the data, with each dashpot in units of its own effect, for an undetermined
+combination of dashpots."""
 
 UNTOUCHED = 1e-4
-"""Part of a story in the combinations that are left open, below which its own dashpot counts as determined."""
+"""Largest share of a story in the undetermined combinations for a determined dashpot of this story."""
 
 NAMED_SHARE = 0.1
-"""Share of the largest entry from which on a story is named as part of a combination."""
+"""Least entry of a story in a combination, relative to the largest entry, for the story to be named."""
 
 ZERO = 1e-9
-"""Dashpot, relative to the largest, below which it is zero to within what solvers deliver."""
+"""Largest dashpot that counts as zero, relative to the largest dashpot: the accuracy of the solvers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +144,9 @@ class Dashpots:
     values : ndarray, shape (N,)
         N s/m.
     open : tuple of str
-        Combinations that the measured ratios and the priors leave open, in words.
+        Combinations that the measured ratios and the priors do not determine, in words.
     determined : ndarray of bool, shape (N,)
-        Which stories take part in none of them.
+        Stories that are in no such combination.
     """
 
     values: Floats
@@ -163,34 +162,34 @@ def story_dashpots(
     priors: Sequence[Prior] = (),
     start: Floats | None = None,
 ) -> Dashpots:
-    """Dashpots c >= 0 between the floors with which the frame has the measured damping ratios.
+    """Find dashpots c >= 0 between the floors that give the frame the measured damping ratios.
 
     With real modes x = T' phi, x_i o x_j' c = 2 zeta_i omega_i delta_ij. The rows i = j are the measurement, each
-    divided by 2 omega_i and by the deviation of its zeta_i. The rows i /= j say that the modes do not couple, which
-    nobody measured; of a matrix that only dissipates, an entry is at most sqrt(zeta_i zeta_j) in these units, and a
-    uniform distribution up to there has a standard deviation of sqrt(zeta_i zeta_j / 3).
+    divided by 2 omega_i and by the deviation of its zeta_i. The rows i /= j assume uncoupled modes, which is not a
+    measurement. A dissipative matrix has entries of at most sqrt(zeta_i zeta_j) in these units, and a uniform
+    distribution up to this limit has a standard deviation of sqrt(zeta_i zeta_j / 3).
 
-    Dashpots that do couple the modes change the ratios of the poles in second order. So the program is solved again
-    with the ratios of the complex modes and their derivatives, ds/dc_k = -s y_k^2 / a with the drifts y of the
-    complex shape, until nothing changes: ratios of the frame's own complex modes are then met, too.
+    Dashpots that couple the modes change the ratios of the poles in second order. So the program is solved repeatedly
+    with the ratios of the complex modes and their derivatives, ds/dc_k = -s y_k^2 / a, with the drifts y of the
+    complex shape. At convergence, the frame's complex modes have the measured ratios.
 
     Parameters
     ----------
     real : Modes
-        Undamped, all N of them.
+        All N undamped modes.
     stiffness : ndarray, shape (N,)
-        N/m; the dashpots are in proportion to it where nothing else tells.
+        N/m; undetermined dashpots are proportional to the stiffnesses.
     priors : sequence of Prior, optional
-        Of the quantity "story_damping".
+        Priors of the quantity "story_damping".
     start : ndarray, shape (N,), optional
         Dashpots near the answer.
 
     Raises
     ------
     InfeasibleError
-        Where exact priors contradict each other.
+        If exact priors contradict each other.
     NoSolutionError
-        Where the backend does not solve a program, or the dashpots do not settle.
+        If the backend does not solve a program, or the dashpots do not converge.
     """
     n = len(stiffness)
     where = statements(priors, QUANTITY, n)
@@ -198,7 +197,7 @@ def story_dashpots(
     fit = _Fit(real, stiffness, ratios, priors)
     c = start
     if c is None:
-        # The first answer is that of real modes, wherever it lies; from there on the ratios come ever nearer.
+        # The first solution uses the real modes, for any distance; the following steps improve the ratios.
         c = backend.solve(constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
     domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
     found = gauss_newton(fit, c, domain, backend, Accuracy(SETTLED_DASHPOTS, DASHPOT_STEPS), fit.residuals(c))
@@ -228,7 +227,7 @@ class _Fit:
         self.statement = _statement(real, self.seen, size, stiffness)
 
     def program(self, c: Floats) -> LeastSquares:
-        """State the program of a change of the dashpots: measured ratios, then what is assumed, then soft priors."""
+        """Return the program for a change of the dashpots: measured ratios, then assumptions, then soft priors."""
         found, J = _pole_ratios(self.real, c, self.seen)
         R = np.concatenate([J / self.std[:, None], self.statement])
         s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
@@ -242,20 +241,20 @@ class _Fit:
         Raises
         ------
         UnsuitableError
-            Where a measured mode would not swing any more.
+            If a measured mode would be overdamped.
         """
         program = self.program(c)
         return PlainResiduals(-program.s, program.R)
 
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
-        """Return the rows as Gauss-Newton takes them; dashpots that overdamp a mode are too long a step."""
+        """Return the rows for Gauss-Newton; NoModesError rejects a step to dashpots that overdamp a mode."""
         try:
             return self.residuals(theta)
         except UnsuitableError as error:
             raise NoModesError(str(error)) from None
 
     def found(self, c: Floats, program: LeastSquares) -> Dashpots:
-        """Return the dashpots at the end, with what the program's rows of data leave open."""
+        """Return the final dashpots, and the combinations that the program's data do not determine."""
         measured, assumed = len(self.seen), len(self.statement)
         exact = [prior.constraints(len(c)).A for prior in self.priors]
         rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
@@ -264,21 +263,21 @@ class _Fit:
 
 
 def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
-    """Rows that are zero for what is assumed: modes that do not couple, dashpots in proportion to the stiffnesses."""
+    """Return the rows of the assumptions: uncoupled modes, dashpots proportional to the stiffnesses."""
     n = len(stiffness)
     omega = np.sqrt(real.eigenvalues[seen])
     drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
     i, j = np.triu_indices(len(seen), k=1)
     unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
     uncoupled = pair_products(drifts, diagonal=False) / unit[:, None]
-    # c_k / k_k less the mean of all, in units of the proportion that gives the mean ratio at the first mode.
+    # c_k / k_k minus the mean of all, relative to the factor that gives the first mode the mean ratio.
     typical = 2 * float(np.mean(zeta)) / float(np.sqrt(real.eigenvalues[0]))
     proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)
     return np.concatenate([uncoupled, proportion])
 
 
 def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
-    """Damping ratios of the measured modes' poles, shape (m,), and their derivatives by the dashpots, (m, N)."""
+    """Compute the damping ratios of the measured modes' poles, (m,), and derivatives by the dashpots, (m, N)."""
     if not np.any(c):
         drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
         return np.zeros(len(seen)), (drifts**2 / (2 * np.sqrt(real.eigenvalues[seen]))).T
@@ -300,7 +299,7 @@ def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
 
 
 def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
-    """Name the combinations of dashpots that rows leave open, and which stories take part in none."""
+    """Name the combinations of dashpots that the rows do not determine; return the determined stories, too."""
     length = np.linalg.norm(data, axis=0)
     unit = 1.0 / np.where(length > 0, length, 1.0)
     _, values, right = np.linalg.svd(data * unit, full_matrices=True)
@@ -316,12 +315,12 @@ def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
 
 
 def rayleigh(real: Modes, ratios: Ratios, backend: Backend) -> Floats:
-    """Find a and b of C = a M + b K, both at least zero, by zeta_i = a / (2 omega_i) + b omega_i / 2, weighted.
+    """Find a, b >= 0 of C = a M + b K from zeta_i = a / (2 omega_i) + b omega_i / 2, by weighted least squares.
 
     Raises
     ------
     UnsuitableError
-        Where fewer than two modes have a measured ratio.
+        If fewer than two modes have a measured ratio.
     """
     seen = np.flatnonzero(ratios.measured)
     if len(seen) < 2:

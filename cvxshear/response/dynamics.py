@@ -1,18 +1,18 @@
-"""State-space model of a damped frame whose story forces deviate from those of its model.
+"""State-space model of a damped frame with errors in the story forces of its model.
 
 With displacements u against the ground, velocities v and relative deviations f of the story forces,
 
     u' = v,   v' = M^-1 (-K u - C v + load p(t)) + M0^-1 T diag(d) f,   f' = -alpha f + white noise,
 
-where M0 and d_i = k_i (rms drift of story i) are those of the identified frame and each f_i has the standard deviation
-s. What is missed counts as accelerations: it is the same for a frame all of whose masses and stiffnesses are larger. A
-model that is wrong by a few percent of a story's stiffness misses a force in proportion to that story's drift, which
-changes as slowly as the frame vibrates: so the process noise acts between floors and its corner frequency alpha is that
-of the first mode. White noise on the floors would be neither. Where nobody measured the ground, its acceleration is one
-more state of this kind.
+M0 and d_i = k_i (rms drift of story i) belong to the identified frame, and each f_i has the standard deviation s. The
+process noise enters as accelerations, so a frame with all masses and stiffnesses scaled has the same noise. A model
+with an error of a few percent in a story's stiffness misses a force proportional to that story's drift. This force
+changes with the frame's vibration. Hence the process noise acts between floors, and its corner frequency alpha is the
+first mode's frequency. White noise on the floors would have neither property. If the base motion was not measured, the
+base acceleration is one more state of this kind.
 
-The known excitation is a straight line between samples (first-order hold) and the noise is integrated
-over a step, so that no step is too long.
+The known excitation is a straight line between samples (first-order hold), and the noise is integrated over a step.
+Hence the result is exact for any step.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from cvxshear.util.typing import Bools, Floats, Ints
 
 SETTLED_RICCATI = 1e-13
 """Relative change of a covariance that ends the doubling of the Riccati equation. Each round doubles the number of
-digits, so the next change is rounding."""
+correct digits, so the next change is below rounding."""
 
 SUMMED_SIZE, SUMMED_POWERS = 0.5, 14
 """Norm of the rates times a part of a step, and number of terms of the power series. The first omitted term is below
 rounding."""
 
 FORGOTTEN = 1e-10
-"""Powers of the transition matrix with smaller entries count as zero: their squares are below rounding."""
+"""Largest entry of a power of the transition matrix that counts as zero: its square is below rounding."""
 
 MOST_DOUBLINGS = 60
-"""Doublings of the step: 2^60 samples are more than any record has."""
+"""Maximum number of doublings of the step: 2^60 samples exceed any record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,11 @@ class Noise:
     Parameters
     ----------
     sensors : ndarray, shape (m,)
-        Of each channel, m/s2.
+        Noise of each channel, m/s2.
     force : float
-        s: of the story forces that the model misses, relative to the rms story force.
+        s: missed story forces, relative to the rms story force.
     ground : float
-        Of a base acceleration that was not measured, m/s2; of the sensor of the excitation where it was, in its unit.
+        Base acceleration if it was not measured, m/s2; otherwise the noise of the excitation's sensor, in its unit.
     """
 
     sensors: Floats
@@ -68,18 +68,18 @@ class Noise:
 class Dynamics:
     """Discrete state-space model x+ = A x + before q + after q+ + w, y = H x + direct p + e.
 
-    The excitation goes along straight lines through the samples q, and is p at the samples. Both are the same where it
-    is a straight line between its samples; where it is band-limited, the lines through q have its spectrum. An array
-    of shape (samples, 2) has q and p.
+    The excitation follows straight lines between the samples q, and has the values p at the samples. For an excitation
+    that is linear between its samples, q equals p. For a band-limited excitation, the lines through q have its
+    spectrum. An array of shape (samples, 2) has q and p.
 
     Parameters
     ----------
     A : ndarray, shape (n, n)
     before, after : ndarray, shape (n,)
-        Weights of the excitation at the beginning and at the end of a step.
+        Weights of q at the beginning and at the end of a step.
     Q, Q_input : ndarray, shape (n, n)
-        Covariance of w, and the part of it that the noise of the excitation's sensor has: it is there before and after
-        the motion as well.
+        Covariance of w, and its part from the noise of the excitation's sensor, which is also present before and after
+        the motion.
     H : ndarray, shape (m, n)
     direct : ndarray, shape (m,)
     R : ndarray, shape (m,)
@@ -102,22 +102,22 @@ class Dynamics:
         return doubled(self.A, self.Q)
 
     def seen_by(self, channels: Bools) -> Dynamics:
-        """Return the model with some of its sensors, those where an array of shape (m,) is true."""
+        """Return the model with a subset of its sensors; the mask has shape (m,)."""
         return dataclasses.replace(self, H=self.H[channels], direct=self.direct[channels], R=self.R[channels])
 
     def driven(self, excitation: Floats) -> Floats:
-        """Return what the excitation adds to the state over each step, shape (samples, n); the last row is not used."""
+        """Return the excitation's change of the state in each step, shape (samples, n); the last row is unused."""
         driven: Floats = steps_of(excitation) @ [self.before, self.after]
         return driven
 
     def shown(self, excitation: Floats) -> Floats:
-        """Return what the sensors show of the excitation besides the state, shape (samples, m)."""
+        """Return the excitation's direct part of the sensors' values, shape (samples, m)."""
         return np.outer(excitation[:, 1], self.direct)
 
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """Rows that turn states into what a reconstruction reports.
+    """Rows that turn states into the outputs of a reconstruction.
 
     Total accelerations, displacements, drifts and story forces of the frame, then the overturning moment where story
     heights are declared, and the base acceleration where it is estimated.
@@ -142,20 +142,20 @@ class Outputs:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What stays the same while frame and noise are fitted.
+    """Constants of a fit of frame and noise.
 
     Parameters
     ----------
     floors : ndarray of int, shape (m,)
-        That carry sensors.
+        Floors with sensors.
     step : float
-        s.
+        Time between samples, s.
     force_floor : int
-        Where a measured force acts; 0 for base motion.
+        Floor on which a measured force acts; 0 for base motion.
     corner : float
         alpha, rad/s.
     ground_corner : float
-        The same of a base acceleration that was not measured.
+        Corner frequency of an unmeasured base acceleration, rad/s.
     story_force : ndarray, shape (N,)
         d: rms story forces of the identified frame, N.
     mass : ndarray, shape (N, N)
@@ -173,7 +173,7 @@ class Setting:
 
     @property
     def states(self) -> int:
-        """n: displacements, velocities, story forces, and the base acceleration where nobody measured it."""
+        """n: displacements, velocities, story forces, and an unmeasured base acceleration."""
         return 3 * len(self.story_force) + (0 if self.base_measured else 1)
 
     def without(self, channel: int) -> Setting:
@@ -182,7 +182,7 @@ class Setting:
 
 
 def steps_of(excitation: Floats) -> Floats:
-    """Return q at the beginning and at the end of each step, shape (samples, 2); the last row is not used."""
+    """Return q at the beginning and at the end of each step, shape (samples, 2); the last row is unused."""
     lines = excitation[:, 0]
     return np.column_stack([lines, np.append(lines[1:], lines[-1])])
 
@@ -191,7 +191,7 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     """Build the discrete state-space model of a frame."""
     own = _Rates.of(model, noise, setting)
     A, before, after, Q = (each[0] for each in _over_a_step(own.rates, own.load, own.density, setting.step))
-    # One sample's error moves the frame over both steps that it ends and begins.
+    # An error of one sample moves the frame in both neighboring steps.
     moved = own.ground * (before + after)
     Q_input = np.outer(moved, moved)
     return Dynamics(A, before, after, Q + Q_input, Q_input, own.H, own.direct, own.R, outputs_of(model, noise, setting))
@@ -200,12 +200,12 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
 def dynamics_slopes(
     centre: tuple[DampedModel, Noise], beside: Sequence[tuple[DampedModel, Noise]], sizes: Floats, setting: Setting
 ) -> dict[str, Floats]:
-    """Differentiate the discrete state-space model towards frames beside one, so many units away.
+    """Differentiate the discrete state-space model by differences to frames at the given distances.
 
     Returns
     -------
     dict of str to ndarray
-        By the names of `Dynamics`, the first dimension that of the directions.
+        Derivatives by the names of `Dynamics`; the first dimension is the direction.
     """
     own = _Rates.of(*centre, setting)
     others = [_Rates.of(*each, setting) for each in beside]
@@ -231,9 +231,9 @@ class _Rates:
     Parameters
     ----------
     total, through : ndarray, shapes (N, n) and (N,)
-        Weights of state and excitation in the accelerations.
+        Weights of the state and the excitation in the accelerations.
     ground : float
-        Standard deviation of the excitation's sensor; 0 where the base acceleration is estimated.
+        Standard deviation of the excitation's sensor; 0 if the base acceleration is estimated.
     """
 
     rates: Floats
@@ -252,7 +252,7 @@ class _Rates:
         estimated, n = not setting.base_measured, setting.states
         T = transformation(N)
         restoring = -np.linalg.solve(model.M, np.hstack([model.K, model.C]))
-        # In proportion to the motion: a larger one and as much smaller gains must be the same.
+        # Proportional to the motion: a larger motion with smaller gains must give the same model.
         missed = model.input_gain * np.linalg.solve(setting.mass, T * setting.story_force)
         rates = np.zeros((n, n))
         rates[:N, N : 2 * N] = np.eye(N)
@@ -283,7 +283,7 @@ class _Rates:
 
 
 def outputs_of(model: DampedModel, noise: Noise, setting: Setting) -> Outputs:
-    """Rows of the quantities that a reconstruction reports."""
+    """Return the rows of the reported quantities."""
     own, N = _Rates.of(model, noise, setting), len(model.M)
     total, through = own.total, own.through
     moved = np.eye(N, setting.states)
@@ -305,10 +305,10 @@ def outputs_of(model: DampedModel, noise: Noise, setting: Setting) -> Outputs:
 def _over_a_step(
     rates: Floats, load: Floats, density: Floats, step: float, slopes: Sequence[_Rates] = ()
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Transition, what the excitation at either end of the step adds, and the covariance that white noise leaves.
+    """Integrate over a step: transition, weights of the excitation at both ends, and covariance of the white noise.
 
-    The excitation is a straight line in between. The first entry of each is the value, the others are derivatives.
-    The powers of the rates are summed over a part of the step, and the part is doubled.
+    The excitation is linear within the step. The first entry of each array is the value, the others are derivatives.
+    The power series of the rates is summed over a part of the step, which is then doubled repeatedly.
     """
     n, r = len(rates), len(slopes)
     wide, moved = np.zeros((n + 2, n + 2)), np.zeros((r, n, n + 2))
@@ -316,7 +316,7 @@ def _over_a_step(
     for each, row in zip(slopes, moved, strict=True):
         row[:, :n], row[:, n] = each.rates, each.load
     rows = np.flatnonzero(np.any(moved, axis=(0, 2)))
-    # The states that what moves there reaches: the others' rows stay as they are.
+    # Only states coupled to the changing rows are computed; the rows of the other states stay as they are.
     near = np.eye(n + 2, dtype=bool)[rows].any(axis=0)
     while (further := near | (wide[:, near] != 0).any(axis=1)).sum() > near.sum():
         near = further
@@ -363,10 +363,10 @@ def _over_a_step(
 
 
 def doubled(A: Floats, Q: Floats) -> Floats:
-    """P = A P A' + Q of a stable A and one or several symmetric Q, by doubling the number of steps."""
+    """Solve P = A P A' + Q for a stable A and one or several symmetric Q, by doubling the number of steps."""
     P, power = Q, A
     for _ in range(MOST_DOUBLINGS):
-        # One large product at a time, of all of them: A P A' is the transpose of P A' times A'.
+        # One large product for all Q: A P A' is the transpose of P A' times A'.
         half = (P.reshape(-1, len(A)) @ power.T).reshape(P.shape).swapaxes(-1, -2)
         P = P + (half.reshape(-1, len(A)) @ power.T).reshape(P.shape)
         power = power @ power
@@ -376,10 +376,10 @@ def doubled(A: Floats, Q: Floats) -> Floats:
 
 
 def settled_covariance(model: Dynamics) -> Floats:
-    """Covariance of the predicted state once the filter has settled, shape (n, n).
+    """Compute the covariance of the predicted state of the settled filter, shape (n, n).
 
-    The Riccati equation by doubling (Chu, Fan, Lin and Wang 2004), which needs no eigenvalues and so takes stories that
-    no sensor sees.
+    The doubling method for the Riccati equation (Chu, Fan, Lin and Wang 2004) needs no eigenvalues, so it also works
+    for stories without observation.
     """
     n = len(model.A)
     power, G, P = model.A.T, model.H.T @ (model.H / model.R[:, None]), model.Q
@@ -396,20 +396,20 @@ def settled_covariance(model: Dynamics) -> Floats:
 
 
 SHORT: np.dtype[Any] = np.dtype(np.float32)
-"""Precision of the derivatives of innovations: half the time and memory. Differences of two motions need more digits:
-at 200 Hz rounding would be as large as what a standard deviation of the frame moves."""
+"""Precision of the derivatives of innovations; single precision halves time and memory. Differences of two motions need
+double precision: at 200 Hz, rounding would be as large as the change by a standard deviation of the frame."""
 
 LONG = 256
-"""Samples, four blocks, from which on products of large matrices are faster than a loop over the samples."""
+"""Least number of samples (four blocks) for products of large matrices; below, a loop over the samples is faster."""
 
 BLOCK = 64
-"""Samples that one sweep of a linear recursion leaps over at once: about the root of the samples of a long record."""
+"""Samples per block of a linear recursion: about the square root of the samples of a long record."""
 
 
 def recursion(F: Floats, B: Floats, signals: Floats, start: Floats) -> Floats:
-    """x_0 = start, x_(t+1) = F x_t + B' s_t, by products of large matrices where there are many samples.
+    """Compute x_0 = start, x_(t+1) = F x_t + B' s_t, by products of large matrices if there are many samples.
 
-    The states at the beginnings of blocks of samples are found first, then all blocks are gone through side by side.
+    The states at the beginnings of the blocks are computed first, then all blocks in parallel.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The motion of a frame in a record, with its deviations: the frame is fitted, then the motion, then both vary.
+"""Motion of a frame in a record, with standard deviations: a fit of the frame, then the motion, then variations.
 
-A deviation has two parts: the smoother's own, the frame given, and what the uncertainty of the frame moves, along the
-directions that move the motion most.
+A standard deviation has two parts: the smoother's own for a given frame, and the effect of the frame's uncertainty,
+along the directions that change the motion most.
 """
 
 from __future__ import annotations
@@ -39,41 +39,42 @@ from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, T
 
 MOST_REFITS = 4
-"""Fits at most after the first, each with gaps, spikes and the first state filled in by the one before. What is
-filled in wrongly falls to the missing share of the information each time: a tenth for a tenth of the strong motion."""
+"""Maximum number of fits after the first. Each fit uses gaps, spikes and the first state as filled in by the previous
+fit. Each time, an error of the filled-in part decreases by the missing share of the information: to a tenth if a tenth
+of the strong motion is missing."""
 
 SAME_FIT = 0.1
-"""Largest change of an unknown, in its standard deviations, at which these fits end."""
+"""Largest change of an unknown at convergence of these fits, in its standard deviations."""
 
 MOVED_ALIKE = 1e-3
-"""Difference of two motions, relative to their rms, that is below the error of any sensor."""
+"""Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
 
 PROBED_SAMPLES = 1000
-"""Samples of the strongest motion on which the directions of the frame's uncertainty are compared."""
+"""Number of samples of the strongest motion that compare the directions of the frame's uncertainty."""
 
 NEAR_STD = 1e-3
-"""Standard deviations of the frame over which its matrices are differentiated."""
+"""Step of the derivatives of the frame's matrices, in standard deviations."""
 
 MOST_DIRECTIONS = 8
 CARRIED_SHARE = 0.995
-"""Directions of the frame's uncertainty that are propagated at most, and the share of the variance that they carry
-together at least where fewer do; what the others add is allowed for."""
+"""Largest number of propagated directions of the frame's uncertainty, and the share of the variance that suffices for
+fewer directions. A factor accounts for the rest of the variance."""
 
 
 MOST_SHORTENED = 20
-"""Times that a step to a frame without modes is cut to a quarter: 1e-12 of it is left, which moves no frame."""
+"""Maximum number of reductions of a step to a frame without modes, each to a quarter: 1e-12 of the step remains."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedRun:
-    """The motion during one run.
+    """Motion during one run.
 
     Parameters
     ----------
     std : dict of str to ndarray
-        Standard deviations of the quantities over time, by the names of `peaks.histories`.
+        Standard deviations over time, by the names of `peaks.histories`.
     base : ndarray, shape (samples,), optional
-        Base acceleration that was estimated, m/s2; None where it was measured.
+        Estimated base acceleration, m/s2; None if it was measured.
     base_std : ndarray, shape (samples,), optional
     measured : ndarray, shape (samples, m)
         m/s2; nan where missing.
@@ -102,10 +103,10 @@ class FrameDirections:
     Parameters
     ----------
     sides : tuple of (DampedModel, DampedModel, float)
-        The frame to either side along each, and by how much a standard deviation is longer: 1 where the frame has
-        modes so far away.
+        Frames on both sides along each direction, and the ratio of a standard deviation to their distance: 1 if the
+        frame has modes at this distance.
     allowance : ndarray, shape (outputs,)
-        Variance of each output along all directions over that along these.
+        Ratio of each output's variance along all directions to the variance along these directions.
     """
 
     sides: tuple[Sides, ...]
@@ -114,14 +115,14 @@ class FrameDirections:
 
 @dataclass(frozen=True, eq=False)
 class FrameMotion:
-    """A frame and what sensors recorded of it.
+    """A frame and the recording of its sensors.
 
     Parameters
     ----------
     frame : UncertainFrame
-        As identified.
+        The identified frame.
     noise : Noise
-        Where its levels start.
+        Starting values of the noise levels.
     free : bool
         Whether the frame is fitted.
     """
@@ -147,11 +148,11 @@ class FrameMotion:
         )  # fmt: skip
         driven = rms(np.concatenate([run.excitation for run in recording.runs])) if known else 0.0
         noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, FIRST_SENSOR * driven if known else float(level.min()))
-        # Without the base motion a softer first story and another base motion are one and the same.
+        # If the base motion is unknown, a softer first story and another base motion are equivalent.
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
     def without(self, channel: int, parts: list[slice]) -> FrameMotion:
-        """Leave out one channel, and take a part of each run."""
+        """Leave out one channel, and keep a part of each run."""
         return dataclasses.replace(
             self,
             recording=self.recording.without(channel).cut(parts),
@@ -160,10 +161,10 @@ class FrameMotion:
         )
 
     def fitted(self, *, detrend: bool) -> tuple[FrameMotion, FittedFrame, list[Smoothed]]:
-        """Fit the frame and find its motion, the lines through what it leaves of the record taken off where `detrend`.
+        """Fit the frame and find its motion; with `detrend`, remove straight lines from the residuals of the record.
 
-        Gaps and spikes are filled in by the identified frame, then by the fitted one, and so is the state of a record
-        that begins while the frame moves.
+        First the identified frame, then the fitted one fills in gaps, spikes, and the initial state of a record that
+        begins while the frame moves.
         """
         errors = self.errors(None, None)
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
@@ -195,12 +196,12 @@ class FrameMotion:
 
     @cached_property
     def moves_at_first(self) -> bool:
-        """Whether some run begins while the frame moves: its state at the beginning is then found with the motion."""
+        """Whether some run begins while the frame moves; its initial state is then found with the motion."""
         level, first = self.recording.rms(), self.varied.first_samples(self.recording.step)
         return any(rms(run.measured[:first] / level) > AT_REST for run in self.recording.runs)
 
     def errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
-        """Set up the innovations of the strongest part of each run, spikes and short gaps filled in by the smoother."""
+        """Set up the innovations of the strongest part of each run; the smoother fills in spikes and short gaps."""
         stretches, begins = [], []
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
@@ -222,11 +223,11 @@ class FrameMotion:
         return errors.shortened(FITTED_SAMPLES, at)
 
     def pieces(self, run: RecordedRun) -> list[Piece]:
-        """Part a run where a sensor begins or ends to record for a period of the frame or longer."""
+        """Split a run at the ends of gaps of a sensor that last a period of the frame or longer."""
         return run.pieces(self.varied.first_samples(self.recording.step))
 
     def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
-        """Find the motion of each run, with deviations of outputs that are given by rows on the state, if any."""
+        """Find the motion of each run; rows on the state, if any, define outputs with standard deviations."""
         model = errors.dynamics(p)
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
@@ -239,13 +240,13 @@ class FrameMotion:
         return found
 
     def runs(self, fitted: FittedFrame, wider: float, rough: float) -> list[ReconstructedRun]:
-        """Every run's motion, its deviations widened by a factor, those of drifts and forces by a part of each besides.
+        """Return every run's motion; widen all deviations by a factor, and add a relative part to some.
 
         Parameters
         ----------
         rough : float
-            Standard deviation of a drift, of a floor's displacement or of a force, relative to it, that comes from what
-            neither the record nor the tests tell.
+            Relative standard deviation of drifts, floor displacements and forces that neither the record nor the tests
+            determine.
         """
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
@@ -283,9 +284,9 @@ class FrameMotion:
         return result
 
     def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Iterator[tuple[slice, Floats]]:
-        """Half the difference of all outputs between two frames, for a standard deviation, shape (samples, outputs).
+        """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs).
 
-        One part of the run after the other.
+        The parts of the run follow one after the other.
         """
         systems = [dynamics(model, noise, self.setting) for model in sides[:2]]
         of_run = run.drive, found.completed, found.states[0], self.pieces(run)
@@ -298,7 +299,7 @@ class FrameMotion:
             yield part, 0.5 * sides[2] * (there - back)
 
     def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> FrameDirections:
-        """Find the directions of the frame's uncertainty that move its motion most, one standard deviation long."""
+        """Find the directions of the frame's uncertainty that change its motion most, one standard deviation long."""
         frame = fitted.errors.frame
         values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
         own = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -306,7 +307,7 @@ class FrameMotion:
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
         part = run.strongest(PROBED_SAMPLES)
         filtered = Steady.of(fitted.errors.dynamics(fitted.p).seen_by(run.channels))
-        # A frame that is taken to be at rest amid the motion would have other directions.
+        # Starting at rest in the middle of the motion would give other directions.
         start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
         excitation, y = run.excitation[part], run.seen[part]
 
@@ -347,7 +348,7 @@ class FrameMotion:
 
 
 def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
-    """Build frames so far from one that has modes, or nearer where they have none; and the distance."""
+    """Build frames at this distance, or nearer until they have modes; return the distance, too."""
     for _ in range(MOST_SHORTENED):
         try:
             return at(size), size
@@ -357,7 +358,7 @@ def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
 
 
 def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
-    """Compute the motion of a frame without a look at the sensors; None where the excitation was not measured."""
+    """Compute the motion of a frame from the excitation alone; None if the excitation was not measured."""
     if recording.input == "none":
         return None
     runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
@@ -365,9 +366,9 @@ def predicted_responses(model: DampedModel, recording: Recording) -> list[Respon
 
 
 def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
-    """List how a measured excitation may have gone between its samples: in straight lines, and band-limited.
+    """List versions of a measured excitation between its samples: linear and band-limited.
 
-    One of them where both move the floors alike.
+    Return only one version if both give the same motion.
     """
     straight = predicted_responses(model, recording)
     if straight is None:
@@ -380,7 +381,7 @@ def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
 
 
 def shown_by(model: DampedModel, responses: list[Response] | None, recording: Recording) -> list[Floats]:
-    """Return the accelerations of responses at the sensors, one array (samples, m) a run; zeros without responses."""
+    """Return the accelerations of responses at the sensors, one array (samples, m) per run; zeros without responses."""
     at = recording.floors - 1
     if responses is None:
         return [np.zeros_like(run.measured) for run in recording.runs]
@@ -388,7 +389,7 @@ def shown_by(model: DampedModel, responses: list[Response] | None, recording: Re
 
 
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
-    """Rms drift of each story: predicted, or of the first mode at the sensors' size if the excitation is unknown."""
+    """Compute the rms drift of each story: predicted, or from the first mode scaled to the sensors' size."""
     responses = predicted_responses(model, recording)
     if responses is not None:
         return np.asarray(np.sqrt(np.mean(np.concatenate([item.drift for item in responses]) ** 2, axis=0)))

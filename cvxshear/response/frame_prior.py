@@ -1,7 +1,7 @@
 """Prior of the frame in a record: its tests, and the probability of each change since.
 
-A Gaussian of the unknowns of a `VariedFrame`, with standard deviations that are compared by their evidence, conditioned
-on the measured modes. The likelihood is linearised once. Each set of changed stories, dashpots and sensors has such a
+The unknowns of a `VariedFrame` have a Gaussian prior, conditioned on the measured modes. The evidence selects its
+standard deviations. The likelihood is linearized once. Each set of changed stories, dashpots and sensors has such a
 prior, and one formula gives its evidence.
 """
 
@@ -63,15 +63,15 @@ FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 the model's."""
 
 MODAL_STEP = 1e-3
-"""Step of the unknowns by which modes are differentiated: their curvature leaves a thousandth of a derivative."""
+"""Step of the unknowns in derivatives of modes; curvature gives a relative error of a thousandth."""
 
 ASSUMED_FREQUENCY_STD, ASSUMED_SHAPE_STD = 0.005, 0.02
-"""Relative standard deviations of measured frequencies and shapes where none are declared: usual modal tests."""
+"""Relative standard deviations of measured frequencies and shapes without declared ones: usual modal tests."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModalRows:
-    """Measured modes as linear data of a frame with errors of form, linearised at the identified frame.
+    """Measured modes as linear data of a frame with errors of form, linearized at the identified frame.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class ModalRows:
         Derivatives of frequencies and shape entries, in standard deviations, by the logarithms of the story
         stiffnesses in the tests, by masses and effects, and by e_ij.
     data : ndarray, shape (d,)
-        Measured less modelled.
+        Measured values minus the model's.
     """
 
     J: Floats
@@ -87,7 +87,7 @@ class ModalRows:
 
     @staticmethod
     def around(frame: UncertainFrame, varied: VariedFrame) -> ModalRows:
-        """Linearise all tests of the frame's state."""
+        """Linearize all tests of the frame's state."""
         N, D, W, X = varied.sizes
         configurations = frame.fitted.experiment.configurations
         tests = [each for each in configurations if each.state == frame.configuration.state]
@@ -103,13 +103,13 @@ class ModalRows:
         if not len(centre) or not frame.uncertain:
             return ModalRows(np.zeros((0, N + W + X)), np.zeros(0))
         J = np.array([(described(MODAL_STEP * row) - centre) / MODAL_STEP for row in np.eye(N + W + X)]).T
-        # The tests' sensors had gains of their own.
+        # The sensors of the tests had other gains.
         J[:, N + W - varied.gains : N + W] = 0.0
         return ModalRows(-J, centre)
 
 
 def _standardized(test: Configuration, model: DampedModel, added: Floats) -> Floats:
-    """Measured less modelled frequencies and shape entries of one test, in standard deviations."""
+    """Compute measured minus modeled frequencies and shape entries of one test, in standard deviations."""
     own = modes(model.M + np.diag(added), model.K)
     at = test.modes - 1
     std = ASSUMED_FREQUENCY_STD if test.frequency_std is None else test.frequency_std
@@ -133,8 +133,8 @@ def _standardized(test: Configuration, model: DampedModel, added: Floats) -> Flo
 class FramePrior:
     """Gaussian prior of the unknowns of a `VariedFrame` and of the levels of the noise.
 
-    The measured modes are in it twice, in the identified stiffnesses and masses, where the form of the model counts as
-    right, and for what may be wrong of the form.
+    The measured modes enter twice: in the identified stiffnesses and masses, with an exact form of the model, and as
+    data for the errors of form.
 
     Parameters
     ----------
@@ -142,14 +142,14 @@ class FramePrior:
     others : int
         Number of noise levels.
     identified : ndarray, shape (N, N)
-        Covariance of the logarithms of the story stiffnesses as they were identified, masses and effects given.
+        Covariance of the identified log story stiffnesses, given masses and effects.
     change_std, gain_std : float
-        Of the logarithm of a changed story's factor, and of a sensor's gain that is off.
+        Standard deviations of the logarithm of a changed story's factor, and of a wrong sensor gain.
     probability, gain_probability : float
-        That one story changed, and that one gain is off.
+        Probabilities that one story changed, and that one gain is wrong.
     measured : ModalRows
     mass_stds, gain_stds : tuple of float, optional
-        What floor masses may have changed by since the tests, and what sensors read too much.
+        Possible standard deviations of mass changes since the tests, and of the sensors' gains.
     """
 
     varied: VariedFrame
@@ -165,7 +165,7 @@ class FramePrior:
 
     @staticmethod
     def around(frame: UncertainFrame, varied: VariedFrame, others: int) -> FramePrior:
-        """Take what was identified, and what is expected of a story that changed."""
+        """Set up the prior from the identified frame, and from the expected changes of a story."""
         experiment = frame.fitted.experiment
         size, probability = _expected(StoryChange(), experiment, experiment.stories)
         gain, off = _expected(SensorGain(), experiment, varied.gains)
@@ -176,7 +176,7 @@ class FramePrior:
 
     @property
     def single(self) -> Ints:
-        """Unknowns that may have changed by themselves: of every story, dashpot, gain, shape (N + S + G,)."""
+        """Indices of the unknowns that may change individually: stories, dashpots, gains; shape (N + S + G,)."""
         gains = self.varied.sensor_gains if len(self.gain_stds) > 1 else slice(0)
         result: Ints = np.r_[: self.varied.sizes[0], self.varied.dashpots, gains]
         return result
@@ -209,7 +209,7 @@ class FramePrior:
 
     @property
     def widest(self) -> Gaussian:
-        """The prior with everything changed by itself, and all standard deviations the largest."""
+        """Prior with all individual changes and with the largest standard deviations."""
         stds = FORM_STDS[-1], SCATTER_STDS[-1], self.mass_stds[-1], self.gain_stds[-1]
         return self.gaussian(range(len(self.single)), *stds)
 
@@ -227,7 +227,7 @@ class FramePrior:
         Parameters
         ----------
         same : bool, optional
-            Whether stiffnesses and damping are still those of the tests.
+            Whether stiffnesses and damping have not changed since the tests.
         """
         if (form_std, gain_std) not in self._by_modes:
             self._by_modes[form_std, gain_std] = self._given_modes(form_std, gain_std)
@@ -250,9 +250,9 @@ class FramePrior:
         return {}
 
     def _given_modes(self, form_std: float, gain_std: float) -> Gaussian:
-        """Return the prior of a record in which stories, masses and damping are those of the tests."""
+        """Return the prior of a record without changes of stories, masses and damping since the tests."""
         N, D, W, X = self.varied.sizes
-        # What modes say of masses and effects is no better than the form of the model.
+        # Modes determine masses and effects only as accurately as the form of the model.
         share = self.varied.nuisance_share
         modal = np.isfinite(share)
         nuisances = 1.0 + (form_std / share) ** 2 / max(int(modal.sum()), 1)
@@ -262,7 +262,7 @@ class FramePrior:
         own = self.varied.own_std
         damping = np.diag(np.append(own, np.full(D - len(own), NO_DASHPOT_STD)) ** 2)
         whole = linalg.block_diag(self.identified, damping, rest, NOISE_STD**2 * np.eye(self.others))
-        # The record's stiffnesses are those of the tests times factors: both move along with the measured modes.
+        # The record's stiffnesses are the tests' stiffnesses times factors: both change with the measured modes.
         crossed = np.zeros((len(whole), len(tested)))
         crossed[:N, :N] = self.identified
         crossed[N + D : N + D + W + X, N:] = rest
@@ -277,7 +277,7 @@ class FramePrior:
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """Mean and covariance of the unknowns, and the log evidence of the measured modes but for a constant."""
+    """Mean and covariance of the unknowns, and the log evidence of the measured modes without a constant."""
 
     mean: Floats
     covariance: Floats
@@ -285,7 +285,7 @@ class Gaussian:
 
 
 def _expected(effect: Effect, experiment: Experiment, places: int) -> tuple[float, float]:
-    """Size of an effect, and its probability at each of its places, as the file expects it or the catalogue does."""
+    """Return the size of an effect, and its probability at each place, from the file or else from the catalogue."""
     for said in experiment.expected:
         if said.name == effect.name and said.story is None and said.floor is None:
             effect = effect.expecting(size=said.size, probability=said.probability)
@@ -293,7 +293,7 @@ def _expected(effect: Effect, experiment: Experiment, places: int) -> tuple[floa
 
 
 def _at_each(probability: float, places: int) -> float:
-    """Probability at each of some places of what has this one at any of them."""
+    """Compute the probability at each of several places from the probability at any of them."""
     return float(1.0 - (1.0 - probability) ** (1.0 / max(places, 1)))
 
 
@@ -341,14 +341,14 @@ class FrameChange:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """Log evidence of linear data, but for a constant.
+    """Log evidence of linear data, without a constant.
 
     Parameters
     ----------
     plain : float
-        Of the prior as it is.
+        Log evidence of the unchanged prior.
     G, b : ndarray, shapes (N, N) and (N,)
-        Products of the directions along which it may be wider, as the data see them, with each other and the data.
+        For the directions along which the prior may be wider: products with each other, and with the data.
     """
 
     plain: float
@@ -356,15 +356,15 @@ class _Evidence:
     b: Floats
 
     def of(self, sets: Sequence[tuple[int, ...]], one_sided: Bools) -> Floats:
-        """Log evidences of priors whose covariance is larger by the outer products of some directions, shape (len,).
+        """Compute log evidences for sets of directions whose outer products are added to the covariance, (len,).
 
         Parameters
         ----------
         one_sided : ndarray of bool, shape (N,)
-            Directions along which unknowns are positive: sets in which one would be negative have no evidence.
+            Directions with positive unknowns; a set with a negative unknown has no evidence.
         """
         result = np.full(len(sets), self.plain)
-        # Sets of one size together: one by one they take half the time of a reconstruction.
+        # Sets of the same size are computed together; single computations would take half of the whole time.
         for size in {len(own) for own in sets} - {0}:
             chosen = np.array([place for place, own in enumerate(sets) if len(own) == size])
             at = np.array([sets[place] for place in chosen], dtype=np.int64)
@@ -376,12 +376,12 @@ class _Evidence:
 
 
 class Linear:
-    """Linear data of unknowns with a Gaussian prior, the likelihood tempered by its inflation.
+    """Linear data of unknowns with a Gaussian prior; the inflation divides the log likelihood.
 
     Parameters
     ----------
     p : ndarray, shape (P,)
-        Where it was linearised.
+        Point of the linearization.
     """
 
     def __init__(self, at: Likelihood, p: Floats, prior: Gaussian) -> None:
@@ -390,7 +390,7 @@ class Linear:
         self.seen = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(at.c))
 
     def evidence(self, changes: Floats) -> _Evidence:
-        """Return the evidence of priors that may be wider along columns of changes, a standard deviation long."""
+        """Return the evidence of priors that may be wider along columns of changes, one standard deviation long."""
         half = np.asarray(np.linalg.cholesky(self.seen))
         white = np.linalg.solve(half, np.column_stack([self.U @ changes, self.data]))
         moved, data = white[:, :-1], white[:, -1]
@@ -398,17 +398,17 @@ class Linear:
         return _Evidence(plain, moved.T @ moved, moved.T @ data)
 
     def posterior(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of the unknowns."""
+        """Compute mean and covariance of the unknowns."""
         spread = self.U @ self.covariance
         gain = np.linalg.solve(self.seen, spread).T
         return self.prior.mean + gain @ self.data, self.covariance - gain @ spread
 
 
 def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[FrameChange, ...]:
-    """Which stories and gains may have changed and how much the form may miss, by the linearised likelihood's evidence.
+    """List the possible changes of stories and gains and errors of form, by the evidence of the linearized likelihood.
 
-    Sets of each size grow from the best of the size before. All sizes of the form's errors, of the scatter of the
-    stories, and of what the masses changed by, are equally probable beforehand.
+    Sets of each size extend the best sets of the previous size. All standard deviations of the errors of form, of the
+    scatter of the stories and of the mass changes have the same prior probability.
     """
     single, log_odds, one_sided = range(len(prior.single)), prior.log_odds, prior.one_sided
     scores: dict[Widths, float] = {}

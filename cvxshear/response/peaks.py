@@ -1,4 +1,4 @@
-"""Quantities of a response over time, their largest values, and response spectra of the floors."""
+"""Quantities of a response over time, their peaks, and response spectra of the floors."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Quantity:
     Parameters
     ----------
     attribute : str
-        Of `Response`, that has it over time.
+        Attribute of `Response` with the values over time.
     word, unit : str
-        The unit is empty where there is none.
+        Name and unit; the unit of a ratio is empty.
     single : bool, optional
-        Whether it is one number, not one a floor or story.
+        Whether the quantity is one number, not one per floor or story.
     """
 
     attribute: str
@@ -51,7 +51,7 @@ RESPONSES = {
 
 
 def histories(response: Response) -> dict[str, Floats | None]:
-    """Every quantity over time, shapes (samples, N) or (samples,); None where it does not apply."""
+    """Return every quantity over time, shapes (samples, N) or (samples,); None for quantities that do not apply."""
     return {name: getattr(response, quantity.attribute) for name, quantity in RESPONSES.items()}
 
 
@@ -62,14 +62,14 @@ class Peaks:
     Parameters
     ----------
     values, std : dict of str to ndarray
-        By the names of `RESPONSES`, those that apply; shape (N,) or (1,); nan where a deviation is not known.
+        Keys are the names in `RESPONSES` that apply; shape (N,) or (1,); nan for unknown deviations.
     """
 
     values: dict[str, Floats]
     std: dict[str, Floats]
 
     def to_dict(self) -> Json:
-        """Each quantity and its `_std`; null where it does not apply."""
+        """Return each quantity and its `_std` as JSON; null for quantities that do not apply."""
         result: Json = {}
         for name, quantity in RESPONSES.items():
             for key, values in ((name, self.values.get(name)), (f"{name}_std", self.std.get(name))):
@@ -93,24 +93,24 @@ class Peaks:
 
 
 STRONG = 0.5
-"""Size of a sample, relative to the peak, from which on it belongs to the strong part of a motion."""
+"""Least size of a sample in the strong part of a motion, relative to the peak."""
 
 
 def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
-    """Find the largest size of each quantity that applies, with its deviation.
+    """Find the peak of each quantity that applies, and its standard deviation.
 
-    A peak stands between samples, on the parabola through the largest one and its neighbors: at 50 Hz the sample itself
-    is up to 1.8 % too small for a motion of 3 Hz, the parabola 0.05 %.
+    A peak is the top of the parabola through the largest sample and its neighbors. For a motion of 3 Hz at 50 Hz, the
+    largest sample is up to 1.8 % too small, the parabola 0.05 %.
 
-    Its deviation is that of the sample at which the peak stands, but no less, relative to the peak, than the rms
-    deviation of the strong part is to the rms motion there. What one direction of the frame's uncertainty moves swings
-    as the motion does, and where it passes through zero at the peak the deviation of that one sample says nothing of
-    what is known to second order, or of what the model lacks.
+    The deviation of a peak is the deviation of its sample. Its ratio to the peak is at least the ratio of the rms
+    deviation to the rms motion in the strong part. The reason: the change along one direction of the frame's
+    uncertainty oscillates as the motion does. If this change is zero at the peak, the deviation of that sample lacks
+    terms of second order and the errors of the model.
 
     Parameters
     ----------
     runs : iterable of (Response, dict of str to ndarray)
-        Each with the standard deviations over time that are known, by the names of `RESPONSES`.
+        Response and known standard deviations over time of each run, by the names in `RESPONSES`.
     """
     values: dict[str, Floats] = {}
     stds: dict[str, Floats] = {}
@@ -139,7 +139,7 @@ def _between_samples(sizes: Floats, at: Ints) -> Floats:
     take = np.arange(sizes.shape[1])
     before, top, after = (sizes[np.clip(at + step, 0, len(sizes) - 1), take] for step in (-1, 0, 1))
     bend = 2 * top - before - after
-    # A jump is no parabola, and neither is a motion of fewer than six samples a period.
+    # A parabola fits neither a jump nor a motion with fewer than six samples per period.
     inside = (at > 0) & (at < len(sizes) - 1)
     smooth = inside & (bend > 0) & (np.minimum(before, after) > STRONG * top)
     rise: Floats = (after - before) ** 2 / (8 * np.where(smooth, bend, 1.0))
@@ -147,7 +147,7 @@ def _between_samples(sizes: Floats, at: Ints) -> Floats:
 
 
 SPECTRUM_LINES = 60
-"""Frequencies of a response spectrum: twelve an octave over five octaves."""
+"""Number of frequencies of a response spectrum: twelve per octave over five octaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ class FloorSpectra(InJson):
     frequencies : ndarray, shape (lines,)
         Natural frequencies of the oscillator, Hz.
     damping : float
-        Its damping ratio.
+        Damping ratio of the oscillator.
     acceleration : ndarray, shape (N, lines)
         m/s2.
     """
@@ -170,7 +170,7 @@ class FloorSpectra(InJson):
 
 
 def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, damping: float = 0.05) -> FloorSpectra:
-    """Spectra of accelerations that are straight lines between samples.
+    """Compute the spectra of accelerations that are linear between samples.
 
     The oscillator's total acceleration is -(2 zeta omega v + omega^2 u) = 2 Re(-s^2 z / (2 i omega_d)).
 
@@ -195,9 +195,9 @@ def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, dampin
 
 
 def largest_spectra(model: DampedModel, accelerations: Sequence[Floats], step: float) -> FloorSpectra:
-    """Compute the response spectra of the floors at 5 % damping, the largest over all runs of accelerations, m/s2.
+    """Compute the response spectra of the floors at 5 % damping, the maximum over all runs of accelerations (m/s2).
 
-    Their frequencies are a fifth of the frame's first to three times its last, as the sampling allows.
+    The frequencies go from a fifth of the frame's first to three times its last frequency, if the sampling allows.
     """
     first, last = model.modes.frequencies[[0, -1]]
     lines = np.geomspace(first / 5, max(min(3 * last, 0.25 / step), first), SPECTRUM_LINES)

@@ -1,4 +1,4 @@
-"""How far a reconstruction can be believed: each sensor from all others, and whether the innovations are white."""
+"""Checks of a reconstruction: prediction of each sensor from all others, and whiteness of the innovations."""
 
 from __future__ import annotations
 
@@ -22,16 +22,15 @@ from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Floats
 
 CHECK_STEPS = 1
-"""Gauss-Newton steps of the frame without one sensor: it starts from the fit to all, and what it needs is the
-covariance."""
+"""Gauss-Newton steps of the frame without one sensor. The fit starts from the result with all sensors, and mainly needs
+the new covariance."""
 
 CHECKED_DIRECTIONS = 4
-"""Directions propagated to a floor whose sensor was left out."""
+"""Number of directions propagated to a floor without its sensor."""
 
 COLOURED, WHITE_P_VALUE = 0.1, 0.01
-"""Correlation of an innovation with an earlier one from which on the model misses something at its floor, where chance
-leaves as much in less than so many records. Of long records correlations of 0.02 are significant, and are nothing that
-moves a drift."""
+"""Least correlation of an innovation with an earlier one, and largest p-value, of a floor with an error of the model.
+In long records correlations of 0.02 are significant, but too small to change a drift."""
 
 WHITENESS_LAGS = 20
 """Lags of the test of whiteness (Ljung and Box 1978)."""
@@ -44,15 +43,15 @@ class SensorCheck:
     Parameters
     ----------
     error : float
-        Root mean square over time of what was left, m/s2.
+        Root mean square over time of the prediction's error, m/s2.
     stated : float
-        The same of its standard deviation, the sensor's own noise included, m/s2.
+        Root mean square of the stated standard deviation, with the sensor's own noise, m/s2.
     measured : float
         Root mean square of the measurement, m/s2.
     prediction_error : float or None
-        Error of the model's prediction, which looks at no sensor; None where the excitation was not measured.
+        Error of the model's prediction from the excitation alone; None if the excitation was not measured.
     within : float
-        Share of samples within 1.96 stated standard deviations.
+        Fraction of samples within 1.96 stated standard deviations.
     """
 
     floor: int
@@ -65,22 +64,22 @@ class SensorCheck:
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Whether one floor's innovations are white.
+    """Test of whiteness of one floor's innovations.
 
     Parameters
     ----------
     size : float
-        Their standard deviation over the stated one.
+        Standard deviation of the innovations, relative to the stated one.
     correlation : float
-        The largest, with an earlier sample.
+        Largest correlation with an earlier sample.
     lag : float
-        Of that sample, s.
+        Lag of this correlation, s.
     p_value : float
-        Of Ljung and Box's statistic.
+        p-value of Ljung and Box's statistic.
     spikes : int
-        Samples whose weight Huber's loss reduced.
+        Number of samples with a weight reduced by Huber's loss.
     missing : int
-        Samples that were not measured.
+        Number of missing samples.
     """
 
     floor: int
@@ -98,11 +97,11 @@ class Whiteness:
 
 
 def as_predicted(model: DampedModel, recording: Recording) -> Recording:
-    """Return a recording set right by the prediction of the identified model.
+    """Return a recording corrected by the prediction of the identified model.
 
-    Channels that move against it, where no other does, are turned round. A delay that was taken out is put back where
-    the sensor was nearer to its prediction with it: dampers shift phases as clocks do, and the model has them. What
-    else the prediction contradicts is added to the remarks.
+    A channel is inverted if it alone moves opposite to its prediction. A removed delay is restored if the sensor was
+    nearer to its prediction with the delay: dampers shift phases as clocks do, and the model includes dampers. Other
+    contradictions are added to the remarks.
     """
     responses = predicted_responses(model, recording)
     if responses is None:
@@ -128,7 +127,7 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
 
 
 def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording:
-    """Put delays back without which the sensors are farther from their prediction."""
+    """Restore the delays of sensors that are nearer to their prediction with the delay."""
     late = np.zeros((len(recording.floors), 2)) if recording.late is None else recording.late
     measured, remarks = [run.measured.copy() for run in recording.runs], list(recording.remarks)
     for column in np.flatnonzero(late.any(axis=1)):
@@ -143,7 +142,7 @@ def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording
             message = recording.late_remarks[column]
             remarks = [each for each in remarks if each != message]
             if recording.late_remarks.count(message) > 1:
-                # The clock of the input is that of all sensors, of which others may be moved.
+                # A delay of the input belongs to all sensors; the other sensors may stay corrected.
                 remarks.append(f"{message}; left in for floor {recording.floors[column]}")
     return dataclasses.replace(recording.replaced(measured=measured), remarks=tuple(remarks))
 
@@ -156,16 +155,16 @@ def checked(
     work: FrameMotion, fitted: FittedFrame, smoothed: Sequence[Smoothed], channel: int,
     predicted: Sequence[Response] | None,
 ) -> SensorCheck:  # fmt: skip
-    """Predict one sensor from the others over the strongest part of each run: frame and motion are fitted without it.
+    """Predict one sensor from the others in the strongest part of each run, with a fit without this sensor.
 
     Parameters
     ----------
     fitted : FittedFrame
-        With all sensors.
+        Fit with all sensors.
     smoothed : sequence of Smoothed
-        Likewise.
+        Motion with all sensors.
     predicted : sequence of Response or None
-        Motion without a look at the sensors.
+        Motion predicted from the excitation alone.
     """
     every = np.ones(len(work.recording.floors), dtype=bool)
     whole = [Segment(run.drive, each.completed, every, each.states[0])
@@ -209,16 +208,16 @@ def checked(
 
 
 def widening(checks: Sequence[SensorCheck]) -> float:
-    """Factor on all bands: by how much sensors that were left out missed more than stated; at least 1."""
+    """Compute the factor on all bands: errors of left-out sensors relative to their stated deviations; at least 1."""
     return max(1.0, float(np.sqrt(np.mean([(each.error / each.stated) ** 2 for each in checks])))) if checks else 1.0
 
 
 def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whiteness, ...]:
-    """Test whether the innovations of each floor are white, over all runs."""
+    """Test the whiteness of the innovations of each floor, over all runs."""
     found = []
     lags = np.arange(1, min(WHITENESS_LAGS, min(len(each.weights) for each in smoothed) - 1) + 1)
     for channel, floor in enumerate(work.recording.floors):
-        # A spike is no sign of a model that is wrong.
+        # A spike is not evidence against the model.
         runs = [np.clip(np.nan_to_num(each.innovations[:, channel]), -SPIKE, SPIKE) for each in smoothed]
         weights = np.concatenate([each.weights[:, channel] for each in smoothed])
         power, count = sum(float(run @ run) for run in runs), int(np.sum(weights > 0))

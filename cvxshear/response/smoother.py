@@ -2,9 +2,9 @@
 
 Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
 
-    |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j,
+    |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j.
 
-whose normal matrix is block tridiagonal. `smooth` eliminates the blocks forward (the Kalman filter) and back (the
+The normal matrix is block tridiagonal. `smooth` eliminates the blocks forward (the Kalman filter) and back (the
 smoother of Bryson and Frazier 1963, which needs no inverse of a covariance). A missing sample has the weight zero.
 Iterative reweighting minimizes Huber's loss, which grows linearly beyond `SPIKE` standard deviations and limits the
 influence of spikes.
@@ -60,7 +60,7 @@ class Observed:
     measured : ndarray, shape (samples, m)
         m/s2; nan where missing.
     envelope : ndarray, shape (samples,)
-        Factor on the standard deviation of the missed story forces, constant over stretches; none on the noise.
+        Factor on the standard deviation of the missed story forces, piecewise constant; the noise has no such factor.
     start_scale : float
         Factor on the standard deviation of the state at the start.
     """
@@ -72,7 +72,7 @@ class Observed:
 
     @property
     def present(self) -> Bools:
-        """Which samples were measured, shape (samples, m)."""
+        """Mask of the measured samples, shape (samples, m)."""
         return np.isfinite(self.measured)
 
 
@@ -84,11 +84,11 @@ class Smoothed:
     ----------
     states : ndarray, shape (samples, n)
     innovations : ndarray, shape (samples, m)
-        Of the filter, each in its standard deviation; nan for missing samples.
+        Innovations of the filter, divided by their standard deviations; nan for missing samples.
     weights : ndarray, shape (samples, m)
-        Of the measured samples: 1, less for a spike, 0 where missing.
+        Weights of the samples: 1, less for a spike, 0 if missing.
     output_std : ndarray, shape (samples, outputs)
-        Of the outputs that were asked for, given the frame.
+        Standard deviations of the requested outputs, given the frame.
     completed : ndarray, shape (samples, m)
         The measured accelerations, spikes cut to Huber's limit and missing samples estimated. An ordinary
         smoother finds the same motion from them.
@@ -103,14 +103,14 @@ class Smoothed:
 
 @functools.cache
 def _places(size: int) -> Ints:
-    """Where each entry of a symmetric matrix stands in its lower triangle, which is stored row by row."""
+    """Return the index of each entry of a symmetric matrix in its lower triangle, stored by rows."""
     low, high = np.sort(np.indices((size, size)), axis=0)
     return np.asarray(high * (high + 1) // 2 + low)
 
 
 @dataclass(frozen=True, eq=False)
 class _Gain:
-    """One sample's matrices of the filter."""
+    """Matrices of the filter at one sample."""
 
     A: Floats
     triangle: Floats
@@ -121,24 +121,24 @@ class _Gain:
 
     @property
     def P(self) -> Floats:  # noqa: N802
-        """Covariance of the predicted state; half of it is stored, since there may be thousands."""
+        """Covariance of the predicted state; only half of it is stored, to save memory."""
         result: Floats = self.triangle[_places(len(self.A))]
         return result
 
     @property
     def transition(self) -> Floats:
-        """A - K H; not stored, since there may be thousands."""
+        """A - K H; not stored, to save memory."""
         result: Floats = self.A - self.K @ self.H
         return result
 
 
 def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
-    """Find the motion that minimizes the program of this module, and standard deviations of rows times the states."""
+    """Find the motion that minimizes this module's program, and standard deviations of rows times the states."""
     weights = run.present.astype(np.float64)
     sigma = np.sqrt(model.R)
     gains: list[_Gain] = []
     for _ in range(MOST_REWEIGHTINGS):
-        # Those of the last round are let go first: there may be thousands.
+        # Release the gains of the last round first, to save memory.
         gains.clear()
         gains, which = _gains(model, run, weights)
         states, innovations = _sweeps(model, run, gains, which, weights)
@@ -155,7 +155,7 @@ def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
 
 
 def _stretches(weights: Floats, envelope: Floats) -> Iterator[tuple[int, int]]:
-    """Beginning and end of each stretch of constant weights and constant process noise."""
+    """Find the beginning and end of each segment with constant weights and constant process noise."""
     keys = np.column_stack([weights, envelope])
     changes = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
     edges = [0, *changes.tolist(), len(keys)]
@@ -163,7 +163,7 @@ def _stretches(weights: Floats, envelope: Floats) -> Iterator[tuple[int, int]]:
 
 
 def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain], Ints]:
-    """Compute the filter's gains, each distinct one once, and which of them each sample has."""
+    """Compute the distinct gains of the filter, and the index of each sample's gain."""
     A, R = model.A, model.R
     P, lower = run.start_scale**2 * model.P0, np.tril_indices(len(A))
     gains: list[_Gain] = []
@@ -194,7 +194,7 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
                 if passed == LEAST_TRANSIENT:
                     limit = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
                 if passed == MOST_TRANSIENT or _near(P.diagonal(), limit.diagonal()):
-                    # What is left of the change is slow and small; the filter has its limit from here on.
+                    # The remaining change is slow and small; the filter is at its limit from here on.
                     P = limit
             elif settled:
                 which[t:last] = len(gains) - 1
@@ -203,23 +203,23 @@ def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain]
 
 
 def _near(variances: Floats, limits: Floats) -> bool:
-    """Tell whether all variances are close to their limits."""
+    """Return whether all variances are close to their limits."""
     return bool(np.all(np.abs(variances - limits) <= NEAR_LIMIT * limits))
 
 
 def _constant(which: Ints) -> Iterator[tuple[int, int, int]]:
-    """Beginning, end and gain of each stretch of constant gain, long ones in parts."""
+    """Find the beginning, end and gain of each segment with constant gain; long segments are split."""
     edges = {0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), *range(0, len(which), SWEPT_AT_ONCE), len(which)}
     for first, last in pairwise(sorted(edges)):
         yield first, last, int(which[first])
 
 
 def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, weights: Floats) -> tuple[Floats, Floats]:
-    """Smoothed states and innovations in standard deviations: forward, then back."""
+    """Compute smoothed states and innovations in standard deviations: one sweep forward, one back."""
     y = np.nan_to_num(run.measured) - model.shown(run.excitation)
     y = np.where(weights > 0, y, 0.0)
     signals = np.hstack([y, steps_of(run.excitation)])
-    # The prediction, to which the sweep back adds what comes later.
+    # The prediction; the backward sweep adds the information of later samples.
     states, e = np.empty((len(y), len(model.A))), np.empty_like(y)
     innovations = np.empty_like(y)
     stretches = list(_constant(which))
@@ -280,7 +280,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
             if passed == LEAST_TRANSIENT and t - first > LEAST_TRANSIENT:
                 limit = doubled(F.T, own)
             if limit is not None and (passed == MOST_TRANSIENT or _near(N.diagonal(), limit.diagonal())):
-                # The stretch is taken as settled from here back to its beginning.
+                # The covariance is settled from here back to the beginning of the segment.
                 N, change = limit, 0.0
                 variance = plain - np.sum((spread @ N) * spread, axis=1)
                 result[t + 1] = np.sqrt(np.maximum(variance, 0.0))
@@ -292,7 +292,7 @@ def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Steady:
-    """The smoother of a model whose noise and sensors never change: as good but for the ends of a record.
+    """The smoother of a model with constant noise and sensors; it is exact except near the ends of a record.
 
     Parameters
     ----------
@@ -322,11 +322,11 @@ class Steady:
 
     @property
     def pull(self) -> Floats:
-        """S^-1 H, shape (m, n)."""
+        """Matrix S^-1 H, shape (m, n)."""
         return np.asarray(np.linalg.solve(self.S, self.model.H), dtype=np.float64)
 
     def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
-        """States predicted from the past, shape (samples, n), and innovations, (samples, m)."""
+        """Compute the states predicted from the past, shape (samples, n), and the innovations, shape (samples, m)."""
         model = self.model
         seen = y - model.shown(excitation)
         B = np.vstack([self.K.T, model.before, model.after])
@@ -335,20 +335,20 @@ class Steady:
 
 
 Piece = tuple[slice, Bools]
-"""A part of a run, and which of the m sensors recorded in it, shape (m,)."""
+"""A part of a run, and the mask of the m sensors that recorded in it, shape (m,)."""
 
 
 def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats, pieces: Sequence[Piece]) -> Floats:
-    """Smoothed states by filters that have settled from the beginning of each piece on, shape (samples, n).
+    """Compute smoothed states with filters that are settled from the beginning of each piece, shape (samples, n).
 
     Parameters
     ----------
     excitation : ndarray, shape (samples, 2)
     y : ndarray, shape (samples, m)
-        Complete.
+        Accelerations without missing samples.
     start : ndarray, shape (n,)
     pieces : sequence of Piece
-        That follow each other from the first sample to the last.
+        Consecutive pieces from the first to the last sample.
     """
     pieces = [
         (slice(first, min(first + SWEPT_AT_ONCE, part.stop)), channels)
@@ -359,7 +359,7 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
     x = np.empty((len(y), len(model.A)))
     left = []
     for part, channels in pieces:
-        # The first sample of the next piece is predicted with this one.
+        # This filter predicts the first sample of the next piece.
         reached = slice(part.start, part.stop + 1)
         states, e = filters[channels.tobytes()].predicted(excitation[reached], y[reached][:, channels], start)
         length = part.stop - part.start
@@ -377,17 +377,17 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
 def settled_slopes(
     own: Steady, rates: Mapping[str, Floats], excitation: Floats, y: Floats, start: Floats
 ) -> tuple[Floats, Floats]:
-    """Smoothed states of a settled filter, and their derivatives along some directions of the model.
+    """Compute the smoothed states of a settled filter, and their derivatives along some directions of the model.
 
-    States x and multipliers r solve x+ = A x + driven + Q r+ and r = A' r+ + H' R^-1 (y - D p - H x), a system that is
-    linear in both: their derivatives solve it with other right-hand sides, by the same gain.
+    States x and multipliers r solve x+ = A x + driven + Q r+ and r = A' r+ + H' R^-1 (y - D p - H x). This system is
+    linear in both, so their derivatives solve the same system with other right-hand sides and the same gain.
 
     Parameters
     ----------
     rates : mapping of str to ndarray
-        Derivatives of the matrices by their names, those of the sensors that recorded; the noise of these stays.
+        Derivatives of the matrices by their names, for the sensors that recorded; R stays constant.
     excitation, y, start
-        As for `settled_states`, of the sensors that recorded.
+        As for `settled_states`, for the sensors that recorded.
 
     Returns
     -------
@@ -408,7 +408,7 @@ def settled_slopes(
     back = [dA, dH, -dH.swapaxes(1, 2) @ weighted, -direct[:, None] @ weighted]
     signals = np.hstack([r, left, x, excitation[:, 1:]])
     dr = signals @ np.concatenate(back, axis=1).swapaxes(0, 1).reshape(-1, len(dA) * len(F))
-    # Forward over the samples, then back, all directions side by side.
+    # Forward over the samples, then back, all directions in parallel.
     dx, dr = dx.reshape(-1, len(F)), dr.reshape(-1, len(F))
     dx += dr @ (F @ own.P).T
     dr -= dr @ own.P @ model.H.T @ B

@@ -1,10 +1,10 @@
-"""A fitted frame in one state, its parameters and damping ratios uncertain; what that makes of any function of it.
+"""A fitted frame in one state with uncertain parameters and damping ratios, and standard deviations of its functions.
 
-The damping itself, modal, by story dashpots or Rayleigh's, is one such function (`damping_of`).
+The damping itself (modal, story dashpots or Rayleigh's) is one such function (`damping_of`).
 
-Standard deviations are linear, along each of the independent directions of the frame's uncertainty: half the difference
-between plus and minus one standard deviation. That is the slope of a secant; a peak changes its time along the way,
-where a derivative at one point would know but one of them.
+Standard deviations are linear, along each independent direction of the frame's uncertainty: half the difference between
+the values at plus and minus one standard deviation. This is the slope of a secant. The time of a peak can change along
+the way; a derivative at one point would not see this change.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from cvxshear.util.typing import Floats
 
 @dataclass(frozen=True, eq=False)
 class Damped:
-    """A model with its damping, and what the damping is made of.
+    """A model with its damping, and the parameters of the damping.
 
     Parameters
     ----------
@@ -48,15 +48,15 @@ class Damped:
 
 @dataclass(frozen=True, eq=False)
 class UncertainFrame:
-    """A fitted model in one state, of uncertain parameters and damping ratios.
+    """A fitted model in one state, with uncertain parameters and damping ratios.
 
-    Its uncertainty is that of independent standard normal numbers xi: theta + L xi for masses, stiffnesses and
-    effects, zeta exp(std xi) for the damping ratios. Whatever is computed of the frame is a function of xi.
+    Independent standard normal numbers xi describe the uncertainty: theta + L xi for masses, stiffnesses and effects,
+    zeta exp(std xi) for the damping ratios. Every quantity of the frame is a function of xi.
 
     Parameters
     ----------
     configuration : Configuration
-        The state: added mass, and which effects are in it.
+        The state: added mass, and the effects that act in it.
     kind : str
         "modal", "story" or "rayleigh".
     """
@@ -69,19 +69,19 @@ class UncertainFrame:
 
     @staticmethod
     def of(fitted: Fitted, configuration: Configuration, kind: str | None, backend: Backend) -> UncertainFrame:
-        """Take the damping ratios that the experiment declares, and its kind of damping where none is named."""
+        """Use the damping ratios that the experiment declares, and by default its kind of damping."""
         experiment = fitted.experiment
         named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
         return UncertainFrame(fitted, configuration, damping_ratios(experiment, configuration), named, backend)
 
     @property
     def uncertain(self) -> bool:
-        """Whether anything tells how uncertain the parameters are."""
+        """Whether the standard deviations of the parameters are known."""
         return self.fitted.covariance is not None
 
     @property
     def size(self) -> int:
-        """How many standard normal numbers there are."""
+        """Number of standard normal numbers xi."""
         return int(self.fitted.root.shape[1]) + len(self.ratios.values)
 
     @property
@@ -96,9 +96,9 @@ class UncertainFrame:
         return DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
 
     def conditional_stiffness(self) -> Floats:
-        """Covariance of the logarithms of the story stiffnesses with masses and effects given, shape (N, N).
+        """Compute the covariance of the log story stiffnesses, given masses and effects, shape (N, N).
 
-        What a record tells of the frame is compared with this: masses and effects stay what they are.
+        A fit to a record compares its stiffnesses with this covariance; masses and effects stay fixed.
         """
         n = self.fitted.experiment.stories
         covariance = self.fitted.covariance
@@ -113,7 +113,7 @@ class UncertainFrame:
         return spread
 
     def nuisance_root(self) -> Floats:
-        """L with L L' the covariance of masses and effects, the stiffnesses moving along as they were identified."""
+        """Return L; L L' is the covariance of masses and effects, with the stiffnesses conditional on both."""
         n = self.fitted.experiment.stories
         covariance = self.fitted.covariance
         if covariance is None:
@@ -128,12 +128,12 @@ class UncertainFrame:
         return root
 
     def at(self, xi: Floats, near: Damped | None = None) -> Damped:
-        """Build the damped model at one value of xi; programs of dashpots start from those of a model near.
+        """Build the damped model at one value of xi; the programs of dashpots start from the model `near`.
 
         Raises
         ------
         InputError
-            Where the frame has no modes there.
+            If the frame has no modes at xi.
         """
         root = self.fitted.root
         theta = self.fitted.theta + root @ xi[: root.shape[1]]
@@ -143,8 +143,8 @@ class UncertainFrame:
     def damped(self, theta: Floats, ratios: Ratios, near: Damped | None = None) -> Damped:
         """Build the damped model of given parameters and ratios.
 
-        Dashpots and Rayleigh's factors are those of the state in which the ratios were measured; modal damping has the
-        same ratios in every state.
+        Dashpots and Rayleigh's factors belong to the state of the measured ratios. Modal damping has the same ratios in
+        every state.
         """
         experiment = self.fitted.experiment
         state = self._state(self.configuration, theta)
@@ -176,20 +176,19 @@ class UncertainFrame:
 
 
 def modal_matrix(M: Floats, real: Modes, ratios: Floats) -> Floats:
-    """C = M Phi diag(2 zeta omega) Phi' M, with which the modes have these damping ratios and do not couple."""
+    """Return C = M Phi diag(2 zeta omega) Phi' M; it gives the modes these damping ratios without coupling."""
     turned = M @ real.shapes.T
     return (turned * (2 * ratios * np.sqrt(real.eigenvalues))) @ turned.T
 
 
 FARTHEST_SECANT = 0.5
-"""Largest relative change of a mass or stiffness along a direction: beyond it the difference quotient is taken over a
-shorter way."""
+"""Largest relative change of a mass or stiffness in a difference quotient; a shorter step replaces a larger change."""
 
 
 def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> tuple[Damped, Floats]:
-    """Return the frame as it was fitted, and the standard deviations of an array that is a function of it.
+    """Return the frame as fitted, and the standard deviations of an array that is a function of the frame.
 
-    They are nan where nothing tells the noise.
+    The standard deviations are nan if the noise is unknown.
     """
     centre = frame.at(np.zeros(frame.size))
     if not frame.uncertain:
@@ -204,7 +203,7 @@ def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> t
 
 
 def _lengths(frame: UncertainFrame) -> Floats:
-    """How far each direction is gone along, in standard deviations."""
+    """Return the step along each direction, in standard deviations."""
     fitted = frame.fitted
     n = 2 * fitted.experiment.stories
     share = np.max(np.abs(fitted.root[:n]) / fitted.theta[:n, None], axis=0, initial=0.0)
@@ -221,15 +220,15 @@ class IdentifiedDamping(Shown):
     kind : str
         "modal", "story" or "rayleigh".
     ratios, ratios_std : ndarray, shape (N,)
-        Of the model's modes; standard deviations as fractions of critical, nan where unknown.
+        Ratios of the model's modes; standard deviations are also fractions of critical, nan if unknown.
     story_dashpot, story_dashpot_std : ndarray, shape (N,), optional
-        N s/m; nan where the data leave a dashpot open. Only of story damping.
+        N s/m; nan for undetermined dashpots. Only for story damping.
     rayleigh, rayleigh_std : ndarray, shape (2,), optional
-        a (1/s) and b (s). Only of Rayleigh damping.
+        a (1/s) and b (s). Only for Rayleigh damping.
     measured : ndarray, shape (N,), optional
-        The ratios that were measured, nan where none was.
+        The measured ratios; nan for unmeasured modes.
     remarks : tuple of str
-        What was assumed, and what the data leave open.
+        Assumptions, and undetermined parameters.
     """
 
     kind: str
@@ -248,7 +247,7 @@ class IdentifiedDamping(Shown):
 
 
 def parts_of(damped: Damped) -> Floats:
-    """Return the damping's own numbers in one vector: ratios, then dashpots or Rayleigh's factors."""
+    """Return the parameters of the damping in one vector: ratios, then dashpots or Rayleigh's factors."""
     parts = [damped.model.ratios]
     if damped.dashpots is not None:
         parts.append(damped.dashpots.values)
@@ -285,7 +284,7 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
 
 
 def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str]:
-    """Name the measured ratios that this kind of damping does not have, and which kind would."""
+    """Report the measured ratios that this kind of damping cannot reproduce; name a kind that can."""
     std = frame.ratios.std * np.maximum(frame.ratios.values, LEAST_RATIO)
     far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > MISSED * std)
     modes = [int(mode) + 1 for mode in far if np.isfinite(measured[mode])]
@@ -301,10 +300,10 @@ def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str
 
 
 MISSED = 2.0
-"""Standard deviations by which a measured damping ratio counts as missed: chance does so in one case of twenty."""
+"""Least error of a missed damping ratio, in standard deviations; chance exceeds it in one case of twenty."""
 
 WORDS = {"story": "dashpots between the floors", "rayleigh": "Rayleigh damping"}
-"""Kinds of damping that need not have the measured ratios."""
+"""Kinds of damping that may not reproduce the measured ratios."""
 
 
 def damping_of(
@@ -321,24 +320,24 @@ def damping_of(
     ----------
     experiment : Experiment, path or name of a built-in
     estimate : Estimate or Fitted
-        Of `identification.efficient`, or of a closed loop.
+        Result of `identification.efficient` or of a closed loop.
     backend : str or Backend, optional
     kind : str, optional
-        "modal", "story" or "rayleigh"; what the experiment declares where not given.
+        "modal", "story" or "rayleigh"; by default, the kind that the experiment declares.
     configuration : str, optional
-        Which state; the first with damping ratios where not given.
+        Name of the configuration; by default, the first one with damping ratios.
 
     Returns
     -------
     IdentifiedDamping or None
-        None where no damping ratio is declared.
+        None if no damping ratio is declared.
 
     Raises
     ------
     InputError
-        Where there is no configuration of that name.
+        If there is no configuration of this name.
     UnsuitableError
-        Where Rayleigh damping is asked for and one ratio is known.
+        If only one ratio is known for Rayleigh damping.
     """
     experiment = opened(experiment)
     names = [each.name for each in experiment.configurations if each.damping_ratios is not None]
@@ -349,7 +348,7 @@ def damping_of(
     fitted = estimate if isinstance(estimate, Fitted) else Fitted.of(estimate)
     frame = UncertainFrame.of(fitted, state, kind, backends.get(backend))
     if frame.kind == "modal":
-        # The ratios are what was measured; nothing else has a part in them.
+        # Modal damping has exactly the measured ratios.
         return described(frame, frame.at(np.zeros(frame.size)), frame.ratios.values * frame.ratios.std)
     centre, std = propagated(frame, parts_of)
     return described(frame, centre, std)

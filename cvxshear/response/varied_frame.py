@@ -1,14 +1,15 @@
-"""How a frame in a record can differ from the identified one, and how probable each difference is.
+"""Possible differences of a frame in a record from the identified frame, and their prior.
 
-Seven kinds of unknowns: factors on the story stiffnesses, factors on the damping, a dashpot in each story, the
-uncertain masses and effects of the identified model, the gains of the sensors, what the form of the model misses, and
-the levels of the noise. The sixth is
+There are seven kinds of unknowns: factors on the story stiffnesses, factors on the damping, a dashpot in each story,
+the uncertain masses and effects of the identified model, the gains of the sensors, the errors of the model's form, and
+the levels of the noise. The errors of form are
 
     dK = sum over i <= j of e_ij omega_i omega_j M (phi_i phi_j' + phi_j phi_i') M / (1 + delta_ij),
 
-with modes phi_i of the identified model: a symmetric change of the stiffness that no set of stories has. On
-finite-element frames whose beams bend, a shear model that was fitted to their modes misses e_ij of 0.01 to 0.04, alike
-for all i and j, and of i = j more with each mode beyond the measured ones; their standard deviation is estimated.
+with modes phi_i of the identified model. This is a symmetric change of the stiffness that story stiffnesses cannot
+represent. Shear models fitted to the modes of finite-element frames with bending beams have e_ij of 0.01 to 0.04, of
+similar size for all i and j. For i = j, the errors grow with each mode beyond the measured ones. The standard deviation
+of e_ij is estimated.
 """
 
 from __future__ import annotations
@@ -47,16 +48,16 @@ changes only the frequencies of higher modes."""
 
 @dataclass(frozen=True, eq=False)
 class VariedFrame:
-    """A damped frame with factors on its story stiffnesses and damping, and with matrices that may be off.
+    """A damped frame with factors on its story stiffnesses and damping, and with possible errors of its matrices.
 
     Parameters
     ----------
     story_stiffness : ndarray, shape (N,)
         N/m.
     ratios : ndarray, shape (N,)
-        Damping ratios of the modes, of modal damping.
+        Damping ratios of the modes, for modal damping.
     own_std : ndarray, shape (D,)
-        Of the logarithm of each damping factor, by itself.
+        Standard deviation of the logarithm of each damping factor.
     dM, dK : ndarray, shape (W, N, N)
         Change of the matrices along each direction of the uncertainty of masses and effects, one standard deviation.
     dgain : ndarray, shape (W, N)
@@ -65,11 +66,11 @@ class VariedFrame:
     form : ndarray, shape (X, N, N)
         Changes of the stiffness matrix for e_ij = 1.
     gains : int
-        How many of the W directions, the last ones, are gains of sensors.
+        Number of gains of sensors; these are the last of the W directions.
     measured : ndarray of bool, shape (N,)
-        Which of the ratios were measured.
+        Mask of the measured ratios.
     dashpot : ndarray, shape (N,) or (0,)
-        Dashpot of each story that an unknown of one stands for, N s/m; of the D damping unknowns they are the last.
+        Dashpot of each story for an unknown of one, N s/m; the dashpots are the last of the D damping unknowns.
     """
 
     centre: Damped
@@ -87,7 +88,7 @@ class VariedFrame:
 
     @staticmethod
     def around(frame: UncertainFrame, floors: Sequence[int] | Ints = (), *, excited: bool = False) -> VariedFrame:
-        """Set up the variations around the most probable values, with sensors on some floors and of the excitation."""
+        """Set up the variations around the most probable values; sensors are on `floors` and on the excitation."""
         centre = frame.at(np.zeros(frame.size))
         if frame.kind == "modal":
             own = frame.ratios.std
@@ -102,8 +103,8 @@ class VariedFrame:
         )
         measured = max(int(each.modes.max()) for each in frame.fitted.experiment.configurations)
         form = _form(centre.model, measured)
-        # A larger motion than the sensor of the excitation shows, and as much smaller gains, are the same: so that
-        # they are along a straight line, gains count by their logarithms.
+        # A larger excitation with smaller gains gives the same record. Logarithms of the gains make these
+        # combinations a straight line.
         at = [int(floor) - 1 for floor in floors]
         sensors = GAIN_UNIT * np.eye(len(base.M) + 1)[[*at, *([-1] if excited else [])]]
         gains = len(sensors)
@@ -132,7 +133,7 @@ class VariedFrame:
 
     @property
     def nuisance_share(self) -> Floats:
-        """Relative change of masses and modal stiffnesses along each direction, shape (W,); infinite of gains."""
+        """Relative change of masses and modal stiffnesses along each direction, shape (W,); infinite for gains."""
         own = self.centre.model.modes
         masses = np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M)
         stiffness = np.sum((own.shapes @ self.dK) * own.shapes, axis=2) / own.eigenvalues
@@ -143,7 +144,7 @@ class VariedFrame:
 
     @property
     def dashpots(self) -> slice:
-        """Which unknowns are dashpots of single stories."""
+        """Slice of the dashpots of single stories."""
         N, D, _, _ = self.sizes
         return slice(N + D - len(self.dashpot), N + D)
 
@@ -154,9 +155,9 @@ class VariedFrame:
         return slice(N + D + W - self.gains, N + D + W)
 
     def story_factors(self, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Return each story's stiffness over the identified one, and its derivatives by the unknowns.
+        """Return the ratio of each story's stiffness to the identified one, and its derivatives by the unknowns.
 
-        Story i resists a unit displacement of the floors i to N, as one, by the sum of K over those floors.
+        A unit displacement of all floors i to N together has the resistance of story i: the sum of K over these floors.
         """
         N, D, W, X = self.sizes
         own = np.exp(unknowns[:N])
@@ -170,7 +171,7 @@ class VariedFrame:
         return tested * own + heavier * (forms @ missed), J
 
     def _shares(self, changes: Floats) -> Floats:
-        """Return what changes of the stiffness matrix are of each story's stiffness, shape (N, changes)."""
+        """Return the relative change of each story's stiffness by changes of the stiffness matrix, (N, changes)."""
         above = np.cumsum(np.cumsum(changes[:, ::-1, ::-1], axis=1), axis=2)[:, ::-1, ::-1]
         result: Floats = np.diagonal(above, axis1=1, axis2=2).T / self.story_stiffness[:, None]
         return result
@@ -181,17 +182,17 @@ class VariedFrame:
 
     @cached_property
     def _heavier(self) -> Floats:
-        """Relative change of the masses, on average, along each of their directions, shape (W,)."""
+        """Mean relative change of the masses along each of their directions, shape (W,)."""
         result: Floats = np.mean(np.diagonal(self.dM, axis1=1, axis2=2) / np.diag(self.centre.model.M), axis=1)
         return result
 
     @cached_property
     def heavier_floors(self) -> Floats:
-        """Changes of the unknowns by which each floor alone weighs twice as much, shape (N + D + W + X, N).
+        """Changes of the unknowns that double the mass of one floor only, shape (N + D + W + X, N).
 
-        The directions of the masses move the stiffnesses as they were identified together; stories take that back.
-        Where the total is exact, the others weigh less by as much, which base motion does not tell from that. Without
-        columns where all floors are exact.
+        The directions of the masses also change the stiffnesses, as identified; the story factors cancel this change.
+        If the total mass is exact, the other floors become lighter; base motion cannot distinguish both cases. The
+        array has no columns if all masses are exact.
         """
         N, D, W, _ = self.sizes
         result = np.zeros((sum(self.sizes), N))
@@ -203,23 +204,23 @@ class VariedFrame:
         return result
 
     def model(self, unknowns: Floats) -> DampedModel:
-        """Build the frame of given unknowns: logarithms, logarithms and dashpots, standard deviations, and e_ij.
+        """Build the frame for given unknowns: logarithms, logarithms and dashpots, standard deviations, and e_ij.
 
-        A dashpot was there in the tests as well. So what it gives a mode is taken from a ratio that was measured: the
-        part f(s) stays beside a dashpot that alone would give s times of it, nearly 1 - s and never nothing.
+        A dashpot was present in the tests as well. So a measured ratio of a mode is reduced by the dashpot's part: if
+        the dashpot alone would give s times the ratio, the part f(s) remains, which is nearly 1 - s and positive.
 
-        Factors, errors of the form and dashpots are of the frame as heavy as it is: with twice the masses and
-        stiffnesses they are the same, which base motion does not tell.
+        Factors, errors of form and dashpots are relative to the frame's mass: they stay the same if all masses and
+        stiffnesses double, which base motion does not determine.
 
         Raises
         ------
         NoModesError
-            Where it has no modes.
+            If the frame has no modes.
         """
         stiffness, damping, nuisance, missed = np.split(unknowns, np.cumsum(self.sizes)[:3])
         old = self.centre.model
         heavier = 1.0 + self._heavier @ nuisance
-        # A tensor product takes as long to set up as all else.
+        # np.tensordot would take longer to set up than everything else.
         dM, dK, form = (
             (factors @ each.reshape(len(each), old.M.size)).reshape(old.M.shape)
             for factors, each in ((nuisance, self.dM), (nuisance, self.dK), (missed, self.form))
@@ -246,30 +247,30 @@ class VariedFrame:
 
 
 def _dashpots(model: DampedModel, ratios: Floats, measured: Bools) -> Floats:
-    """Dashpot of each story that alone would give one of the measured modes its ratio, shape (N,), N s/m."""
+    """Compute the dashpot of each story that alone gives one measured mode its ratio, shape (N,), N s/m."""
     given = np.array([_given(model.modes, each) for each in np.eye(len(ratios))])
     result: Floats = 1.0 / np.max(given[:, measured] / ratios[measured], axis=1)
     return result
 
 
 def _given(real: Modes, dashpots: Floats) -> Floats:
-    """Damping ratio that story dashpots give each mode, shape (N,)."""
+    """Compute the damping ratio of each mode from story dashpots, shape (N,)."""
     drifts = np.diff(real.shapes, axis=1, prepend=0.0)
     result: Floats = drifts**2 @ dashpots / (2 * np.sqrt(real.eigenvalues))
     return result
 
 
 def _beside(share: Floats) -> Floats:
-    """f(s), the positive root of f^2 = (1 - s) f + b^2 s, which is b for s = 1."""
+    """Compute f(s), the positive root of f^2 = (1 - s) f + b^2 s; f(1) = b."""
     half = 0.5 * (1.0 - share)
     result: Floats = half + np.sqrt(half**2 + LEFT_BESIDE**2 * share)
     return result
 
 
 def _form(model: DampedModel, measured: int) -> Floats:
-    """Build the matrices that e_ij multiply, shape (X, N, N); those of modes beyond the measured ones are larger."""
+    """Build the factors of e_ij, matrices of shape (X, N, N); they are larger for modes beyond the measured ones."""
     own = model.modes
-    # M phi_i omega_i, a row a mode.
+    # M phi_i omega_i, one row per mode.
     rows = (own.shapes * np.sqrt(own.eigenvalues)[:, None]) @ model.M
     coupled = np.triu_indices(min(len(rows), COUPLED_MODES), k=1)
     pairs = [(i, i) for i in range(len(rows))] + list(zip(*coupled, strict=True))
