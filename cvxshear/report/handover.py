@@ -318,8 +318,7 @@ def _driven(result: Moved) -> str:
 
 
 def _uff(result: Moved) -> bytes:
-    """Write excitation, accelerations, displacements, drifts and story shears as data sets 58, one node for each
-    floor."""
+    """Write excitation, accelerations, displacements, drifts and story shears as data sets 58, one node a floor."""
     pyuff = load_pyuff()
     sets: list[Json] = []
     forced = _driven(result) == "force"

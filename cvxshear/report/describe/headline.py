@@ -189,8 +189,7 @@ def _effects(result: Closure) -> str:
 
 
 def _piled(result: Closure) -> bool:
-    """Return whether one state has too many kinds of uncertain effects, including the frame's: each is then
-    improbable."""
+    """Return whether one state, or the frame, has too many kinds of uncertain effects to believe any."""
     kinds: dict[str | None, set[str]] = {}
     for item in result.effects:
         if item.probability < ADDED:
