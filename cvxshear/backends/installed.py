@@ -152,7 +152,7 @@ def listed() -> list[Solver]:
 
 
 def get(backend: str | Backend) -> Backend:
-    """Return the backend of this name; "auto" is the closed form, and a general solver where a bound is active.
+    """Return the backend of this name; "auto" is the closed form, or a general solver if a bound is active.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class _Local:
     Parameters
     ----------
     basis : _Basis
-        Of the range of the active constraints and their null space.
+        Basis of the range of the active constraints and of their null space.
     directions : ndarray, shape (n, k)
         Basis of the null space of the active constraints, its columns of orthonormal effect on the rows.
     particular : ndarray, shape (n, p)

@@ -219,7 +219,7 @@ class LeastSquares:
         Returns
         -------
         Solution
-            Of the program without G, lower and upper.
+            Solution of the program without G, lower and upper.
 
         Raises
         ------
@@ -341,8 +341,7 @@ class Solution:
 
         They have the sign convention of qpsolvers: :math:`P x + q + A' y + G' z + z_l + z_u = 0`, where the
         multipliers z of G and of upper bounds are not negative, and the multipliers of lower bounds are not positive.
-        The
-        objective changes by minus the multiplier for each unit that is added to the right side or to the bound.
+        The objective changes by minus the multiplier for each unit that is added to the right side or to the bound.
         """
         return self.program.duals_at(self.point)
 

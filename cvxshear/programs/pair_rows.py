@@ -190,7 +190,7 @@ def _total(at: Floats, total: float) -> dict[str, Any]:
 
 
 def one_shot_rows(shapes: Floats, total: float, *, rows: bool | None = None, at: Floats | None = None) -> LeastSquares:
-    """Write the orthogonality of the modes, linear in the masses whatever the scale of the modes; the total is known.
+    """Write the orthogonality of the modes, linear in the masses for any scale of the modes, with the known total.
 
     Row (i, j): (phi_i o phi_j)' m = 0, for i < j, with sum m = total. For exact modes the masses are exact, without
     iteration.

@@ -47,12 +47,12 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
 
 
 def model_kind(path: str | Path) -> str:
-    """Tell the kind of file that a name asks for.
+    """Return the kind of file by the ending of its name.
 
     Raises
     ------
     InputError
-        Where it ends in something else.
+        If the ending is unknown.
     """
     return ending_of(path, MODEL_WRITERS, "a model is written as", device="json")
 
@@ -293,12 +293,12 @@ def write_series(path: str | Path, result: Moved) -> None:
 
 
 def series_kind(path: str | Path) -> str:
-    """Tell the kind of file that a name asks for.
+    """Return the kind of file by the ending of its name.
 
     Raises
     ------
     InputError
-        Where it ends in something else.
+        If the ending is unknown.
     """
     return ending_of(path, SERIES_WRITERS, "time series are written as")
 

@@ -158,7 +158,7 @@ def functions(*results: ModalResult) -> Figure:
     Raises
     ------
     InputError
-        Where a result holds no functions.
+        If a result has no functions.
     """
     figure, groups = _panels_of(results, 1.75)
     for result, drawn in zip(results, groups, strict=True):
