@@ -51,7 +51,7 @@ class Backend(ABC):
 
     @property
     def tolerance(self) -> float | None:
-        """The loosest accuracy that the solver is asked for; None if it takes none."""
+        """Loosest requested accuracy of the solver; None if the solver has no such option."""
         return None
 
     def with_tolerance(self, tolerance: float) -> Backend:

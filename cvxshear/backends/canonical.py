@@ -1,8 +1,8 @@
-"""The scaled program for the solvers, and the conversion of its answer.
+"""Scale a program for the solvers, and convert its answer back.
 
 Masses are of order 1e4 kg, stiffnesses of order 1e7 N/m and rows of order 1e-2, so that the tolerances of solvers
-have no meaning for the program itself. With a QR factorization of the rows, below which the equalities may be stacked
-since they vanish at every feasible point,
+have no meaning for the program itself. The equalities vanish at every feasible point and may be stacked below the
+rows. With a QR factorization of the stacked rows,
 
     [W R; sigma A] = Q U,        z = U x / tau,
 
@@ -35,7 +35,7 @@ LAPACK_BLOCK = 64
 """Block size of LAPACK's factorizations, columns."""
 
 TOUCHED = 1e-9
-"""Violation of an inequality, relative to its right side, that solvers leave at best."""
+"""Smallest violation of an inequality, relative to its right side, that solvers reach."""
 
 ZERO_VIOLATION = 1e-13
 """Rounding of an inequality with a right side near zero, in scaled units."""
@@ -78,7 +78,7 @@ class Canonical:
     singular : bool
         Whether the rows and the equalities leave a direction free.
     start : Answer, optional
-        The answer to a program like this one, from where a solver that can may begin.
+        Answer to a similar program, as a starting point for solvers that accept one.
     """
 
     C: Floats
@@ -113,7 +113,7 @@ class Canonical:
         return self.q - B @ along, multipliers
 
     def violated(self, z: Floats) -> Bools:
-        """Which inequalities a point violates by more than rounding, shape (g,)."""
+        """Find the inequalities that a point violates by more than rounding, shape (g,)."""
         return np.asarray(self.F @ z - self.f > np.clip(TOUCHED * np.abs(self.f), ZERO_VIOLATION, TOUCHED))
 
     def keeping(self, inequalities: Bools) -> Canonical:
@@ -124,7 +124,7 @@ class Canonical:
         return dataclasses.replace(self, F=self.F[inequalities], f=self.f[inequalities], start=start)
 
     def refuse_start(self, solution: Solution) -> None:
-        """Raise where a solution is of a program of another shape.
+        """Raise an error if a solution belongs to a program of another shape.
 
         Raises
         ------
@@ -149,9 +149,10 @@ class Canonical:
 
     def to_z(self, x: Floats) -> Floats:
         """Scale the unknowns x."""
-        # Rows of unit length: otherwise their lengths differ by as many orders as the units of the unknowns.
+        # Rows get unit length: otherwise their lengths differ by the same orders of magnitude as the units of the
+        # unknowns.
         lengths = np.linalg.norm(self._inverse, axis=1)
-        # The inverse of a triangle is one, and so is a diagonal.
+        # The inverse of a triangular matrix is triangular; a diagonal matrix is triangular too.
         return np.asarray(lapack.dtrtrs(self._inverse / lengths[:, None], x / lengths)[0] / self._tau)
 
     def to_x(self, z: Floats) -> Floats:
@@ -171,7 +172,7 @@ def canonical(program: LeastSquares) -> Canonical:
     Raises
     ------
     InfeasibleError
-        Where equalities contradict each other, or a bound says that 0 x is at most a negative number.
+        If equalities contradict each other, or an inequality states that 0 x is at most a negative number.
     """
     R, s = program.weighted
     A, b = program.equalities
@@ -189,7 +190,7 @@ def canonical(program: LeastSquares) -> Canonical:
 
 
 def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floats, Floats, bool]:
-    """x = inverse @ z and the objective |C z - q|^2."""
+    """Compute the scaling x = inverse @ z and the objective |C z - q|^2."""
     lengths = np.linalg.norm(R, axis=0)
     D = 1.0 / np.where(lengths > 0, lengths, 1.0)
     scaled_A = A * D
@@ -199,7 +200,7 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     # With the right side as a further column, the last column of the triangle is Q' [s; sigma b].
     side, more = s[:, None], np.column_stack([sigma[:, None] * scaled_A, sigma * b])
     if len(R) == n and linalg.bandwidth(R)[0] == 0:
-        # The rows are a triangle already, into which a few equalities are rotated.
+        # The rows are already a triangle; a few equalities are rotated into the triangle.
         triangle = np.zeros((n + 1, n + 1), order="F")
         triangle[:n] = np.hstack([R * D, side])
         if len(A):
@@ -230,7 +231,7 @@ def _unit_rows(rows: Floats, side: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _consistent_rows(A: Floats, b: Floats) -> Bools:
-    """Which equalities to keep, the others following from them; raises where they contradict each other."""
+    """Select equalities that imply all others; raise an error if equalities contradict each other."""
     scale = np.linalg.norm(A, axis=1)
     rows = A / np.where(scale > 0, scale, 1.0)[:, None]
     side = b / np.where(scale > 0, scale, 1.0)
@@ -245,7 +246,7 @@ def _consistent_rows(A: Floats, b: Floats) -> Bools:
 
 
 def independent_rows(rows: Floats) -> Bools:
-    """Which rows to keep, the others being combinations of them.
+    """Select independent rows; the other rows are combinations of these.
 
     Parameters
     ----------

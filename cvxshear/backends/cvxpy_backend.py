@@ -1,4 +1,4 @@
-"""cvxpy as a backend: one parametrised problem a shape, compiled once and solved again with other numbers."""
+"""Use cvxpy as a backend: one parametrised problem for each shape, compiled once and solved with different numbers."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from cvxshear.util.errors import NoSolutionError
 
 @dataclass(frozen=True, eq=False)
 class Parametrised:
-    """A problem of one shape, its numbers parameters.
+    """A problem of one shape with its numbers as parameters.
 
     Parameters
     ----------
     problem : cvxpy.Problem
-        By cvxpy's rules for parametrised problems (DPP): compiled at the first solve, later ones put numbers in.
+        By cvxpy's rules for parametrised problems (DPP): compiled at the first solve; later solves only insert numbers.
     z : cvxpy.Variable
     parameters : dict
         By name.
     constraints : dict
-        By name, those whose multipliers are asked for.
+        By name, the constraints with required multipliers.
     """
 
     problem: cp.Problem
@@ -43,15 +43,15 @@ class Cvxpy(CalledSolver):
     Parameters
     ----------
     solver : str
-        As cvxpy calls it.
+        Name of the solver in cvxpy.
     **options
         Options of the solver, in addition to the accurate settings of `solvers.toml`.
 
     Notes
     -----
-    A shape is compiled once, its numbers left open as parameters by cvxpy's rules for such programs (DPP), and solved
-    again with new numbers. The number of inequalities is rounded up to a power of two, with rows that say 0 z <= 1, so
-    that few shapes occur, and there is always a constraint, without which SCS refuses.
+    Each shape is compiled once, with its numbers as parameters by cvxpy's rules for such programs (DPP), and solved
+    again with new numbers. Rows 0 z <= 1 raise the number of inequalities to a power of two, so that few shapes occur.
+    There is always a constraint: SCS refuses a problem without one.
     """
 
     through = "cvxpy"
@@ -79,7 +79,7 @@ class Cvxpy(CalledSolver):
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
-                # "Solution may be inaccurate" is also the status, which is looked at below.
+                # The warning "Solution may be inaccurate" is also in the status, which is checked below.
                 warnings.simplefilter("ignore")
                 compiled.problem.solve(  # type: ignore[no-untyped-call]  # cvxpy's has no annotations
                     solver=self.solver, enforce_dpp=True, warm_start=problem.start is not None, **self.options
@@ -99,14 +99,14 @@ def _made(solver: str, options: dict[str, Any]) -> Cvxpy:
 
 
 def _padding(equalities: int, inequalities: int) -> int:
-    """Rows that say nothing, to the next power of two, and one where there is no constraint."""
+    """Count the empty rows up to the next power of two; one row if there is no constraint."""
     if not inequalities:
         return 0 if equalities else 1
     return (1 << (inequalities - 1).bit_length()) - inequalities
 
 
 def parametrised(unknowns: int, equalities: int, inequalities: int, singular: bool) -> Parametrised:
-    """Build the problem of this shape; |C z - q|^2 / 2 where C is not the identity, else |z|^2 / 2 - q'z."""
+    """Build the problem of this shape: |C z - q|^2 / 2, or |z|^2 / 2 - q'z if C is the identity."""
     z = cp.Variable(unknowns)
     parameters = {"q": cp.Parameter(unknowns)}
     # cvxpy exports `sum_squares` in a way that type checkers do not see.

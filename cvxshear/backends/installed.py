@@ -30,11 +30,12 @@ SEMIDEFINITE = ("clarabel", "daqp")
 class Kkt(Backend):
     """minimize |C z - q|^2 subject to E z = e, in closed form: the solution of Eq. 14 without its normal matrix.
 
-    C is the identity once the rows are factorized, which leaves the nearest point to q on a plane: the generalized
-    QR factorization of LAPACK's xGGLSE, its first half done in `canonical`.
+    After the factorization of the rows, C is the identity, and the solution is the nearest point to q on a plane. This
+    is
+    the generalized QR factorization of LAPACK's xGGLSE; `canonical` does the first half.
 
-    Inequalities are looked at afterwards: a solution that meets them all is also the solution of the program
-    with them, its multipliers zero. Where one is violated this backend refuses.
+    Inequalities are checked afterwards: a solution that satisfies all of them is also the solution of the program with
+    them, with zero multipliers. If the solution violates one, this backend refuses.
     """
 
     name = "kkt"
@@ -56,7 +57,7 @@ class Kkt(Backend):
 
 
 class Auto(Backend):
-    """`closed_form` where no inequality is active, the first of the general solvers that succeeds where one is.
+    """`closed_form` if no inequality is active, otherwise the first general solver that succeeds.
 
     Parameters
     ----------
@@ -106,13 +107,13 @@ _registered: dict[str, Backend] = {}
 
 
 def register(backend: Backend) -> None:
-    """Make a backend known by its name; one of the same name is replaced."""
+    """Register a backend by its name; it replaces a backend of the same name."""
     _registered[backend.name] = backend
 
 
 @cache
 def _direct() -> dict[str, Backend]:
-    """List the closed form, and what qpsolvers calls."""
+    """List the closed form and the installed solvers of qpsolvers."""
     backends: list[Backend] = [Kkt(), *(Qpsolvers(solver.name) for solver in THROUGH_QPSOLVERS if solver.installed)]
     return {backend.name: backend for backend in backends}
 
@@ -126,7 +127,7 @@ def _through_cvxpy(name: str) -> Backend:
 
 @cache
 def _auto() -> Auto:
-    """List the closed form, then `DEFINITE` or `SEMIDEFINITE` as far as they are installed."""
+    """List the closed form, then the installed solvers of `DEFINITE` or `SEMIDEFINITE`."""
     installed = _direct()
     orders = [[installed[name] for name in names if name in installed] for names in (DEFINITE, SEMIDEFINITE)]
     return Auto(installed["kkt"], *orders)
@@ -144,24 +145,24 @@ def solve(program: LeastSquares, backend: str | Backend, options: Mapping[str, A
 
 
 def listed() -> list[Solver]:
-    """Every backend that is there, and every one that pip could bring."""
+    """List every installed backend, and every backend that pip can install."""
     solvers = {solver.name: solver for solver in (*THROUGH_QPSOLVERS, *THROUGH_CVXPY)}
     own = [Solver(name, "", "", "") for name in available() if name not in solvers]
     return own + sorted(solvers.values(), key=lambda solver: not solver.installed)
 
 
 def get(backend: str | Backend) -> Backend:
-    """Return the backend of this name; "auto" is the closed form, and a general solver where a bound is active.
+    """Return the backend of this name; "auto" is the closed form, or a general solver if a bound is active.
 
     Parameters
     ----------
     backend : str or Backend
-        A backend itself is handed back.
+        A backend object is returned unchanged.
 
     Raises
     ------
     InputError
-        Where none of that name is installed; the message lists those that are.
+        If no backend of this name is installed; the message lists the installed ones.
     """
     if isinstance(backend, Backend):
         return backend

@@ -1,6 +1,6 @@
-r"""The exact minimizer beside an answer, and a bound on the error of each of its unknowns.
+r"""Compute the exact minimizer near an answer, and a bound on the error of each of its unknowns.
 
-With its active inequalities as equalities, a program has a closed form. If no other inequality is violated there, and
+A program with its active inequalities as equalities has a closed form. If no other inequality is violated there, and
 no multiplier has the wrong sign, it is the minimizer of the whole program. The active set is guessed from the answer
 and corrected by the primal-dual active-set method (Hintermüller, Ito and Kunisch 2003): inequalities with a negative
 multiplier leave the set, violated ones enter it.
@@ -56,7 +56,7 @@ SUM_ROUNDING = 100 * EPSILON
 
 @dataclass(frozen=True, eq=False)
 class Minimizer:
-    """The minimizer of a program, or of what is left of it once some inequalities are equalities.
+    """The minimizer of a program, or of the program with some inequalities as equalities.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Minimizer:
     errors : ndarray, shape (n,)
         Bound on the error of each unknown, from rounding in 64 bits.
     deviations : ndarray, shape (n,)
-        Standard deviation of each unknown, were the rows' residual noise: (diag Z (Z'R'RZ)^-1 Z')^(1/2) times the
+        Standard deviation of each unknown if the rows' residual is noise: (diag Z (Z'R'RZ)^-1 Z')^(1/2) times the
         root mean square of the residual.
     """
 
@@ -75,12 +75,12 @@ class Minimizer:
 
 @dataclass(frozen=True, eq=False)
 class _Local:
-    """How a minimizer on some active constraints moves, the columns of R scaled to unit length.
+    """Sensitivity of a minimizer on some active constraints, with the columns of R scaled to unit length.
 
     Parameters
     ----------
     basis : _Basis
-        Of the range of the active constraints and their null space.
+        Basis of the range of the active constraints and of their null space.
     directions : ndarray, shape (n, k)
         Basis of the null space of the active constraints, its columns of orthonormal effect on the rows.
     particular : ndarray, shape (n, p)
@@ -130,7 +130,7 @@ def minimizer(program: Assembled, near: Point) -> Minimizer:
         satisfied = _satisfied(program, found)
         following = np.where(active, found.point.w >= -_multiplier_errors(program, local, active), ~satisfied)
         if np.array_equal(following, active):
-            # Where active inequalities follow from others, one that contradicts them is violated.
+            # If some active inequalities follow from others, a contradicting inequality is violated.
             if np.all(satisfied):
                 return _doubted(program, found, local, active)
             break
@@ -139,7 +139,7 @@ def minimizer(program: Assembled, near: Point) -> Minimizer:
 
 
 def _multiplier_errors(program: Assembled, local: _Local, active: Bools) -> Floats:
-    """Bound on the error of each inequality's multiplier, zero where it is not active or follows from others."""
+    """Bound the error of each inequality's multiplier; zero for an inactive or dependent inequality."""
     among = np.zeros(len(program.b) + int(active.sum()))
     among[local.independent] = local.multiplier_errors
     errors = np.zeros(len(active))
@@ -148,10 +148,11 @@ def _multiplier_errors(program: Assembled, local: _Local, active: Bools) -> Floa
 
 
 def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools) -> Minimizer:
-    """Enlarge a minimizer's bounds where rounding leaves open whether an inequality is active.
+    """Enlarge a minimizer's bounds if rounding prevents the decision whether an inequality is active.
 
-    Were an inequality active that is taken not to be, the minimizer would move by Z (Z'R'RZ)^-1 Z'a v / (a'Z ... Z'a),
-    with v the violation that cannot be excluded; were one not active that is taken to be, by P t / |R P|^2, with -t the
+    If an inequality is active but was assumed inactive, the minimizer moves by Z (Z'R'RZ)^-1 Z'a v / (a'Z ... Z'a),
+    with v the violation that cannot be excluded; if one is inactive but was assumed active, by P t / |R P|^2, with -t
+    the
     multiplier that cannot be excluded.
     """
     lengths, x = program.lengths, found.point.x
@@ -160,7 +161,7 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
     doubt = G @ x - program.h + absolute_G @ found.errors + SUM_ROUNDING * (np.abs(program.h) + absolute_G @ np.abs(x))
     for i in np.flatnonzero(~active & (doubt > 0)):
         row = G[i] / lengths
-        # One that follows from the active ones changes nothing.
+        # An inequality that follows from the active ones changes nothing.
         if np.linalg.norm(local.basis.on_null_space(row[None])) > DEPENDENT * program.inequality_lengths[i]:
             gradient = local.directions.T @ row
             errors = errors + np.abs(local.directions @ gradient) * doubt[i] / float(gradient @ gradient)
@@ -184,7 +185,7 @@ def _guessed(program: Assembled, near: Point) -> Bools:
 
 
 def _satisfied(program: Assembled, found: Minimizer) -> Bools:
-    """Which inequalities hold at a minimizer, but for rounding."""
+    """Find the inequalities that hold at a minimizer within rounding."""
     x, absolute_G = found.point.x, program.absolute[1]
     rounding = found.errors + SUM_ROUNDING * (np.abs(x) + length(program.lengths * x) / program.lengths)
     return np.asarray(program.G @ x - program.h <= SUM_ROUNDING * np.abs(program.h) + absolute_G @ rounding)
@@ -193,7 +194,7 @@ def _satisfied(program: Assembled, found: Minimizer) -> Bools:
 def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimizer, _Local]:
     """Minimize with the active inequalities as equalities, by the null-space method, as corrections of x.
 
-    LAPACK's xGGLSE does the same and keeps the null-space basis to itself, which the bound is computed from.
+    LAPACK's xGGLSE does the same but does not return the null-space basis, which the error bound needs.
     """
     rows, sides = np.concatenate([program.A, program.G[active]]), np.concatenate([program.b, program.h[active]])
     lengths = program.row_lengths(rows)
@@ -257,7 +258,7 @@ class _Factor:
     Raises
     ------
     UndeterminedError
-        Where the rows leave a direction open.
+        If the rows leave a direction undetermined.
     """
 
     def __init__(self, rows: Floats) -> None:
@@ -276,12 +277,12 @@ class _Factor:
         else:
             self._order, self._pivots = np.arange(r), np.arange(self._k)
             if r == self._k and linalg.bandwidth(rows)[0] == 0:
-                # A triangle already: no reflections.
+                # The rows are already a triangle and need no reflections.
                 self._reflectors, self._tau = rows, np.zeros(r)
             else:
                 self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, LAPACK_BLOCK * self._k))
         self._triangle = self._reflectors[: self._k]
-        # Of graded rows a small pivot may be a light row's own; whether it is rounding shows in the bound.
+        # In graded rows a small pivot may come from a light row. The error bound reveals a pivot that is only rounding.
         least = 0.0 if graded else UNDETERMINED
         if np.any(np.diag(self._triangle) == 0.0) or not float(lapack.dtrcon(self._triangle)[0]) > least:
             raise UndeterminedError

@@ -1,4 +1,4 @@
-"""The solvers of qpsolvers and cvxpy: names, packages, options, and the backend that calls qpsolvers.
+"""Table of the solvers of qpsolvers and cvxpy with packages and options, and the backend that calls qpsolvers.
 
 The table is read without importing a solver; importing all of them takes seconds.
 """
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Solver(InJson):
-    """A solver that qpsolvers or cvxpy can call; a backend of this library or of the caller has a name alone.
+    """A solver that qpsolvers or cvxpy can call; a backend of this library or of the caller has only a name.
 
     Parameters
     ----------
     name : str
-        Of the backend.
+        Name of the backend.
     module : str
-        What Python imports.
+        Module that Python imports.
     package : str
-        What pip installs.
+        Package that pip installs.
     through : str
-        The package that calls it, "qpsolvers" or "cvxpy".
+        Package that calls the solver, "qpsolvers" or "cvxpy".
     """
 
     name: str
@@ -52,18 +52,18 @@ class Solver(InJson):
 
     @property
     def missing(self) -> list[str]:
-        """Packages that must be installed before it can be used."""
+        """Packages that the solver requires."""
         needed = ((self.through, self.through), (self.package, self.module))
         return [package for package, module in needed if module and util.find_spec(module) is None]
 
     @property
     def installed(self) -> bool:
-        """Whether it, and the package that calls it, are there to be imported."""
+        """Whether the solver and the package that calls the solver can be imported."""
         return not self.missing
 
     @property
     def version(self) -> str | None:
-        """Version of the solver; None where it is not installed, and where its package has none."""
+        """Version of the solver; None if the solver is not installed or its package has no version."""
         try:
             return metadata.version(self.package) if self.package else None
         except metadata.PackageNotFoundError:
@@ -71,7 +71,7 @@ class Solver(InJson):
 
     @property
     def how_to_get(self) -> str:
-        """The command that installs it; empty where it is."""
+        """Command that installs the solver; empty if installed."""
         return f"pip install {' '.join(self.missing)}" if self.missing else ""
 
 
@@ -84,7 +84,7 @@ ACCURACY_OPTIONS: dict[str, dict[str, float]] = {
     name: table["tolerances"] for name, table in _TABLES.items() if "tolerances" in table
 }
 TIME_LIMITS = {name: table["time_limit"] for name, table in _TABLES.items() if "time_limit" in table}
-"""Accuracies that each solver is asked for, and what it calls its limit on time."""
+"""Requested accuracies of each solver, and the name of its option for the time limit."""
 
 THROUGH_QPSOLVERS = tuple(
     Solver(name, table.get("module", name), table.get("module", name).replace("_", "-"))
@@ -97,12 +97,12 @@ THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in _
 
 
 def default_options(solver: str) -> dict[str, Any]:
-    """All options of a solver.
+    """Collect all options of a solver.
 
     Parameters
     ----------
     solver : str
-        As qpsolvers calls it.
+        Name of the solver in qpsolvers.
     """
     limit = {TIME_LIMITS[solver]: TIME_LIMIT} if solver in TIME_LIMITS else {}
     return {**ACCURACY_OPTIONS.get(solver, {}), **_TABLES.get(solver, {}).get("options", {}), **limit}
@@ -114,7 +114,7 @@ class CalledSolver(Backend):
     Parameters
     ----------
     solver : str
-        As qpsolvers or cvxpy calls it.
+        Name of the solver in qpsolvers or cvxpy.
     **options
         Options of the solver, in addition to the accurate settings of `solvers.toml`.
 
@@ -145,7 +145,7 @@ class CalledSolver(Backend):
         return type(self)(self.solver, **{**self.options, **options}) if options else self
 
     def unsolved(self, status: str, seconds: float) -> NoSolutionError:
-        """Make the error of a solver without a solution: its time was over, or what it says itself."""
+        """Make the error of a solver without a solution: the time limit, or the solver's own message."""
         limit = self.options.get(TIME_LIMITS.get(self._listed, ""))
         if limit is not None and seconds >= limit:
             return NoSolutionError(self.name, f"stopped at its time limit of {limit:g} s (its status: {status})")
@@ -153,7 +153,7 @@ class CalledSolver(Backend):
 
 
 MAGNIFIED: dict[str, float] = {"highs": 1e4}
-"""Factor on unknowns and right sides: HiGHS takes a reduced gradient of some 1e-6 for none, whatever its tolerances."""
+"""Factor on unknowns and right sides: HiGHS treats a reduced gradient of about 1e-6 as zero for any tolerance."""
 
 
 class Qpsolvers(CalledSolver):
@@ -166,7 +166,7 @@ class Qpsolvers(CalledSolver):
         if self.name == "highs":
             _hear_version_of_highs()
         stated = self._stated(problem)
-        # Solvers that cannot begin at a point pass over it.
+        # Solvers without support for a starting point ignore the start.
         scale = MAGNIFIED.get(self.name, 1.0)
         start = None if problem.start is None else scale * problem.start.z
         began = time.perf_counter()
@@ -202,7 +202,8 @@ class Qpsolvers(CalledSolver):
 def _hear_version_of_highs() -> None:
     """Create the first instance of HiGHS with standard output closed.
 
-    From 1.16 on it prints its version before any option can be set, and the output of ``--json`` would begin with it.
+    HiGHS 1.16 and later print the version before any option can be set, and the output of ``--json`` would begin with
+    this line.
     """
     try:
         sys.stdout.flush()
@@ -228,7 +229,7 @@ def _status(found: qpsolvers.Solution) -> str:
 
 
 def _iterations(extras: dict[str, Any]) -> int | None:
-    """Read the number of iterations, under whichever name the solver reports it."""
+    """Read the number of iterations, under the name that the solver uses."""
     info = extras.get("info")
     for value in (getattr(info, "iter", None), extras.get("iter"), extras.get("iterations")):
         if value is not None:

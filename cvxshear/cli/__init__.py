@@ -76,18 +76,19 @@ def _options(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; 0 done, 1 no solution, 2 bad input, and no traceback for either."""
+    """Run the command line; exit with status 0 if done, 1 without a solution, 2 for bad input."""
     status: Any = 0
     used.clear()
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
         with sound_streams(), streams_read_once():
-            # Also numpy and matplotlib read SOURCE_DATE_EPOCH, when they are imported.
+            # The check comes first: numpy and matplotlib also read SOURCE_DATE_EPOCH at import.
             present()
             try:
                 status = app(args=arguments, standalone_mode=False)
             except OSError as error:
-                # Files that cannot be read or written have raised InputError: this was the help, or the version.
+                # Unreadable and unwritable files raise InputError. An OSError here comes from printing the help or the
+                # version.
                 raise lost(error) from error
     except (NoSolutionError, LostProcessError) as error:
         _complain(error)
@@ -96,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
         _complain(error)
         status = 2
     except OutputError as error:
-        # Who reads the first lines only, as `head` does, wants no complaint.
+        # A program such as `head` reads the first lines only and needs no error message.
         if not isinstance(error.__cause__, BrokenPipeError):
             _complain(f"standard output cannot be written: {error}")
         status = 1
@@ -106,7 +107,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (typer.Abort, KeyboardInterrupt):
         status = 130
     except Exception as error:
-        # Typer's own complaints about options know how to show themselves.
+        # Typer's errors about options have a method that prints them.
         if not hasattr(error, "show") or not hasattr(error, "exit_code"):
             raise
         error.show()

@@ -1,4 +1,4 @@
-"""The commands before anything is fitted: records to modes, a file to fill in, what looks wrong in a file."""
+"""Commands before the identification: make a file to fill in, check a file, find the modes of records."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def new(
 
 
 MISTAKE_STATUS, DOUBT_STATUS = 2, 3
-"""Statuses of `check`: what the other commands refuse; with --strict what they only warn of."""
+"""Exit statuses of `check`: 2 for a mistake, which the other commands refuse; 3 with --strict for a doubt."""
 
 
 def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
@@ -200,14 +200,14 @@ def modes(
 def measured(
     names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None, accept_swapped: bool = False
 ) -> tuple[Experiment, list[IdentifiedRecord]]:
-    """Read the experiment of a measurement file, or that of record files with the modes found in each.
+    """Read the experiment from a measurement file, or from record files and their identified modes.
 
     Raises
     ------
     InputError
-        Where several files are named and one is a measurement, or a record cannot be used.
+        If one of several files is a measurement file, or a record cannot be used.
     NoSolutionError
-        Where no mode was found in a record.
+        If a record has no identified mode.
     """
     from cvxshear import Experiment, load
     from cvxshear.io.modes import identify_modes_many
@@ -230,7 +230,7 @@ def measured(
 
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
-    """Identify the modes of each record."""
+    """Render the identified modes of each record for a terminal, and the findings about the records."""
     from cvxshear.io.modes import UNKNOWN_SCALE, cables_of
     from cvxshear.records.result import scale_unknown
     from cvxshear.report import terminal
@@ -246,14 +246,14 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
 
 
 def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
-    """Return what the modes of the records add to a result's JSON."""
+    """Return the modes of the records for a result's JSON."""
     if not tests:
         return {}
     return {"modes": tests[0].modes.to_dict()} if len(tests) == 1 else {"records": [_record(test) for test in tests]}
 
 
 def _files(names: Sequence[str], written: str | None = None) -> list[str]:
-    """Resolve names and patterns to record files; what a pattern matches is not to be written over either."""
+    """Resolve names and patterns to record files, and check that `written` overwrites none of them."""
     from cvxshear.io.modes import record_files
 
     files, left_out = record_files(names)
@@ -273,7 +273,7 @@ def _record(test: IdentifiedRecord) -> Json:
 
 
 def _said(files: Sequence[str], found: Sequence[IdentifiedRecord | CvxshearError]) -> Json:
-    """One record's result by itself; several in a list, with what failed."""
+    """Return the JSON of one record, or a list of several records with the failed ones."""
     tests = _kept(found)
     if len(files) == 1:
         return tests[0].modes.to_dict()

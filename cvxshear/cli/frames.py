@@ -1,4 +1,4 @@
-"""The commands for one test of a frame: its modes, its masses and stiffnesses, what the model lacks."""
+"""Commands for a frame: identify its masses and stiffnesses, and find the missing physical effects."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 UNCERTAIN = 3
-"""Status of `loop --strict` where the verdict is not one to rely on."""
+"""Exit status of `loop --strict` for an unreliable verdict."""
 
 
 def identify(
@@ -58,7 +58,7 @@ def identify(
     tolerance
         At which relative correction the mass iteration stops.
     """
-    # The solvers load slowly, and help needs none of them.
+    # The solvers load slowly, and the help does not need them.
     from cvxshear import Identification, load
     from cvxshear import identify as run
     from cvxshear.report import terminal
@@ -160,7 +160,7 @@ def loop(
         heading = dataclasses.replace(experiment.report, **said_of_it)
         if report is not None:
             photograph_of(heading)
-        # A record has no numbers to put right: they are weighed with the effects.
+        # A record has no declared mode numbers: the loop compares possible numbers together with the effects.
         result = close_loop(
             experiment,
             effects=names(effects),
@@ -175,7 +175,7 @@ def loop(
             damping = damping_of(experiment, models.after, backend)
             tried = None if validate is None else predict(models, validate, backend)
         except UnsuitableError as error:
-            # The verdict stands without what the frame would do.
+            # The verdict is valid without the predicted response.
             without = f"without its damping and response: {error}"
     said = {
         **result.to_dict(),

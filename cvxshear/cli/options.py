@@ -1,4 +1,4 @@
-"""Options of the commands, and the files that they name, checked against each other before a command runs."""
+"""Define the options of the commands, and check the named files against each other before a command runs."""
 
 import copy
 import inspect
@@ -13,23 +13,23 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.writing import check_output, same_file
 
 OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
-"""What a file of JSON must not be called, lest a slip of the keyboard replace something else."""
+"""Forbidden endings of a JSON file: a typing error must not replace a file of another kind."""
 
 
 used: list[str] = []
-"""The files that the running command reads, as they were named; what it writes says which they were."""
+"""Names of the files that the running command reads, as typed; the written results list these names."""
 
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
-"""Keys of a command's context for the files it writes and reads; options are checked in the order they were typed."""
+"""Keys of a command's context for its written and read files; options are checked in the typed order."""
 
 
 def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:
-    """Make the check of an option that names a file to write; it runs before the command does.
+    """Make the check of an option that names an output file; the check runs before the command.
 
     Parameters
     ----------
     *endings : str
-        Those that such a file has; where none is named, it is JSON, which goes by any name but another kind's.
+        Allowed endings. Without endings, the file is JSON and may have any ending outside `OTHERS_ENDINGS`.
     """
 
     def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
@@ -41,13 +41,13 @@ def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, 
 
 
 def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) -> None:
-    """Note a file that a command is to write, once it can be, and refuse one that it reads or writes besides.
+    """Register an output file after a check that the file can be written and has no second use in the command.
 
     Parameters
     ----------
     context : typer.Context
     name : str
-        The option that names it.
+        Option that names the file.
     path : str
     endings : sequence of str
         As for `output_file`.
@@ -55,7 +55,7 @@ def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) 
     Raises
     ------
     InputError
-        Naming the option.
+        If the file cannot be written or has a second use; the message names the option.
     """
     try:
         check_output(path, endings=endings)
@@ -72,14 +72,14 @@ def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) 
 
 
 def input_files(context: typer.Context, files: Any) -> Any:
-    """Note what a command reads, one file or several, and refuse to write over it."""
+    """Register the input files of a command, and refuse to overwrite them."""
     if files is None or context.resilient_parsing:
         return files
     from cvxshear.io.toml import files_of
 
     for file in [files] if isinstance(files, str) else files:
         used.append(file)
-        # What a pipe holds can be read once; a file that is not there is for the command to complain of.
+        # A pipe can be read only once, and the command itself reports a missing file. Both are skipped here.
         context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
     _refuse_overlap(context.meta.get(WRITTEN, ()), context.meta.get(READ, ()))
     return files
@@ -93,19 +93,19 @@ def _refuse_overlap(written: Iterable[tuple[str, str]], read: Iterable[Path]) ->
 
 
 PARAMETER = re.compile(r"^(\w+)(?: :(?: (--\S+))?(?: (\S+))?)?\n((?: {4}.*\n?)+)", re.MULTILINE)
-"""A parameter in a docstring: its name, what the option and its value are called, and its description."""
+"""Pattern of a parameter in a docstring: its name, the names of the option and its value, and its description."""
 
 
 def documented(command: Callable[..., None]) -> Callable[..., None]:
-    """Take the help of a command's options from its docstring, which lists them as numpydoc does.
+    """Take the help of a command's options from the numpydoc parameters of its docstring.
 
-    Behind the name of a parameter may stand the name of the option, where it is another one, and what stands for its
-    value in the help: "goal : --for" or "modes : --from FILE". A flag that is off has no name that leaves it off.
+    The name of a parameter may be followed by a different name of the option, and by the name of its value in the help:
+    "goal : --for" or "modes : --from FILE". A flag with the default false has no option that turns the flag off.
 
     Parameters
     ----------
     command : callable
-        Keeps the part of its docstring before the parameters, which is the help of the command itself.
+        Function of the command. Its docstring keeps the part before the parameters, which is the help of the command.
     """
     command.__doc__, _, listed = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
     hints, types = get_type_hints(command, include_extras=True), get_type_hints(command)
@@ -125,7 +125,7 @@ Files = Annotated[list[str], typer.Argument(metavar="FILE...", callback=input_fi
 
 
 def writes(*names: str, what: str = "", metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
-    """Declare an option that names a file to write."""
+    """Declare an option that names an output file."""
     return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
 
 

@@ -1,4 +1,4 @@
-"""How the results of the commands leave them, wherever standard output leads to."""
+"""Print and write the results of the commands for any kind of standard output."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
     from cvxshear.util.typing import Json
 
 typed: list[str] = []
-"""What stood on the command line."""
+"""Arguments of the command line, as typed."""
 
 
 def as_typed() -> str:
-    """Write the command as it was typed; a report says how it was made."""
+    """Write the command as typed, for reports."""
     return shell_line(["cvxshear", *typed])
 
 
 def show(parts: Iterable[RenderableType]) -> None:
-    """Print tables; plain and unwrapped where the output is not a terminal.
+    """Print tables; the output is plain and unwrapped outside a terminal.
 
-    Names come from files: nothing in a text is markup, and what would steer the terminal stands as its escape.
+    Names come from files. Texts are therefore printed without markup, and terminal control characters as escapes.
     """
     from rich.console import Console
     from rich.segment import Segment, Segments
@@ -62,24 +62,24 @@ def deliver(
     *files: Callable[[], None],
     title: str | None = None,
 ) -> None:
-    """Write what was asked for and print the result, the one even where the other fails.
+    """Write the requested files and print the result; a failure of one does not prevent the other.
 
     Parameters
     ----------
     result : dict
     out : str, optional
-        Where its JSON goes; "-" puts it alone on standard output, in place of the tables.
+        File for the JSON; "-" prints only the JSON on standard output, without tables.
     tables : callable
-        What people are shown.
+        Returns the tables for the terminal.
     *files : callable
         Each writes one more file.
     title : str, optional
-        Of the test, for the JSON.
+        Title of the test, for the JSON.
 
     Raises
     ------
     InputError
-        Where a file could not be written, after the result was printed.
+        If a file could not be written; the result is printed first.
     """
     writers = list(files)
     if out is not None:
@@ -103,12 +103,12 @@ def deliver(
 
 
 def about(files: Sequence[str], title: str | None) -> Json:
-    """Trace a result to its origin: version, date, title of the test, and the files read with their SHA-256.
+    """Return the origin of a result: version, date, title of the test, and the input files with their SHA-256.
 
     Parameters
     ----------
     files : sequence of str
-        As they were named; a built-in example among them by its text.
+        Names of the files as typed, or of the built-in example.
     title : str or None
     """
     read = [{"name": file, "sha256": _digest(file)} for file in dict.fromkeys(files)]
@@ -123,7 +123,7 @@ def about(files: Sequence[str], title: str | None) -> Json:
 
 
 def present() -> datetime:
-    """Return the present, or what SOURCE_DATE_EPOCH says it is (reproducible-builds.org)."""
+    """Return the present time, or the time in SOURCE_DATE_EPOCH (reproducible-builds.org)."""
     stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
     if not stamp:
         return datetime.now(UTC)
@@ -136,7 +136,7 @@ def present() -> datetime:
 
 
 def _digest(file: str) -> str | None:
-    """SHA-256 of a file's bytes; None where they cannot be read any more, or are a pattern of several."""
+    """Return the SHA-256 of a file's bytes; None for a pattern or an unreadable file."""
     from cvxshear.io.columns import LIMIT
     from cvxshear.io.inputs import read_bytes
     from cvxshear.io.toml import built_in_text, is_built_in
@@ -149,12 +149,12 @@ def _digest(file: str) -> str | None:
 
 
 def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
-    """Collect what the command line says for the head of a report.
+    """Collect the options for the heading of a report.
 
     Raises
     ------
     InputError
-        Where no report is asked for, or a text is empty.
+        If an option is given without a report, or a text is empty.
     """
     from cvxshear.util import checks
 
@@ -168,13 +168,13 @@ _silent: list[bool] = [False]
 
 
 def silence(asked: bool) -> None:
-    """Show no progress from now on, where `cvxshear --quiet` asks for that before the command."""
+    """Show no progress bars if the user typed `--quiet` before the command."""
     _silent[0] = asked
 
 
 @contextmanager
 def progress(title: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Show a bar on standard error, only where that is a terminal and nobody asked for quiet."""
+    """Show a bar on standard error if standard error is a terminal and --quiet is not set."""
     if quiet or _silent[0] or not sys.stderr.isatty():
         yield None
         return
@@ -197,7 +197,7 @@ def numbers(
     right: str = "numbers with commas between, such as 9.5,7.5,5.5",
     kind: Callable[[str], Any] = float,
 ) -> list[Any] | None:
-    """Read the numbers of a comma-separated option; `right` says in an error what it must be."""
+    """Read the numbers of a comma-separated option; `right` describes the correct form in an error message."""
     if text is None:
         return None
     try:
@@ -208,19 +208,19 @@ def numbers(
 
 SPELLED = "cvxshear.spelled"
 SPELLINGS = {"±": "+-", "–": "-", "−": "-", "·": "*", "°": " deg", "²": "2", "χ": "chi", "≤": "<=", "≥": ">="}
-"""Spellings of characters that a terminal lacks."""
+"""ASCII spellings of characters that a terminal's encoding may lack."""
 
 
 class OutputError(Exception):
-    """Standard output took no more."""
+    """Standard output cannot be written."""
 
 
 @contextmanager
 def sound_streams() -> Iterator[None]:
-    """Make standard output and error such that any terminal takes them: escapes for what it has no letter for.
+    """Prepare standard output and error for any terminal: characters outside its encoding become escapes.
 
-    In place of one that is closed stands the null device, lest a file opened later take its number: standard output
-    as a device that cannot be written, since a result would be lost; standard error as one that takes all.
+    The null device replaces a closed stream: a file opened later must not take the stream's number. As standard output
+    this device is read-only, so that the loss of a result raises an error. As standard error it accepts all text.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -236,12 +236,12 @@ def sound_streams() -> Iterator[None]:
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """Pass on what is printed inside, down to the last letter.
+    """Flush the text that is printed inside, and report a failure.
 
     Raises
     ------
     OutputError
-        Where standard output does not take it.
+        If standard output cannot be written.
     """
     try:
         yield
@@ -251,15 +251,15 @@ def printing() -> Iterator[None]:
 
 
 def lost(error: OSError) -> OutputError:
-    """Make the error for a standard output that does not take what was printed; it takes all that comes after."""
-    # Python flushes once more at its end, and would complain there.
+    """Make the error for a failed standard output, and redirect later output to the null device."""
+    # Python flushes again at its end and would report the error a second time.
     if isinstance(sys.stdout, io.TextIOWrapper):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return OutputError("it is closed" if error.errno == errno.EBADF else error.strerror)
 
 
 def _spelled(error: UnicodeError) -> tuple[str, int]:
-    """Spell a character that a terminal's encoding does not have."""
+    """Spell characters that a terminal's encoding does not contain."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     missing = error.object[error.start : error.end]

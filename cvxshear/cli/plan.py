@@ -117,7 +117,7 @@ def _noise(
     duration: float | None,
     record: tuple[str | None, float | None, float | None],
 ) -> TestNoise | None:
-    """Make the noise that the options stand for; None where they say nothing of it."""
+    """Make the expected noise from the options; None if no option concerns the noise."""
     from cvxshear.planning import Declared, Recorded
 
     stds = zip(("frequency_std", "mode_shape_std"), declared, strict=True)
@@ -130,10 +130,10 @@ def _noise(
         return Declared(**given) if given else None
     if given:
         raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
-    # The options go by the names of its fields, and it checks their values; mypy cannot know which is which.
+    # The options have the names of the fields of `Recorded`, which checks the values; mypy cannot match their types.
     return Recorded(**{"excitation": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
 
 
 def _one_or_many(found: list[Any] | None) -> Any:
-    """Take a single number for itself."""
+    """Return the only number of a list with one entry, else the list."""
     return found[0] if found is not None and len(found) == 1 else found

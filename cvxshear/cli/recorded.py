@@ -1,4 +1,4 @@
-"""The commands that take a record of a frame: predict its response, reconstruct the motion of every floor."""
+"""Commands with a record of a frame: predict its response, reconstruct the motion of every floor."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def reconstruct(
 
 
 def _series_and_page(context: typer.Context, series: str | None, report: str | None) -> list[Callable[..., None]]:
-    """Make what writes the time series of a result, and its report, where they are asked for."""
+    """Make the functions that write the requested time series and report of a result."""
     from cvxshear.report.handover import series_kind, write_series
 
     written = handed_over(context, "--out", [series] if series else [], series_kind, write_series)
@@ -147,7 +147,7 @@ def _series_and_page(context: typer.Context, series: str | None, report: str | N
 
 
 def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[ModelSource, Sequence[FileFinding] | None]:
-    """Close the loop on a file and return its models and warnings; return what `loop` wrote as it is, without any."""
+    """Close the loop on a file and return its models and warnings; a result of `loop` is returned without warnings."""
     from cvxshear.response import models_of_loop
     from cvxshear.response.sources import load_unscaled
     from cvxshear.screening import close_loop
@@ -161,7 +161,7 @@ def screened(file: str, backend: str, assume: Sequence[str] = ()) -> tuple[Model
     except NoScaleError:
         # Only forces need the scale of the masses; the result leaves forces out.
         experiment, found = load_unscaled(file), []
-    # A record has no numbers to put right: they are weighed with the effects.
+    # A record has no declared mode numbers: the loop compares possible numbers together with the effects.
     weighed = [each.name for each in experiment.configurations if found]
     result = close_loop(experiment, assume=assume, backend=backend, weighed=weighed)
     return models_of_loop(result), result.warnings

@@ -1,4 +1,4 @@
-"""The commands that compute many times over: the paper's tables, the noise study, all backends on the same programs."""
+"""Commands for studies: recompute the paper's tables, run the noise study, compare all backends."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""The options --figure, --csv, --xlsx, --out and --export: files that are checked before a command runs."""
+"""Define the options --figure, --csv, --xlsx, --out and --export, with checks of the files before a command runs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 
 LIST = "list"
-"""What stands in place of a figure to print which there are."""
+"""Value of --figure that prints the available figures."""
 
 
 def _among_figures(context: typer.Context, option: typer.CallbackParam, asked: list[str] | None) -> list[str] | None:
-    """Check every figure that is to be written, before the command runs."""
+    """Check every output file of a figure before the command runs."""
     for text in asked or ():
         if not context.resilient_parsing and text != LIST:
             claim(context, option.opts[0], _path(text), FIGURES)
@@ -49,14 +49,14 @@ SeriesOut = Annotated[
 
 
 class Pictures:
-    """The figures that were asked for, checked before anything runs and drawn once there is a result.
+    """The requested figures: checked before the command runs, and drawn from its result.
 
     Parameters
     ----------
     asked : sequence of str, optional
-        As typed; "list" alone prints the figures that there are and ends the command.
+        Requests as typed; "list" alone prints the available figures and ends the command.
     result : type
-        Of what they are figures, such as `Closure`.
+        Type of the result, such as `Closure`.
 
     Raises
     ------
@@ -82,11 +82,11 @@ class Pictures:
 
     @classmethod
     def named(cls, result: type, **paths: str | None) -> Pictures:
-        """Take figures that options of their own ask for, each by the name of its kind."""
+        """Collect the figures of separate options, each by the name of its figure."""
         return cls([f"{kind}:{path}" for kind, path in paths.items() if path is not None], result)
 
     def of(self, *results: Any, **options: Any) -> list[Callable[[], None]]:
-        """Return what draws and writes each of them."""
+        """Return the functions that draw and write the figures."""
         return [partial(self._drawn, entry, path, results, options) for entry, path in self._wanted]
 
     def _drawn(self, entry: FigureEntry, path: str, results: Sequence[Any], options: Mapping[str, Any]) -> None:
@@ -95,18 +95,18 @@ class Pictures:
         save(entry.draw(*results, **options), path)
 
     def __bool__(self) -> bool:
-        """Whether any was asked for."""
+        """Return whether any figure is requested."""
         return bool(self._wanted)
 
 
 def _path(text: str) -> str:
-    """Take the path of a figure; a colon after one letter belongs to a path of Windows."""
+    """Return the path of a requested figure; a colon after one letter belongs to a Windows path."""
     kind, colon, path = text.partition(":")
     return path if colon and len(kind) > 1 else text
 
 
 def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, str]:
-    """Figure and path; the first figure where none is named."""
+    """Return the figure and the path of a request; the default is the first figure."""
     path = _path(text)
     if path == text:
         return next(iter(figures.values())), text
@@ -120,17 +120,17 @@ def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, 
 
 
 class Spreadsheets:
-    """The tables that were asked for, checked before anything runs and written once there is a result.
+    """The requested tables: checked before the command runs, and written from its result.
 
     Parameters
     ----------
     csv, xlsx : str, optional
-        The files to write.
+        Output files.
 
     Raises
     ------
     InputError
-        Where a workbook is asked for and openpyxl is not installed.
+        If a workbook is requested and openpyxl is not installed.
     """
 
     def __init__(self, csv: str | None, xlsx: str | None) -> None:
@@ -141,7 +141,7 @@ class Spreadsheets:
             load_openpyxl()
 
     def of(self, sheets: Callable[[], Sequence[Sheet]]) -> list[Callable[[], None]]:
-        """Return what makes the tables and writes each file."""
+        """Return the functions that make the tables and write the files."""
         from cvxshear.io.spreadsheets import write_csv, write_xlsx
 
         asked = ((write_csv, self._csv), (write_xlsx, self._xlsx))
@@ -155,16 +155,16 @@ def _written(write: Callable[..., None], path: str, sheets: Callable[[], Sequenc
 def handed_over(
     context: typer.Context, option: str, paths: Iterable[str], kind_of: Callable[[str], str], write: Callable[..., None]
 ) -> list[Callable[..., None]]:
-    """Prepare what writes a result, called with it, into each of these files; refuse here what cannot be written.
+    """Check the output files, and return one function for each file that writes a given result.
 
     Parameters
     ----------
     context : typer.Context
     option : str
-        That names the files.
+        Option that names the files.
     paths : iterable of str
     kind_of : callable
-        (path) to its ending; raises `InputError` for one that nothing is written as.
+        (path) -> ending; raises `InputError` for an unknown ending.
     write : callable
         (path, result)
     """

@@ -1,7 +1,7 @@
-"""Optimality conditions of a program at an answer, evaluated on the program as the caller stated it.
+"""Evaluate the optimality conditions of a program at an answer, on the program as the caller stated it.
 
-The scaling for the solver does not enter, so that a mistake in it, or in its inverse, shows. Each residual is a
-difference of terms and is divided by their sizes, which makes it free of units.
+The check does not use the scaling for the solver, and therefore reveals a mistake in the scaling or its inverse. Each
+residual is a difference of terms and is divided by their sizes; the quotient has no unit.
 """
 
 import math
@@ -20,8 +20,9 @@ NEAR_ZERO = 1e-3
 zero would have to be met exactly. With a thousandth, small unknowns keep three digits fewer than large ones."""
 
 NEAR_NOTHING = 1e-7
-"""Fraction of the right side, in units of each column, that is added too. The last step of an iteration is rounding,
-and so are its violations. The value is well above the rounding of ill-conditioned rows."""
+"""Fraction of the right side, in units of each column, that is also added to an unknown's size. In the last step of an
+iteration, the step and its violations are rounding errors. The value is well above the rounding of ill-conditioned
+rows."""
 
 AT_ROUNDING = 2e-10
 """Fraction of the largest row's terms that is added to the terms of every row. A millionth of it, the accepted dual
@@ -30,7 +31,7 @@ residual, is the rounding of that row; an unknown with tiny coefficients has a g
 
 @dataclass(frozen=True)
 class Certificate(InJson):
-    r"""How well a solution meets the optimality conditions, computed here from the program and the solution.
+    r"""Residuals of the optimality conditions, computed here from the program and the solution.
 
     Parameters
     ----------
@@ -46,22 +47,22 @@ class Certificate(InJson):
 
     Notes
     -----
-    All four are of the program as it was handed in, and none changes with the units of unknowns, rows or weights. With
+    All four values belong to the unscaled program and do not change with the units of unknowns, rows or weights. With
     R and s the weighted rows, the size of an unknown is
 
     .. math:: X_j = |x_j| + (10^{-3} \sqrt{\textstyle\sum_k |R_k|^2 x_k^2} + 10^{-7} |s|) / |R_j|,
 
-    its second term no more than the largest of :math:`|b| / |a_j|` over the equalities that it is in, and what is set
-    in relation is
+    with its second term limited to the largest :math:`|b| / |a_j|` over the equalities with unknown j. The residuals
+    compare
 
     * a violation of :math:`a'x \le b` to :math:`|b| + \sum_j |a_j| X_j`;
     * entry j of the gradient to :math:`\sum_i |R_{ij}| r_i + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
-      :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of what the residual Rx - s is made of, and
+      :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of the terms of the residual Rx - s, and
       :math:`2 \cdot 10^{-10}` of the largest of them;
     * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|` with :math:`r = \sum_k |R_k x_k| + |s|`;
     * the error of unknown j to :math:`X_j`.
 
-    The bound on the error is that of `cvxshear.backends.minimizer`: the distance to the minimizer on the active
+    `cvxshear.backends.minimizer` computes the bound on the error: the distance to the minimizer on the active
     constraints, and the rounding of that minimizer itself.
     """
 
@@ -89,18 +90,18 @@ class Acceptance(StrEnum):
 
 @dataclass(frozen=True)
 class ActiveConstraint(InJson):
-    """A constraint that holds with equality at the solution, and its price.
+    """A constraint that holds with equality at the solution, and its dual value.
 
     Parameters
     ----------
     constraint : str
         "A", "G", "lower" or "upper".
     index : int
-        Its row of A or G, or its unknown, from 0.
+        Row of A or G, or number of the unknown, from 0.
     name : str
         The unknown of a bound; the statement of a row.
     source : str
-        The statement that the constraint comes from; empty if the program does not say.
+        The statement that the constraint comes from; empty if the program has no such text.
     dual : float
         The objective changes by -dual for each unit that is added to the right side or to the bound.
     """
@@ -114,7 +115,7 @@ class ActiveConstraint(InJson):
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """An answer to a program as it was handed in.
+    """An answer to a program in the caller's units.
 
     Parameters
     ----------
@@ -131,11 +132,11 @@ class Point:
 
 
 class HasArrays(Protocol):
-    """The arrays of a program, as certificates need them."""
+    """The arrays of a program that certificates need."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each unknown, or nothing."""
+        """Name of each unknown, or an empty tuple."""
 
     @property
     def unknowns(self) -> int:
@@ -168,9 +169,9 @@ class Assembled:
     A, b, G, h : ndarray
         Equalities A x = b and inequalities G x <= h.
     lengths : ndarray, shape (n,)
-        Of the columns of R; one where a column is zero.
+        Lengths of the columns of R; one for a zero column.
     names : tuple of str
-        What each unknown is called in messages.
+        Name of each unknown in messages.
     """
 
     def __init__(self, program: HasArrays) -> None:
@@ -189,7 +190,7 @@ class Assembled:
 
     @cached_property
     def absolute_rows(self) -> Floats:
-        """Absolute values of the same."""
+        """Absolute values of `scaled_rows`."""
         return np.abs(self.scaled_rows)
 
     @cached_property
@@ -199,11 +200,11 @@ class Assembled:
 
     @cached_property
     def inequality_lengths(self) -> Floats:
-        """Lengths of the rows of G once the columns of R have unit length; one where a row is zero."""
+        """Lengths of the rows of G after the columns of R are scaled to unit length; one for a zero row."""
         return self.row_lengths(self.G)
 
     def row_lengths(self, rows: Floats) -> Floats:
-        """Lengths of any rows once the columns of R have unit length; one where a row is zero."""
+        """Compute lengths of any rows after the columns of R are scaled to unit length; one for a zero row."""
         scaled = rows / self.lengths
         lengths = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
         return np.asarray(np.where(lengths > 0, lengths, 1.0))
@@ -214,13 +215,13 @@ class Assembled:
         return np.abs(self.A), np.abs(self.G)
 
     def size(self, x: Floats) -> Floats:
-        """Size of each unknown, see `Certificate`."""
+        """Compute the size of each unknown, see `Certificate`."""
         reach = NEAR_ZERO * length(self.lengths * x) + NEAR_NOTHING * self.side_length
         return np.asarray(np.abs(x) + np.minimum(reach / self.lengths, self.constrained_sizes))
 
     @cached_property
     def constrained_sizes(self) -> Floats:
-        """The largest that an equality's right side makes of each unknown by itself; infinite where none does."""
+        """Largest |b| / |a_j| over the equalities with unknown j and a nonzero b; infinite without such an equality."""
         sides = np.abs(self.b)[:, None]
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             each = np.where((self.A != 0) & (sides > 0), sides / np.abs(self.A), 0.0)
@@ -232,7 +233,7 @@ class Assembled:
         return float(self.lengths @ np.abs(x)) + self.side_length
 
     def distance(self, x: Floats, other: Floats) -> float:
-        """How far apart two points are for the rows, relative to what these are made of."""
+        """Compute the distance R (x - other) of two points, relative to the sizes of R other and s."""
         return largest_relative(
             np.array(length(self.R @ (x - other))), np.array(length(self.R @ other) + self.side_length)
         )
@@ -256,8 +257,8 @@ def certify(program: Assembled, point: Point) -> Certificate:
     gradient_size = program.lengths * (program.absolute_rows.T @ terms)
     gradient_size += absolute_A.T @ np.abs(y) + absolute_G.T @ np.abs(w)
     wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
-    # At a point where the Lagrangian's gradient vanishes the dual objective is the Lagrangian itself, so the
-    # gap is what the constraints contribute to it.
+    # If the Lagrangian's gradient is zero, the dual objective equals the Lagrangian, and the gap equals the terms of
+    # the constraints in the Lagrangian.
     gap = abs(float(w @ slack) - float(y @ equality))
     objective_size = 0.5 * magnitude**2 + np.abs(y) @ np.abs(program.b) + np.abs(w) @ np.abs(program.h)
     of_equalities = largest_relative(np.abs(equality), np.abs(program.b) + absolute_A @ size)

@@ -1,4 +1,4 @@
-"""What is known exactly or softly of a quantity, as constraints and rows of a program."""
+"""Convert exact and soft prior knowledge of a quantity to constraints and rows of a program."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ REMAINDER_ROUNDING = 1e-13
 def remaining(side: Floats, rows: Floats, origin: Floats) -> Floats:
     """Compute side - rows @ origin, with zero in place of rounding.
 
-    Otherwise two statements of the same fact (a total, and all floor masses) contradict each other in their last
-    digits as soon as a step is that short.
+    Otherwise, in a very short step, two statements of the same fact (a total, and all floor masses) contradict each
+    other in their last digits.
     """
     result = side - rows @ origin
     rounding = REMAINDER_ROUNDING * (np.abs(side) + np.abs(rows) @ np.abs(origin))
@@ -42,7 +42,7 @@ class NamedConstraints:
 def statements(
     priors: Sequence[Prior], quantity: str, stories: int, frame: Frame | None = None, least: float = 0.0
 ) -> list[NamedConstraints]:
-    """Collect the exact statements about one quantity: positivity, what the frame declares, and the priors.
+    """Collect the exact statements about one quantity: positivity, the declarations of the frame, and the priors.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def exact_frame(frame: Frame, *, total_released: bool = False) -> Frame:
 
 
 def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin: Floats) -> LeastSquares:
-    """Constrain a program, whose unknown x is a change of a quantity from `origin`, by exact statements.
+    """Constrain a program with unknown x, a change of a quantity from `origin`, by exact statements.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def softened(
     quantity : str
     at : ndarray, shape (n,)
     row_std : float
-        Standard deviation of the program's own rows, by which the soft priors are weighed.
+        Standard deviation of the program's own rows, which weighs the soft priors.
     step : bool
     """
     soft = [prior.residual(at) for prior in priors if prior.quantity == quantity]

@@ -87,7 +87,7 @@ def one_shot_masses(
     experiment, configuration, priors
         As for `mass_correction`.
     at : array_like, shape (N,), optional
-        Floor masses at which soft priors are linearized, kg. Default: the total mass spread evenly.
+        Floor masses for the linearization of soft priors, kg. Default: the total mass spread evenly.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def story_stiffnesses(
     masses : array_like, shape (N,)
         Floor masses without added mass, kg.
     at : array_like, shape (N,), optional
-        Story stiffnesses at which soft priors are linearized, N/m. Default: equal stiffnesses with the first
+        Story stiffnesses for the linearization of soft priors, N/m. Default: equal stiffnesses with the first
         eigenvalue as the Rayleigh quotient of the first mode.
 
     Returns
@@ -160,7 +160,7 @@ class CompleteTest:
     of_masses, of_stiffnesses : list of NamedConstraints
         Exact statements about the floor masses without added mass, and about the story stiffnesses.
     shape_std : float
-        Relative standard deviation of the shapes, root mean square, by which soft priors are weighed.
+        Relative standard deviation of the shapes, root mean square; the weight of soft priors depends on this value.
     rows : bool, optional
         As for `pair_rows.mass_rows`.
     """
@@ -177,12 +177,12 @@ class CompleteTest:
 
     @property
     def mass_row_std(self) -> float:
-        """Standard deviation of a row of the one-shot program: the mean floor mass times that of the shapes, kg."""
+        """Row standard deviation of the one-shot program, kg: mean floor mass times shape standard deviation."""
         return self.shape_std * self.total / self.experiment.stories
 
     @property
     def stiffness_row_std(self) -> float:
-        """Standard deviation of a row of the stiffness program: the largest eigenvalue times that of the shapes."""
+        """Row standard deviation of the stiffness program: largest eigenvalue times shape standard deviation."""
         return self.shape_std * float(self.eigenvalues.max())
 
     def start_mass(self, given: Sequence[float] | Floats | None = None) -> Floats:
@@ -213,9 +213,9 @@ class CompleteTest:
         Parameters
         ----------
         at : ndarray, shape (N,), optional
-            Floor masses at which soft priors are linearized; without it there are no soft priors.
+            Floor masses for the linearization of soft priors. Without these masses, the program has no soft priors.
         origin : ndarray, shape (N,), optional
-            Floor masses from which x is a change. Default: zero.
+            Reference floor masses: x is the change from these masses. Default: zero.
         """
         start = np.zeros(self.experiment.stories) if origin is None else origin
         added = self.configuration.added_mass

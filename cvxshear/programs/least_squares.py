@@ -47,7 +47,7 @@ class LeastSquares:
         For "A", "G", "lower" and "upper": the statement that each entry comes from, such as
         "total_mass = 31.33 kg".
     title : str, optional
-        What the program computes, such as "mass correction, Structure 1".
+        Purpose of the program, such as "mass correction, Structure 1".
 
     Examples
     --------
@@ -133,7 +133,7 @@ class LeastSquares:
         return float(np.sum((R @ x - s) ** 2))
 
     def duals_at(self, point: Point) -> dict[str, Floats]:
-        """Convert the multipliers of half the objective to those of the objective, by name, see `Solution`."""
+        """Convert the multipliers of half the objective to multipliers of the objective, by name, see `Solution`."""
         g = 0 if self.G is None else len(self.G)
         duals = {"A": 2.0 * point.y, "G": 2.0 * point.w[:g]}
         place = g
@@ -146,7 +146,7 @@ class LeastSquares:
         return duals
 
     def active_at(self, point: Point) -> tuple[ActiveConstraint, ...]:
-        """List the equalities, and the inequalities whose multiplier is greater than their slack in scaled units."""
+        """List the equalities, and the inequalities with a multiplier greater than their slack in scaled units."""
         duals, arrays = self.duals_at(point), Assembled(self)
         lengths = arrays.inequality_lengths
         held = point.w * lengths > np.maximum(arrays.h - arrays.G @ point.x, 0.0) / lengths
@@ -219,7 +219,7 @@ class LeastSquares:
         Returns
         -------
         Solution
-            Of the program without G, lower and upper.
+            Solution of the program without G, lower and upper.
 
         Raises
         ------
@@ -340,8 +340,8 @@ class Solution:
         r"""Multipliers "A", shape (a,), "G", shape (g,), "lower" and "upper", shape (n,).
 
         They have the sign convention of qpsolvers: :math:`P x + q + A' y + G' z + z_l + z_u = 0`, where the
-        multipliers z of G and of upper bounds are not negative, and those of lower bounds are not positive. The
-        objective changes by minus the multiplier for each unit that is added to the right side or to the bound.
+        multipliers z of G and of upper bounds are not negative, and the multipliers of lower bounds are not positive.
+        The objective changes by minus the multiplier for each unit that is added to the right side or to the bound.
         """
         return self.program.duals_at(self.point)
 

@@ -10,8 +10,8 @@ modes is one row p_i o p_j, linear in the unknowns. With P the columns p_j, G = 
 so that N stories cost O(N^3) operations and O(N^2) memory. A Cholesky factor of A'A is a program of N rows with the
 same minimizer. It squares the condition number c of the columns scaled to unit length: the answer has an error of c^2
 times the rounding. A second program, centered at the first answer, has the right side A'(B - A x), computed from the
-residual matrix. It reduces the error to that of a QR factorization of the rows (the corrected seminormal equations,
-Björck 1987).
+residual matrix. This step reduces the error to the level of a QR factorization of the rows (the corrected seminormal
+equations, Björck 1987).
 """
 
 from typing import Any
@@ -25,14 +25,14 @@ from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util.typing import Floats
 
 ROWS_UP_TO = 30
-"""Stories up to which a program keeps one row for each pair of modes, unless the caller chooses."""
+"""Largest number of stories for a program with one row for each pair of modes, unless the caller chooses."""
 
 ROUNDED_EIGENVALUE = 1e-14
 """Smallest eigenvalue of a scaled normal matrix, relative to the largest, that is not rounding."""
 
 
 def keeps_rows(rows: bool | None, stories: int) -> bool:
-    """Whether a program keeps its rows: the caller's choice, else by the number of stories."""
+    """Return whether a program keeps its rows: the caller's choice, else by the number of stories."""
     return stories <= ROWS_UP_TO if rows is None else rows
 
 
@@ -190,7 +190,7 @@ def _total(at: Floats, total: float) -> dict[str, Any]:
 
 
 def one_shot_rows(shapes: Floats, total: float, *, rows: bool | None = None, at: Floats | None = None) -> LeastSquares:
-    """Write the orthogonality of the modes, linear in the masses whatever the scale of the modes; the total is known.
+    """Write the orthogonality of the modes, linear in the masses for any scale of the modes, with the known total.
 
     Row (i, j): (phi_i o phi_j)' m = 0, for i < j, with sum m = total. For exact modes the masses are exact, without
     iteration.
@@ -215,7 +215,8 @@ def one_shot_rows(shapes: Floats, total: float, *, rows: bool | None = None, at:
     side = np.zeros(len(unit))
     if at is not None:
         side = -pair_adjoint(unit, unit.T @ (at[:, None] * unit), diagonal=False)
-    # The masses themselves are a null direction of exact modes. The row of the total, which holds exactly, closes it.
+    # With exact modes, the rows vanish at any multiple of the true masses. The exact row of the total mass fixes the
+    # multiple.
     weight = float(np.trace(normal)) / len(normal) ** 2
     normal, side = normal + weight, side + weight * (total - origin.sum())
     return LeastSquares(*factored(normal, side), **_total(origin, total))

@@ -47,12 +47,12 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
 
 
 def model_kind(path: str | Path) -> str:
-    """Tell the kind of file that a name asks for.
+    """Return the kind of file by the ending of its name.
 
     Raises
     ------
     InputError
-        Where it ends in something else.
+        If the ending is unknown.
     """
     return ending_of(path, MODEL_WRITERS, "a model is written as", device="json")
 
@@ -293,12 +293,12 @@ def write_series(path: str | Path, result: Moved) -> None:
 
 
 def series_kind(path: str | Path) -> str:
-    """Tell the kind of file that a name asks for.
+    """Return the kind of file by the ending of its name.
 
     Raises
     ------
     InputError
-        Where it ends in something else.
+        If the ending is unknown.
     """
     return ending_of(path, SERIES_WRITERS, "time series are written as")
 
@@ -318,7 +318,7 @@ def _driven(result: Moved) -> str:
 
 
 def _uff(result: Moved) -> bytes:
-    """Write excitation, motion, drifts and story shears as data sets 58, one node for each floor."""
+    """Write excitation, accelerations, displacements, drifts and story shears as data sets 58, one node a floor."""
     pyuff = load_pyuff()
     sets: list[Json] = []
     forced = _driven(result) == "force"

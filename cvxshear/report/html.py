@@ -1,4 +1,4 @@
-"""Write reports of a closed loop, of a response and of modes, each as one HTML file with its figures."""
+"""Write reports of a closed loop, of a response and of modes, each as one HTML file that contains its figures."""
 
 import base64
 import dataclasses

@@ -209,7 +209,7 @@ def chance(value: float) -> str:
 
 
 def with_std(value: float | None, std: float | None, unit: str = "", factor: float | None = None) -> str:
-    """Write value ± std, with two significant digits of the standard deviation.
+    """Write value ± std, with at least two significant digits of the standard deviation.
 
     Parameters
     ----------

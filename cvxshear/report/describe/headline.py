@@ -189,7 +189,7 @@ def _effects(result: Closure) -> str:
 
 
 def _piled(result: Closure) -> bool:
-    """Return whether one state, or the frame, has so many kinds of effects that each is improbable."""
+    """Return whether one state, or the frame, has too many kinds of uncertain effects to believe any."""
     kinds: dict[str | None, set[str]] = {}
     for item in result.effects:
         if item.probability < ADDED:

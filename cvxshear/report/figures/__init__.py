@@ -1,4 +1,4 @@
-"""Figures: each a function that takes a result and returns a matplotlib Figure, which no window or setting depends on.
+"""Functions that take a result and return a matplotlib Figure, independent of windows and settings.
 
 `figure_table` lists them. Importing this package loads matplotlib.
 """

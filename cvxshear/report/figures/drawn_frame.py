@@ -1,4 +1,4 @@
-"""The frame drawn to scale: what was found on it at its place, its identified masses and stiffnesses."""
+"""Draw the frame to scale with the located effects, or with its identified masses and stiffnesses."""
 
 import textwrap
 from collections.abc import Sequence
@@ -28,50 +28,50 @@ LINE = 0.17
 """Height of a line of text, inch."""
 
 SLAB = 0.3
-"""Thickness of the heaviest floor as a part of the lowest story height."""
+"""Thickness of the heaviest floor as a fraction of the smallest story height."""
 
 PANEL_WIDTH = 6.8
 """Width of a frame with its numbers, inch: room for the widest label on either side."""
 
 LABEL_DISTANCE = 0.07
-"""Distance of a label from a column, as a part of the panel's width."""
+"""Distance of a label from a column, as a fraction of the panel's width."""
 
 NEARLY_NOTHING = 1e-300
-"""Stands for a largest mass or stiffness of nothing at all, kg or N/m: thicknesses are divided by it."""
+"""Smallest divisor of masses or stiffnesses, kg or N/m; prevents a division by zero if all of them are zero."""
 
 THINNEST, THICKEST = 1.0, 7.0
 """Widths of the columns of a vanishing and of the largest story stiffness, points."""
 
 MOST_PANELS = 4
-"""States drawn side by side; those of which most is sure come first."""
+"""Largest number of drawn states; states with more certain effects come first."""
 
 MOST_MARKS = 6
-"""Effects marked in one state; the table has them all."""
+"""Largest number of marked effects in one state; the table lists all."""
 
 RIVALS_DRAWN = 2
-"""Rivals of an effect that are drawn; the table has them all."""
+"""Largest number of drawn rivals of an effect; the table lists all."""
 
 WRAPPED = 30
-"""Letters of a line beside a frame."""
+"""Largest number of letters in a line beside a frame."""
 
 MOST_TIES = 3
-"""Springs between levels that are drawn in the frame; the matrix of springs has them all."""
+"""Largest number of drawn springs between levels; the matrix of springs shows all."""
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """The columns of a drawn frame: their places as parts of the panel's width."""
+    """Horizontal places of the columns of a drawn frame, as fractions of the panel's width."""
 
     left: float
     right: float
 
 
 BETWEEN_NUMBERS = _Columns(0.46, 0.57)
-"""Columns of a frame with numbers on either side, which need as much room."""
+"""Places of the columns of a frame with numbers on both sides."""
 
 
 def elevations(experiment: Experiment) -> tuple[Floats, str]:
-    """Elevations of the floors, shape (N,), and what they are called; equal stories where no heights are declared."""
+    """Return the floor elevations, shape (N,), and their axis label; without declared heights, stories are equal."""
     declared = experiment.frame.elevations
     if declared is None:
         return np.arange(1.0, experiment.stories + 1), "floor (no story heights declared)"
@@ -79,7 +79,7 @@ def elevations(experiment: Experiment) -> tuple[Floats, str]:
 
 
 def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> None:
-    """Ground, columns as wide as stories are stiff, and slabs as thick as floors are heavy."""
+    """Draw the ground, columns with widths by story stiffness, and slabs with thicknesses by floor mass."""
     heights, total = np.diff(z, prepend=0.0), float(z[-1])
     mass, stiffness = (np.nan_to_num(values) for values in (found.floor_mass, found.story_stiffness))
     slabs = SLAB * float(heights.min()) * mass / max(float(mass.max()), NEARLY_NOTHING)
@@ -96,7 +96,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
         axes.add_patch(Rectangle(place, wide + 0.04, slab, fc=style.PALE, ec="black", lw=0.8, zorder=3))
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
-    # Of floors that are numbered for want of heights there is none and a half.
+    # Without heights the axis shows floor numbers, which are integers.
     axes.yaxis.set_major_locator(MaxNLocator(5, integer=bool(np.all(heights == 1.0))))
 
 
@@ -104,7 +104,7 @@ def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) ->
     axes.plot(*zip(start, end, strict=True), color=style.GREY, lw=0.5)
 
 
-# What was found, at its place.
+# Figure of the located effects.
 
 
 def _findings_caption(result: Closure) -> str:
@@ -136,8 +136,8 @@ def _findings_caption(result: Closure) -> str:
 def findings(result: Closure) -> Figure:
     """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
 
-    One panel a state in which something was found, beside one of the frame itself; where nothing was added, the
-    frame's masses and stiffnesses stand in their place.
+    The figure has one panel for each state with effects, and one for a state without effects. If no effect was added,
+    the figure shows the frame's masses and stiffnesses.
     """
     if not result.effects:
         return _numbered_frames(result, [("", result.averaged)], sensors=True)
@@ -159,13 +159,13 @@ def findings(result: Closure) -> Figure:
 
 
 def _shown_states(result: Closure) -> list[str | None]:
-    """List the states that have a drawing; None alone where nothing concerns a single state."""
+    """List the drawn states; only None if no effect belongs to a single state."""
     every = [item.placed.place.state for item in result.effects]
     every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:RIVALS_DRAWN]]
     concerned = [state for state in every if state is not None]
     if not concerned:
         return [None]
-    # Effects stand in the order of their probabilities, and their rivals behind them.
+    # Effects are sorted by probability; their rivals follow.
     found, states = list(dict.fromkeys(concerned)), result.experiment.states
     free = [state for state in (result.experiment.frame.reference, *states) if state is not None and state not in found]
     shown = {*found[: MOST_PANELS - bool(free)], *free[:1]}
@@ -174,7 +174,7 @@ def _shown_states(result: Closure) -> list[str | None]:
 
 @dataclass(frozen=True)
 class _Mark:
-    """Something that was found, or may be there in its place, with what is written beside it."""
+    """An effect or its rival in the drawing, with its label."""
 
     placed: Placed
     text: str
@@ -183,12 +183,12 @@ class _Mark:
 
     @property
     def lines(self) -> int:
-        """Lines of text, with a free one below."""
+        """Number of lines of text, including a blank line below."""
         return self.text.count("\n") + 2
 
 
 def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
-    """Collect what is marked in the drawing of a state; what concerns every state is marked in the first one."""
+    """Collect the marks for the drawing of a state; effects of all states are marked in the first drawing."""
     sure = not verdict_of(result).provisional
     tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
     found = []
@@ -208,7 +208,7 @@ def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
 
 
 def networks(result: Closure) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:
-    """Find the effects of springs between pairs of levels, each with the pairs of its parameters in their order."""
+    """Find the effects with springs between levels, each with the level pairs of its parameters in order."""
     known = {named_pair(i, j): (i, j) for i, j in pairs(result.experiment.stories, ground=True)}
     return [
         (item, [known[name] for name in item.parameters])
@@ -218,7 +218,7 @@ def networks(result: Closure) -> list[tuple[AddedEffect, list[tuple[int, int]]]]
 
 
 def _standing_out(item: AddedEffect, places: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Find the pairs of levels whose springs stand out of their deviations, at most `MOST_TIES` of them."""
+    """Find up to `MOST_TIES` pairs of levels with springs above `STANDS_OUT` standard deviations."""
     sizes = {
         place: abs(item.parameters[name]) / (item.std[name] or np.inf)
         for place, name in zip(places, item.parameters, strict=True)
@@ -281,17 +281,17 @@ def _extent(placed: Placed, z: Floats) -> tuple[float, float]:
 
 
 def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) -> None:
-    """Colour what an effect acts on: a story, a floor, what joins two floors, or the whole frame."""
+    """Colour the part that an effect acts on: a story, a floor, a tie between two floors, or the whole frame."""
     place, (low, high) = placed.place, _extent(placed, z)
     if place.to is not None:
         _tie(axes, low, high, at, sure=sure)
         return
     if place.story is None and place.floor is None:
-        # A bracket beside the whole frame leaves it to be seen.
+        # A bracket beside the frame marks the whole frame without hiding it.
         axes.plot([at.right + 0.03, at.right + 0.05, at.right + 0.05, at.right + 0.03], [low, low, high, high],
                   color=style.BEFORE, lw=1.6, ls="-" if sure else "--")  # fmt: skip
         return
-    # A story without its floors, a floor with what is next to it.
+    # A story is marked without its floors, a floor with a margin.
     thick = 0.16 * float(np.diff(z, prepend=0.0).min()) * (1 if place.story is None else -1)
     low, high = low - thick, high + thick
     corner, wide = (at.left - 0.035, low), at.right - at.left + 0.07
@@ -304,7 +304,7 @@ def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) ->
 
 
 def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> None:
-    """Draw what joins two elevations."""
+    """Draw a tie between two elevations."""
     dashes = "-" if sure else "--"
     axes.plot([at.left, at.right], [low, high], color=style.BEFORE, lw=2.6, ls=dashes, zorder=5)
 
@@ -327,7 +327,7 @@ def frame(result: Closure | Identification) -> Figure:
     The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its
     story.
 
-    Of an identification of each configuration by itself every one has its panel.
+    If each configuration was identified separately, each one has its panel.
     """
     if isinstance(result, Closure):
         frames = [("", result.frame)]
@@ -340,7 +340,7 @@ def frame(result: Closure | Identification) -> Figure:
 def _numbered_frames(
     result: Closure | Identification, frames: Sequence[tuple[str, IdentifiedFrame]], *, sensors: bool = False
 ) -> Figure:
-    """Draw frames with their numbers, each below its title."""
+    """Draw frames with their numbers and titles."""
     rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
     drawn = style.new_figure(
@@ -360,14 +360,14 @@ def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title:
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
     axes.set_ylabel("" if style.narrow_page() else label)
     if style.narrow_page():
-        # The numbers need the room of the axis.
+        # The numbers need the space of the axis.
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
     for x, text, std, align in (
         (at.left - LABEL_DISTANCE, "story stiffness", found.story_stiffness_std, "right"),
         (at.right + LABEL_DISTANCE, "floor mass", found.floor_mass_std, "left"),
     ):
-        # A value that a bound holds has no deviation of its own.
+        # A value at a bound has no standard deviation.
         heading = text if not np.isfinite(std).any() else f"{text} ± std"
         axes.text(x, 1.02, heading, ha=align, va="bottom", weight="bold", transform=axes.transAxes)
     if title:
@@ -375,7 +375,7 @@ def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title:
 
 
 def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: float) -> None:
-    """Stiffnesses to the left at the stories, masses to the right at the floors, apart from one another."""
+    """Write stiffnesses left of the stories and masses right of the floors, without overlaps."""
     stiffnesses, unit = in_one_unit(found.story_stiffness, found.story_stiffness_std, AUTOMATIC.of_stiffness)
     masses, mass_unit = in_one_unit(found.floor_mass, found.floor_mass_std, AUTOMATIC.of_mass)
     top, middle = float(z[-1]), z - np.diff(z, prepend=0.0) / 2

@@ -1,4 +1,4 @@
-"""Measured mode shapes beside those of a model, at all floors and in one scale, as data and as displaced frames."""
+"""Scale measured and modelled mode shapes at all floors, and draw them as displaced frames."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +23,7 @@ from cvxshear.util.typing import Floats, Ints
 
 @dataclass(frozen=True, eq=False)
 class ModeShape:
-    """One measured mode beside the model's.
+    """One measured mode and the model's.
 
     Parameters
     ----------
@@ -31,15 +31,15 @@ class ModeShape:
     mode : int
         1 the lowest.
     floors : ndarray of int, shape (n,)
-        Where it was measured, 1 the lowest.
+        Measured floors, 1 the lowest.
     measured : ndarray, shape (n,)
-        Scaled to a largest entry of 1; nan where not measured.
+        Measured shape, scaled to a largest entry of 1; nan if an entry was not measured.
     std : ndarray, shape (n,)
-        Of the entries, in the same scale.
+        Standard deviations of the entries, in the same scale.
     modelled : ndarray, shape (N,)
-        At all floors as sensors would show them, scaled to the measured ones as the fit does.
+        Modelled shape at all floors as sensors would show the shape, with the scale factor of the fit.
     frequency : float
-        Measured, Hz.
+        Measured frequency, Hz.
     """
 
     configuration: str
@@ -52,7 +52,7 @@ class ModeShape:
 
 
 def mode_shapes(estimate: Estimate) -> list[ModeShape]:
-    """Every measured mode of every configuration beside what the fit makes of it, a mode with one sign in all."""
+    """Collect every measured mode and the modelled one; a mode has the same sign in all configurations."""
     models = {id(model.state.tested): model for model in estimate.fit.at.models}
     laid = {id(datum.tested): datum for datum in estimate.misfit.data if isinstance(datum, Shapes)}
     facing: dict[int, Floats] = {}
@@ -62,10 +62,10 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
         modelled = _modelled(configuration, model, datum)
         noise = estimate.misfit.noise.of(Shapes.noise.name) if datum is not None and not datum.declared else 1.0
         for j, mode in enumerate(configuration.modes.tolist()):
-            # The largest measured entry, with its sign; 1 where none was measured.
+            # The largest measured entry, with its sign; 1 without measured entries.
             entries = configuration.mode_shapes[j, configuration.measured[j]]
             unit = float(entries[ranking.first_largest(np.abs(entries))]) if entries.size else 1.0
-            # Which entry is largest may change with the configuration; the mode keeps its sign.
+            # The largest entry may change with the configuration; the sign of the mode does not.
             unit = -unit if facing.setdefault(mode, modelled[j] / unit) @ modelled[j] / unit < 0 else unit
             measured = np.where(configuration.measured[j], configuration.mode_shapes[j] / unit, np.nan)
             std = noise * configuration.entry_std[j] / abs(unit)
@@ -75,9 +75,9 @@ def mode_shapes(estimate: Estimate) -> list[ModeShape]:
 
 
 def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) -> Floats:
-    """Find the shapes at all floors as sensors would show them, on the measured ones' scale, shape (m, N).
+    """Compute the shapes at all floors as sensors would show them, scaled to the measured ones, shape (m, N).
 
-    The factor that lays a shape on the measured entries holds at the floors without a sensor too.
+    The factor that fits a shape to the measured entries also scales the floors without a sensor.
     """
     full = model.state.observation.shown(model.modes.shapes[model.paired])
     factor = 1.0 / full[np.arange(len(full)), ranking.largest(np.abs(full))]
@@ -89,9 +89,9 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
 
 
 def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
-    """For each configuration its name and the MAC of every measured mode (rows) with every modelled one (columns).
+    """Compute the MAC of measured modes (rows) with modelled ones (columns), by the name of each configuration.
 
-    A row of nan belongs to a mode that has no shape at two floors or more.
+    A row is nan if the mode has a shape at fewer than two floors.
     """
     if isinstance(result, Closure):
         found = result.estimate.predictions
@@ -115,10 +115,10 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
 
 
 ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
-"""Room, inch, for the legend, the common label, and the two lines of title of a panel."""
+"""Heights for the legend, the common label, and the two title lines of a panel, inch."""
 
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
-"""How the shear model's shape is drawn."""
+"""Line style of the shear model's shape."""
 
 HALF_WIDTH = 0.16
 """Half the width of the drawn frame, in units of the largest entry of a shape."""
@@ -138,14 +138,14 @@ def shapes(result: Closure) -> Figure:
     Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is the
     final model.
 
-    One panel a configuration and measured mode.
+    Each configuration and measured mode has one panel.
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     counts = [len(each.frequencies) for each in result.experiment.configurations]
     columns, rows, tall, width = style.shape_grid(counts, result.experiment.stories, 5.6)
     above = 3 * ABOVE if style.narrow_page() else ABOVE
     height = rows * (tall + TITLE) + above + BELOW
-    # Panels of one size need no search for a layout, which takes long for many of them.
+    # Panels of equal size need no automatic layout, which is slow for many panels.
     figure = style.new_figure(width, height, fixed=True)
     figure.subplots_adjust(
         left=0.6 / width, right=1 - 0.12 / width, bottom=BELOW / height, top=1 - (above + TITLE) / height,

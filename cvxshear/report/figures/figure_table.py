@@ -1,7 +1,7 @@
-"""The table of figures: each with its drawing, its words, and the results that it can be drawn of.
+"""Define the table of figures: each figure with its drawing, its texts, and its result types.
 
-Reports, notebooks, the command line and the gallery of the documentation read this table and nothing else. A figure is
-added by `figure`, which stands above the function that draws it, in this package or in anybody's own module.
+Reports, notebooks, the command line and the gallery of the documentation all use this table. The decorator `figure`
+adds a drawing function to the table, in this package or in a user's module.
 """
 
 import inspect
@@ -16,7 +16,7 @@ from cvxshear.report.figures.style import styled
 from cvxshear.util.errors import InputError
 
 Words = str | Callable[..., str]
-"""A text, or a function of the results that makes it."""
+"""A text, or a function that makes the text from the results."""
 
 
 @dataclass(frozen=True)
@@ -26,23 +26,23 @@ class FigureEntry:
     Parameters
     ----------
     name : str
-        By which it is asked for, such as in `--figure name:OUT.svg`.
+        Name of the figure, such as in `--figure name:OUT.svg`.
     draw : callable
         Takes the results and returns the figure.
     title : str
-        What it shows, as a heading.
+        Heading of the figure.
     caption : str or callable
-        What stands below it; a callable takes the results.
+        Text below the figure; a callable takes the results.
     alternative : str or callable
-        What it shows, for those who cannot see it.
+        Description for readers who cannot see the figure.
     section : str
-        Key of the section of the report that it closes; a section of its own below its title where empty.
+        Key of the report section that ends with the figure; if empty, the figure has its own section.
     applies : callable
-        Takes the results and says whether they hold what the figure shows.
+        Takes the results and returns whether they contain the data of the figure.
     needs : str
-        What the results must hold, in words.
+        Required data of the results, in words.
     narrow : bool
-        Whether the drawing asks `narrow_page` and has a form that fits a telephone.
+        Whether the drawing calls `narrow_page` and has a form for a telephone.
     """
 
     name: str
@@ -56,16 +56,16 @@ class FigureEntry:
     narrow: bool
 
     def caption_of(self, *results: Any) -> str:
-        """Write what stands below the figure of these results."""
+        """Write the caption of the figure of these results."""
         return self.caption if isinstance(self.caption, str) else self.caption(*results)
 
     def alternative_of(self, *results: Any) -> str:
-        """Say what the figure of these results shows, for those who cannot see it."""
+        """Describe the figure of these results for readers who cannot see the figure."""
         return self.alternative if isinstance(self.alternative, str) else self.alternative(*results)
 
 
 _TABLE: dict[type, dict[str, FigureEntry]] = {}
-"""Figures by the type of their result, in the order in which a report shows them."""
+"""Figures by the type of their result, in the order of a report."""
 
 
 def figure(
@@ -79,21 +79,22 @@ def figure(
     needs: str = "",
     narrow: bool = False,
 ) -> Callable[[Callable[..., Figure]], Callable[..., Figure]]:
-    """Enter a function that draws into the table of figures, for each type of result that it draws.
+    """Add a drawing function to the table of figures, for each type of result that the function draws.
 
     Parameters
     ----------
     name : str
     *results : type
-        Such as `Closure`; the first figure of a type is drawn where a file is named and no kind.
+        Types such as `Closure`. If the user names a file and no figure, the first figure of a type is drawn.
     title, caption, alternative, section, applies, needs, narrow
-        As in `FigureEntry`; where empty, the alternative text is the first line of the function's docstring and the
-        caption its second paragraph.
+        As in `FigureEntry`. An empty alternative text becomes the first line of the function's docstring, and an empty
+        caption becomes its second paragraph.
 
     Returns
     -------
     callable
-        A decorator; what it returns draws in the house style, and raises `InputError` where the figure does not apply.
+        A decorator. The decorated function draws in the house style, and raises `InputError` if the figure does not
+        apply.
     """
 
     def entered(draw: Callable[..., Figure]) -> Callable[..., Figure]:
@@ -117,7 +118,7 @@ def figure(
 
 
 def _documented(draw: Callable[..., Figure], results: tuple[type, ...]) -> str:
-    """Write the docstring of a function that draws, with what all of them take and return."""
+    """Complete the docstring of a drawing function by its parameters and its return value."""
     said = inspect.getdoc(draw) or ""
     if "Parameters\n---" in said:
         return said
@@ -132,7 +133,7 @@ def figures_of(result: type) -> dict[str, FigureEntry]:
 
 
 def applicable(*results: Any) -> Iterator[FigureEntry]:
-    """List the figures that can be drawn of these results, all of one type."""
+    """List the figures that apply to these results, all of one type."""
     return (entry for entry in figures_of(type(results[0])).values() if entry.applies(*results))
 
 
@@ -142,7 +143,7 @@ def drawn_figure(name: str, *results: Any) -> Figure:
     Raises
     ------
     InputError
-        Where there is no figure of that name, or the results do not hold what it shows.
+        If there is no figure of that name, or the results lack its data.
     """
     known = figures_of(type(results[0]))
     if name not in known:

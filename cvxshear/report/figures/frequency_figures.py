@@ -1,4 +1,4 @@
-"""What records show: poles over model order, measured functions beside those of the identified modes, coherence."""
+"""Draw figures of records: poles over model order, measured and synthesized functions, coherence."""
 
 import textwrap
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from cvxshear.report.figures.figure_table import figure
 from cvxshear.util.typing import Floats
 
 LABEL_WIDTH = 0.14
-"""Width that a label standing on end needs, inch."""
+"""Width of a vertical label, inch."""
 BAND = 0.42
 """Height of the labels above the orders, as a fraction of the orders' height."""
 HIGHEST = 1.3
@@ -48,7 +48,7 @@ def stabilization(*results: ModalResult) -> Figure:
     Parameters
     ----------
     *results : ModalResult
-        Of `identify_modes`; a panel each. With `functions` kept, the mode indicator function stands behind the poles.
+        Results of `identify_modes`, one panel each. Results with `functions` show the mode indicator function too.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def stabilization(*results: ModalResult) -> Figure:
     Raises
     ------
     InputError
-        Where a result holds no order sweep.
+        If a result has no order sweep.
     """
     most = max(len(result.frequencies) for result in results)
     figure = style.new_figure(max(style.page_width(), LABEL_WIDTH * most + 1.4), 3.4 * len(results) + 0.5)
@@ -93,7 +93,7 @@ def _poles(axes: Axes, sweep: Sweep) -> None:
 
 
 def _indicator(axes: Axes, result: ModalResult) -> None:
-    """Draw the singular values of the functions, logarithmic, over the height of the orders; only their form counts."""
+    """Draw the singular values of the functions on a logarithmic axis without scale; only their form matters."""
     assert result.functions is not None
     behind = axes.twinx()
     lines = result.functions.frequencies
@@ -112,7 +112,7 @@ def _indicator(axes: Axes, result: ModalResult) -> None:
 
 
 def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
-    """Mode and frequency on end above the poles, apart from one another, each with a line to its pole."""
+    """Write vertical labels of modes above the poles, without overlaps, each with a line to its pole."""
     frequencies: Floats = result.frequencies
     end = axes.get_xlim()[1]
     gap = end * LABEL_WIDTH / inches
@@ -128,7 +128,7 @@ FUNCTIONS = {
     "velocity": "mobility, (m/s)/N",
     "displacement": "receptance, m/N",
 }
-"""What a response over a force is called."""
+"""Axis labels of the ratio of each response to a force."""
 
 
 @figure(
@@ -153,12 +153,12 @@ def functions(*results: ModalResult) -> Figure:
     Returns
     -------
     Figure
-        One panel a record and floor; of several driving points the one that the floor answers most.
+        One panel for each record and floor. With several driving points, the panel shows the strongest response.
 
     Raises
     ------
     InputError
-        Where a result holds no functions.
+        If a result has no functions.
     """
     figure, groups = _panels_of(results, 1.75)
     for result, drawn in zip(results, groups, strict=True):
@@ -203,13 +203,13 @@ def coherence(*results: ModalResult) -> Figure:
     Returns
     -------
     Figure
-        One panel a record and floor, one line a driving point. Where no input was measured, the coherence with the
-        highest floor, which has no panel of its own.
+        One panel for each record and floor, one line for each driving point. Without a measured input, the figure shows
+        the coherence with the highest floor, which then has no panel.
 
     Raises
     ------
     InputError
-        Where a result holds no functions, or they are no averages.
+        If a result has no functions, or its functions are not averages.
     """
     figure, groups = _panels_of(results, 1.35, reference=False)
     looks = _looks([_functions_of(result) for result in results])
@@ -230,7 +230,7 @@ def coherence(*results: ModalResult) -> Figure:
 
 
 def _label_units(figure: Figure, groups: Sequence[Sequence[Axes]], names: Sequence[str]) -> None:
-    """Name what the functions are: once where they all are the same, else at each record."""
+    """Label the functions: once if all have the same kind, otherwise at each record."""
     if len(set(names)) == 1:
         figure.supylabel(names[0], fontsize=8.5)
         return
@@ -239,7 +239,7 @@ def _label_units(figure: Figure, groups: Sequence[Sequence[Axes]], names: Sequen
 
 
 def _looks(seen: Sequence[Functions]) -> dict[str, dict[str, Any]]:
-    """One look for each that drives, the lowest floor first, whichever records it is in."""
+    """Choose one line style for each driving point in all records, the lowest floor first."""
     drivers = {_driver(each, column): int(floor) for each in seen for column, floor in enumerate(each.inputs)}
     labels = sorted(drivers, key=drivers.__getitem__)
     every = zip(labels, style.looks(len(labels)), strict=True)
@@ -256,7 +256,7 @@ def _functions_of(result: ModalResult) -> Functions:
 
 
 def _outputs(seen: Functions, *, reference: bool) -> list[int]:
-    """List the floors that have a panel; the coherence of a reference with itself is no news."""
+    """List the floors that have a panel; the coherence of a reference with itself is left out."""
     return [
         place
         for place, floor in enumerate(seen.floors)
@@ -267,7 +267,7 @@ def _outputs(seen: Functions, *, reference: bool) -> list[int]:
 def _panels_of(
     results: Sequence[ModalResult], height: float, *, reference: bool = True
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Arrange the panels of each record on rows of its own."""
+    """Arrange the panels; each record begins a new row."""
     counts = [len(_outputs(_functions_of(result), reference=reference)) for result in results]
     most = max(counts)
     columns = style.even_columns(most, 1 if style.narrow_page() else 4 if most > 9 else 3)
@@ -285,7 +285,7 @@ def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> Non
 
 
 def _against(seen: Functions, column: int) -> str:
-    """Name what a function is taken against; nothing for the ground."""
+    """Name the reference of a function; empty for the ground."""
     floor = int(seen.inputs[column])
     if not seen.driven:
         return f", with floor {floor}"

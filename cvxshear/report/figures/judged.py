@@ -1,4 +1,4 @@
-"""How probable each effect is, how far the model is from the measurement, and the springs between levels."""
+"""Draw the probabilities of the effects, the residuals of the models, and the springs between levels."""
 
 import textwrap
 from collections.abc import Sequence
@@ -22,16 +22,16 @@ from cvxshear.util.quantities import AUTOMATIC, capital, chance, with_std
 from cvxshear.util.typing import Floats
 
 MOST_BARS = 14
-"""Effects that are drawn, the most probable first; those that were added always are."""
+"""Number of drawn effects, the most probable first; all added effects are drawn."""
 
 LONGEST_LABEL = 44
-"""Letters of an effect's name beside its dots; on two lines on a telephone."""
+"""Largest number of letters of an effect's name beside its dots; a telephone shows two lines."""
 
 LEAST_DRAWN = 1e-4
-"""Probability below which, and as far from certainty, an effect is drawn at the edge of the figure."""
+"""Smallest probability on the axis, and smallest distance to 1; an effect beyond them is drawn at the edge."""
 
 HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
-"""How the state before is marked: a hollow diamond."""
+"""Style of the marks for the state before: a hollow diamond."""
 
 TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
 """Probabilities at the ticks of the axis of log odds."""
@@ -53,7 +53,7 @@ def ranking(result: Closure) -> Figure:
     How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
     effect is more probable than not.
 
-    What was added above, what else was looked for below.
+    The added effects are above, the other candidates below.
     """
     added = {item.placed for item in result.effects}
     mine = [item for item in result.candidates if item.placed in added]
@@ -83,13 +83,13 @@ def ranking(result: Closure) -> Figure:
 
 
 def _log_odds(probabilities: list[float] | tuple[float, ...]) -> Floats:
-    """log p / (1 - p), what is beyond the edges at them."""
+    """Compute log p / (1 - p), limited to the edges of the axis."""
     p = np.clip(np.asarray(probabilities, dtype=float), LEAST_DRAWN, 1.0 - LEAST_DRAWN)
     return np.asarray(np.log(p) - np.log1p(-p))
 
 
 def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
-    """Both probabilities and a line between; with the data full where added, pointing outwards beyond the edge."""
+    """Draw both probabilities and a line between; added effects have full dots, values beyond the edge arrows."""
     places = np.arange(len(bars))
     before, after = _log_odds([item.prior for item in bars]), _log_odds([item.probability for item in bars])
     axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
@@ -112,15 +112,15 @@ def _percent(value: float, at: object = None) -> str:
 
 
 USUAL = 2.0
-"""Standard deviations that chance rarely exceeds."""
+"""Number of standard deviations that chance rarely exceeds."""
 
 LINEAR = 5.0
-"""Standard deviations up to which the axis stays linear where the largest is beyond `COMPRESSED`."""
+"""End of the linear part of the axis in standard deviations, if the largest residual exceeds `COMPRESSED`."""
 
 COMPRESSED = 25.0
 
 MOST_DECADES = 2
-"""Labels on either side of zero."""
+"""Largest number of labels on either side of zero."""
 
 ROW, MARGINS = 0.19, 1.5
 """Heights of a row, and of legend and axis together, inch."""
@@ -143,14 +143,14 @@ def residual(result: Closure) -> Figure:
     The residual of every part of the measurement for the shear model (hollow diamonds) and with effects (dots),
     both in standard deviations of the final model's noise. Within the grey band it is what noise alone makes.
 
-    Both are counted in the noise of the final model.
+    Both residuals are in standard deviations of the final model's noise.
 
-    One panel a kind of data.
+    Each kind of data has one panel.
     """
     pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
     kinds = list(dict.fromkeys(after.noise for _, after in pairs))
     of_kind = {kind: [pair for pair in pairs if pair[1].noise == kind] for kind in kinds}
-    # On a telephone the kinds of data go below one another, each with its own rows.
+    # A telephone shows the kinds of data below one another, each with its own rows.
     listed = [of_kind[kind] for kind in kinds] if style.narrow_page() else [pairs]
     rows = [list(dict.fromkeys((after.configuration, after.place) for _, after in each)) for each in listed]
     heights = [ROW * len(each) + MARGINS for each in rows]
@@ -167,13 +167,13 @@ def residual(result: Closure) -> Figure:
 
 
 def _row_label(configuration: str, place: str) -> str:
-    """Name a part of the measurement in no more letters than leave room for the panel; a prior has no configuration."""
+    """Name a part of the measurement, shortened to leave space for the panel; a prior has no configuration."""
     name, statement = (12, 24) if style.narrow_page() else (20, 48)
     return f"{style.letters(configuration, name)}, {place}" if configuration else style.letters(place, statement)
 
 
 def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence[Pair]) -> None:
-    """One kind of data: with their sign where they are single numbers, else the root mean square of each part."""
+    """Draw one kind of data: single numbers with their sign, or the root mean square of each part."""
     signed = all(after.entries == 1 for _, after in pairs)
     places = np.array([rows.index((after.configuration, after.place)) for _, after in pairs], dtype=float)
     axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
@@ -207,14 +207,14 @@ def _dumbbells(axes: Axes, places: Floats, before: Floats, after: Floats) -> Non
 
 
 def _decades(largest: float) -> list[float]:
-    """Zero and powers of ten beyond the linear part on both sides, so few that their labels stay apart."""
+    """List zero and some powers of ten on both sides beyond the linear part, without overlaps of their labels."""
     first, last = int(np.ceil(np.log10(LINEAR))), int(np.floor(np.log10(2 * largest)))
     powers = [10.0**power for power in range(first, last + 1, -(-(last - first + 1) // MOST_DECADES))]
     return [*(-power for power in reversed(powers)), 0.0, *powers]
 
 
 MOST_LEVELS = 9
-"""Levels up to which a matrix of springs has its numbers written in."""
+"""Largest number of levels for a matrix of springs with numbers in its cells."""
 
 
 @figure(
@@ -242,16 +242,17 @@ def springs(result: Closure) -> Figure:
 
 
 def springs_between_levels(values: Floats, stds: Floats) -> Figure:
-    """Draw the matrix of springs between all pairs of levels, those marked that stand out of their deviations.
+    """Draw the matrix of springs between all pairs of levels, and mark the significant springs.
 
-    Colour and number say the same: orange is stiffer than the shear frame has it, purple softer; a heavy outline marks
-    what is more than `STANDS_OUT` standard deviations from zero.
+    Colour and number have the same meaning: orange is stiffer than the shear frame, purple softer. A heavy outline
+    marks
+    a value more than `STANDS_OUT` standard deviations from zero.
 
     Parameters
     ----------
     values, stds : ndarray, shape (N + 1, N + 1)
-        Stiffness of the spring between two levels and its standard deviation, N/m; level 0 is the ground. The lower
-        triangle is read; nan where there is no such spring.
+        Stiffness of the spring between two levels and its standard deviation, N/m; level 0 is the ground. Only the
+        lower triangle is used; nan if a spring does not exist.
     """
     count = len(values)
     lower = np.tril(np.ones((count, count), dtype=bool), -1) & np.isfinite(values)

@@ -1,4 +1,4 @@
-"""Modal assurance criteria of measured and modelled modes, and the shapes of modes identified from records."""
+"""Draw modal assurance criteria of measured and modelled modes, and shapes of modes identified from records."""
 
 from collections.abc import Sequence
 
@@ -20,10 +20,10 @@ from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats
 
 MOST_NUMBERED = 8
-"""Modes up to which the cells hold their numbers."""
+"""Largest number of modes for a matrix with numbers in its cells."""
 
 MAC_ROUNDING = 1e-12
-"""What a MAC of two shapes that are the same lacks of 1 by rounding."""
+"""Largest difference of a MAC from 1 by rounding, for two equal shapes."""
 
 
 @figure(
@@ -43,7 +43,7 @@ def mac(result: Closure | Identification) -> Figure:
     The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every
     mode of the model: where the diagonal is light and the rest is dark, every mode was recognised.
 
-    One panel a configuration; dark is 0, light is 1, also in black and white.
+    Each configuration has one panel; dark is 0, light is 1, also in black and white.
     """
     modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
     every = list(range(1, result.experiment.stories + 1))
@@ -53,7 +53,7 @@ def mac(result: Closure | Identification) -> Figure:
 
 
 def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most: int, row: str, column: str) -> Figure:
-    """Matrices of MACs with their titles and the modes of their rows and columns, so many side by side."""
+    """Draw MAC matrices with their titles and the mode numbers of rows and columns, at most `most` in a row."""
     rows, columns = style.grid_of(len(matrices), most)
     side = 2.6 if style.narrow_page() else style.PAGE_WIDTH / most
     figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
@@ -66,7 +66,7 @@ def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most
 
 
 def draw_matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
-    """Draw a matrix of MACs with the numbers of its modes, and its values where they can be read."""
+    """Draw a MAC matrix with its mode numbers, and with its values if the cells are large enough."""
     image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
     step = 1 if len(columns) <= 10 else 2
     axes.set_xticks(range(0, len(columns), step), [str(mode) for mode in columns[::step]])
@@ -82,13 +82,14 @@ def _numbers(axes: Axes, table: Floats) -> None:
     digits = 4 if table.shape[1] <= 4 else 2
     for (row, column), value in np.ndenumerate(table):
         if not np.isnan(value):
-            # Not quite black and white, which a dark page would exchange; the cells below keep their colours.
+            # A dark page exchanges pure black and white, but not the colours of the cells. These colours stay as they
+            # are.
             colour = "#010101" if value > 0.5 else "#FEFEFE"
             axes.text(column, row, written(value, digits), ha="center", va="center", color=colour, fontsize=6.5)
 
 
 def written(value: float, digits: int) -> str:
-    """Round a MAC to so many decimals, but for what would round to 1: that stands for shapes that are the same.
+    """Round a MAC to `digits` decimals; only equal shapes are written as 1.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ def modal_shapes(*results: ModalResult) -> Figure:
 
     Real normal modes, the largest entry 1; bars are one standard deviation.
 
-    Largest entry 1; a mode that several records hold faces one way in all of them.
+    The largest entry is 1; a mode has the same sign in all records.
     """
     counts = [len(result.frequencies) for result in results]
     stories = max(result.stories for result in results)
@@ -144,7 +145,7 @@ def modal_mac(*results: ModalResult) -> Figure:
     The modes against one another: values beside the diagonal that are not small mean that the sensors hardly
     distinguish two modes.
 
-    One panel a record; beside the diagonal it is near 0 where the sensors distinguish the modes.
+    Each record has one panel; off-diagonal values near 0 mean that the sensors distinguish the modes.
     """
     matrices = []
     for result in results:
@@ -154,7 +155,7 @@ def modal_mac(*results: ModalResult) -> Figure:
 
 
 def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalResult, Floats]], mode: int) -> Floats:
-    """Turn the shape to the sign that the mode had in the first record, by the floors that both measured."""
+    """Give the shape the sign of this mode in the first record, by the floors that both records measured."""
     first, before = facing.setdefault(mode, (result, shape))
     _, mine, theirs = np.intersect1d(result.floors, first.floors, return_indices=True)
     return -shape if shape[mine] @ before[theirs] < 0 else shape

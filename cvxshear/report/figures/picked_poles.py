@@ -1,4 +1,4 @@
-"""The stabilization diagram in a window: a click on a pole chooses it as a mode, another gives it up."""
+"""Show the stabilization diagram in a window: a click on a pole chooses a mode, a second click removes it."""
 
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,20 @@ from cvxshear.report.figures.frequency_figures import stabilization
 from cvxshear.util.errors import InputError
 
 CLICK_DISTANCE = 12.0
-"""Pixels beside a pole's frequency within which a click means it: a fingertip's width on a usual screen."""
+"""Largest distance of a click from its pole's frequency in pixels: a fingertip's width on a usual screen."""
 WITHOUT_WINDOW = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template", "inline")
-"""Backends of matplotlib that draw files or pictures and know of no clicks."""
+"""Backends of matplotlib that draw files or images and receive no clicks."""
 
 
 class PolePicker:
-    """Chooses modes among the lasting poles of a record.
+    """Chooses modes among the stable poles of a record.
 
     Parameters
     ----------
     result : ModalResult
-        Of `identify_modes`; its modes are chosen at first.
+        Result of `identify_modes`; its modes are the first choice.
     record_file : str or Path, optional
-        Whose key `pick` holds the choice, rewritten after each click.
+        Record file; each click writes the choice to its key `pick`.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class PolePicker:
 
     @property
     def frequencies(self) -> list[float]:
-        """The frequencies chosen, Hz, ascending."""
+        """Chosen frequencies, Hz, ascending."""
         return [float(self._poles[place]) for place in sorted(self._chosen)]
 
     def _clicked(self, event: Any) -> None:
@@ -71,18 +71,18 @@ class PolePicker:
             self._lines.pop().remove()
         self._lines += [self._axes.axvline(frequency, color=style.AFTER, lw=1.2) for frequency in self.frequencies]
         said = ", ".join(f"{frequency:.4g}" for frequency in self.frequencies) or "none"
-        # On the left, where the diagram has its own title: in the middle the two would lie on each other.
+        # The title is on the left: in the middle it would overlap the diagram's own title.
         self._axes.set_title(f"click poles to choose; chosen: {said} Hz (at most {self._stories})", loc="left")
         self.figure.canvas.draw_idle()
 
 
 def opened(result: ModalResult, record_file: str | Path | None) -> PolePicker:
-    """Open the picker in a window, or in the notebook's cell; a window of a script is waited for until it is closed.
+    """Open the picker in a window or in a notebook cell; a script waits until the window is closed.
 
     Raises
     ------
     InputError
-        Where the backend of matplotlib shows no windows.
+        If the backend of matplotlib shows no windows.
     """
     from matplotlib import pyplot  # noqa: PLC0415 - it settles the backend, which importing the figures must not
 

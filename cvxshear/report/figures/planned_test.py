@@ -1,4 +1,4 @@
-"""A planned test: the frame with its sensors and masses, and the accuracy that every number of sensors gives."""
+"""Draw a planned test: the frame with its sensors and masses, and the accuracy against the number of sensors."""
 
 import textwrap
 
@@ -16,10 +16,10 @@ STORY = 0.24
 """Least height of a story, inch."""
 
 LABEL_LETTERS = 24
-"""Letters of a label that stand beside the lowest frame drawn."""
+"""Largest number of letters of a label beside the lowest drawn frame."""
 
 TEST_WIDTH = 0.9
-"""Width of a test, inch: what its name needs."""
+"""Width of a test, inch: enough for its name."""
 
 
 @figure(
@@ -46,7 +46,7 @@ def plan(result: Plan) -> Figure:
 
 
 MOST_SHOWN = 6
-"""Tests that are drawn; the table has them all."""
+"""Number of drawn tests; the table lists all."""
 
 
 def _frames(axes: Axes, result: Plan, shown: int) -> None:

@@ -1,4 +1,4 @@
-"""Predicted responses beside the measured: histories with a band, peaks over height, transfer functions, spectra."""
+"""Draw predicted and measured responses: histories with a band, peaks over height, transfer functions, spectra."""
 
 from itertools import pairwise
 from typing import Any
@@ -21,20 +21,20 @@ from cvxshear.util.quantities import listed, scaled, with_std
 from cvxshear.util.typing import Floats, Ints
 
 MOST_FLOORS = 4
-"""Floors that have a panel of their own."""
+"""Largest number of floors with their own panel."""
 
 PERIODS = 16
-"""Periods of the first mode that a time history shows; more would be a smear."""
+"""Number of periods of the first mode in a time history; more periods would blur the lines."""
 
 PROFILES = ("floor_acceleration", "story_drift", "story_shear")
-"""Peaks that are drawn over the height."""
+"""Quantities with peaks that are drawn over the height."""
 
 SIDES = 1.96
-"""Standard deviations of a 95 % band."""
+"""Half width of a 95 % band in standard deviations."""
 
 
 def _spread(places: Ints, largest: int) -> Ints:
-    """Choose floors or stories to draw, the top one first: spread over the height, the one of the largest peak too."""
+    """Choose floors or stories to draw, the top first: spread over the height, and including the largest peak."""
     chosen = places[np.unique(np.linspace(0, len(places) - 1, min(MOST_FLOORS, len(places))).round().astype(int))]
     if largest not in chosen:
         nearest = int(np.argmin(np.abs(chosen - largest)))
@@ -43,7 +43,7 @@ def _spread(places: Ints, largest: int) -> Ints:
 
 
 def _left_out(shown: int, total: int, word: str, where: str) -> str:
-    """Say how many floors or stories have no panel, and where all of them are; empty where none is left out."""
+    """State the number of floors or stories without a panel, and where all are listed; empty if all are drawn."""
     if shown >= total:
         return ""
     verb = "is" if total - shown == 1 else "are"
@@ -51,7 +51,7 @@ def _left_out(shown: int, total: int, word: str, where: str) -> str:
 
 
 def _floors(result: RecordPrediction) -> Ints:
-    """Choose the floors to draw: measured ones where there are such, and the one with the largest acceleration."""
+    """Choose the floors to draw: the measured floors if any, and the floor with the largest acceleration."""
     peaks = result.peaks.values["floor_acceleration"]
     measured = result.after.comparison
     places = np.arange(1, len(peaks) + 1) if measured is None else measured.floors
@@ -59,7 +59,7 @@ def _floors(result: RecordPrediction) -> Ints:
 
 
 def _compared_floors(result: RecordPrediction) -> Ints:
-    """Choose from the floors that were measured, with the one of them that has the largest acceleration."""
+    """Choose measured floors, including the one with the largest acceleration."""
     measured = result.after.comparison
     floors: Ints = np.zeros(0, dtype=np.int64) if measured is None else measured.floors
     peaks = result.peaks.values["floor_acceleration"]
@@ -72,7 +72,7 @@ def _floors_left_out(result: RecordPrediction) -> str:
 
 
 HISTORY_TICKS = 4
-"""Steps between the ticks of a history at most: its panels are little more than an inch high."""
+"""Largest number of steps between the ticks of a history: its panels are little more than an inch high."""
 
 
 @figure(
@@ -105,7 +105,7 @@ def response_histories(result: RecordPrediction) -> Figure:
         band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
         axes.set(title=f"floor {floor}", ylabel="m/s²")
-        # A number of its own: matplotlib's depends on the settings under which a figure is drawn in the end.
+        # The number is fixed here: matplotlib's own number depends on the settings at the time of drawing.
         axes.yaxis.set_major_locator(MaxNLocator(HISTORY_TICKS))
     axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
@@ -122,7 +122,7 @@ def _strongest(sizes: list[Floats], first_mode: float, rate: float) -> tuple[int
 
 
 def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) -> None:
-    """Draw a history with the band that holds 95 %, where it is known."""
+    """Draw a history with its 95 % band, if known."""
     if np.isfinite(half).all():
         axes.fill_between(time, value - half, value + half, color=AFTER, alpha=0.25, lw=0, label="95 % band")
     axes.plot(time, value, color=AFTER, lw=1.0, **look)
@@ -214,7 +214,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     Raises
     ------
     InputError
-        Where the record has no accelerations of floors.
+        If the record has no accelerations of floors.
     """
     after = result.after.comparison
     assert after is not None
@@ -235,7 +235,7 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         style.logarithmic(axes.yaxis, 5)
         axes.set_title(f"floor {floor}")
         axes.grid(visible=True)
-    # Where nothing drives the frame the model falls by decades; what was measured sets the scale.
+    # The model falls by decades at frequencies without excitation. The measured values therefore set the scale.
     least = np.min(np.abs(after.measured.functions[shown][:, np.isin(after.floors, floors)]))
     if least > 0:
         axes.set_ylim(bottom=0.3 * least)
@@ -309,7 +309,8 @@ def story_drifts(result: Reconstruction) -> Figure:
         change = f", {_change(result, story + 1)}" if story + 1 in result.changed else ""
         left.text(
             0.5, 0.5 * (low + high), with_std(float(peaks[story]), float(std[story]), factor=1.0) + change, ha="center",
-            # Not quite black and white, which a dark page would exchange; the stories keep their colours.
+            # A dark page exchanges pure black and white, but not the colours of the stories. These colours stay as they
+            # are.
             va="center", fontsize=8, color="#fefefe" if share > 0.5 else "#010101",
         )  # fmt: skip
         if story + 1 in sensors:
@@ -363,13 +364,13 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
 
 
 def _change(result: Reconstruction, story: int) -> str:
-    """By how much a story is softer or stiffer than it was identified, in a few letters."""
+    """Write the change of a story's stiffness against the identified one, such as "12 % softer"."""
     change = 100 * float(result.frame.against_others[0][story - 1])
     return f"{abs(change):.0f} % {'softer' if change < 0 else 'stiffer'}"
 
 
 def _changes(result: Reconstruction) -> str:
-    """Name the stories that changed, as the drawing does."""
+    """Name the changed stories with their changes."""
     if not result.frame_fitted:
         return "whether a story changed was not asked"
     said = [f"story {each} is {_change(result, each)} than identified, against the others" for each in result.changed]
@@ -377,7 +378,7 @@ def _changes(result: Reconstruction) -> str:
 
 
 def _drawn_stories(result: Reconstruction) -> Ints:
-    """Choose the stories whose drift is drawn over time, with the one that the headline names."""
+    """Choose the stories with a drift history, including the one that the headline names."""
     peaks = result.peaks.values
     peak = peaks.get("story_drift_ratio", peaks["story_drift"])
     return _spread(np.arange(1, len(peak) + 1), ranking.first_largest(peak) + 1)

@@ -1,4 +1,4 @@
-"""Figures of studies: the scatter under noise, the mass iteration step by step, all backends on the same programs."""
+"""Draw figures of studies: the scatter under noise, the steps of the mass iteration, the comparison of backends."""
 
 from collections.abc import Iterable
 from itertools import groupby
@@ -69,7 +69,7 @@ def noise_variation(study: NoiseStudy) -> Figure:
     Returns
     -------
     Figure
-        A panel a mass and a stiffness, over the noise level.
+        One panel for each mass and stiffness, over the noise level.
     """
     groups = _by_method(study)
     first = next(iter(groups.values()))
@@ -78,7 +78,7 @@ def noise_variation(study: NoiseStudy) -> Figure:
         for method, look in _styles(groups).items():
             axes.plot(levels, [100 * each.variation[parameter] for each in groups[method]], label=method, **look)
         bound = [100 * each.relative_bound[parameter] for each in first]
-        # A single level has no line: its bound is the dash.
+        # A single level has no line: a dash marks its bound.
         axes.plot(levels, bound, color="black", lw=2.2, ls=(0, (1, 1)), marker="_", ms=9.0, label="Cramér-Rao bound")
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
@@ -98,7 +98,7 @@ def _by_method(study: NoiseStudy) -> dict[str, list[Scatter]]:
 
 
 def _panels_of(scatters: list[Scatter], label: str) -> tuple[Figure, list[Axes], list[float]]:
-    """One panel a mass and a stiffness, masses first; and the noise levels, %."""
+    """Make one panel for each mass and stiffness, masses first, and return the noise levels, %."""
     numbers = range(1, scatters[0].setup.stories + 1)
     names = [f"{quantity} {number}" for quantity in ("floor mass", "story stiffness") for number in numbers]
     rows, columns = style.grid_of(len(names), 3 if scatters[0].setup.stories % 4 else 4)
@@ -113,7 +113,7 @@ def _panels_of(scatters: list[Scatter], label: str) -> tuple[Figure, list[Axes],
 
 
 def _styles(methods: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Colour, marker and line of each method; every other marker is hollow."""
+    """Choose colour, marker and line of each method; every other marker is hollow."""
     names = list(methods)
     every = zip(names, style.looks(len(names)), strict=True)
     return {name: {**look, "mfc": "white" if i % 2 else look["color"]} for i, (name, look) in enumerate(every)}
@@ -130,14 +130,14 @@ def _boxes(axes: Axes, samples: list[np.ndarray], at: np.ndarray, width: float, 
 
 
 def _filling(place: int) -> dict[str, Any]:
-    """Colour and hatch of the boxes of a method."""
+    """Choose colour and hatch of the boxes of a method."""
     return {
         "facecolor": style.COLOURS[place % len(style.COLOURS)], "hatch": style.HATCHES[place % len(style.HATCHES)]
     }  # fmt: skip
 
 
 MOST_LINES = 6
-"""Floors that have a line each; with more, the largest and the median are drawn."""
+"""Largest number of floors with one line each; for more floors, the largest and the median are drawn."""
 
 
 @figure(
@@ -155,10 +155,9 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     Parameters
     ----------
     *results : Identification
-        By a method that iterates on the masses; one panel a configuration of each, in order.
+        Results of a method that iterates on the masses; one panel for each configuration.
     true_mass : ndarray, shape (N,), optional
-        kg; what the errors are counted from. Where not given, the masses that the iteration ends with, and its
-        last point is then left out.
+        Reference masses of the errors, kg. Default: the final masses of the iteration, without its last point.
 
     Returns
     -------
@@ -167,7 +166,7 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     Raises
     ------
     InputError
-        Where no result has an iteration to show.
+        If no result has an iteration.
     """
     parts = _iterated(*results)
     rows, columns = style.grid_of(len(parts), 2 if len(parts) in (2, 4) else 3)
@@ -187,7 +186,7 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
 
 
 def _iterated(*results: Identification) -> list[SingleIdentification]:
-    """List the parts with more than one step on the masses."""
+    """List the parts with more than one step of the mass iteration."""
     return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
 
 
@@ -196,7 +195,7 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
     final = part.history[-1] if true_mass is None else np.asarray(true_mass, dtype=float)
     history = part.history[:-1] if true_mass is None else part.history
     errors = np.abs(history / final - 1.0)
-    # A logarithmic axis has no place for an error of nothing at all.
+    # A logarithmic axis cannot show an error of zero.
     errors = np.where(errors > 0, errors, np.nan)
     names = [f"floor {i + 1}" for i in range(errors.shape[1])]
     if errors.shape[1] > MOST_LINES:
@@ -212,7 +211,7 @@ def _panel(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> 
 
 
 DRAWN_AS_NOTHING = 1e-17
-"""Difference at which an answer without any is drawn: below what a number of 64 bits can tell."""
+"""Drawn difference of an answer without difference: below the resolution of 64-bit numbers."""
 
 
 @figure(
@@ -229,19 +228,19 @@ def backend_differences(comparison: Comparison) -> Figure:
     Left: how far each backend's answer is from the closed form (from the median of all where a bound is active).
     Right: its time over that of the closed form, on this machine.
 
-    One row a backend, one marker a kind of program; a program that a backend does not take has none.
+    Each backend has one row, each kind of program one marker; a program that a backend cannot solve has no marker.
     """
     names = list(dict.fromkeys(row.backend for row in comparison.rows))
     kinds = list(dict.fromkeys(row.kind for row in comparison.rows))
     stacked = 2 if style.narrow_page() else 1
     figure = style.new_figure(style.page_width(), stacked * (0.27 * len(names) + 1.7))
-    # Room for the last number of one axis beside the first of the other.
+    # The space keeps the last label of one axis apart from the first label of the other.
     left, right = figure.subplots(stacked, 2 // stacked, sharey=True, gridspec_kw={"wspace": 0.08})
     offsets = np.linspace(-0.28, 0.28, len(kinds)) if len(kinds) > 1 else np.zeros(1)
     for place, (kind, mark) in enumerate(zip(kinds, style.looks(len(kinds)), strict=True)):
         rows = [row for row in comparison.rows if row.kind == kind and not row.failure]
         at = [names.index(row.backend) + offsets[place] for row in rows]
-        # Every other kind is hollow, so that the markers part without their colours too.
+        # Every other kind is hollow: the markers differ without their colours too.
         colour = mark["color"]
         look = {**mark, "ls": "none", "mec": colour, "mfc": "white" if place % 2 else colour, "ms": 4.0}
         left.plot([max(row.difference or 0.0, DRAWN_AS_NOTHING) for row in rows], at, label=kind, **look)

@@ -1,7 +1,7 @@
-"""The house style of the figures, and figures as files and as parts of a page.
+"""Define the house style of the figures, and write figures to files and pages.
 
-Colours are of the set of Okabe and Ito, which the colour-blind can distinguish; whatever a colour says, a marker, a
-line style or a hatch says as well.
+The colours are from the set of Okabe and Ito, which colour-blind readers can distinguish. A marker, a line style or
+a hatch repeats the meaning of each colour.
 """
 
 import re
@@ -43,39 +43,39 @@ PAGE_WIDTH = 7.2
 """Width of a figure on an A4 page between its margins, inch."""
 
 NARROW_WIDTH = 3.6
-"""Width of a figure on a telephone of 390 pixels, inch: letters are as large as on a wide page."""
+"""Width of a figure on a telephone of 390 pixels, inch: the letters have the same size as on a wide page."""
 
 SHAPES_A_ROW = 5
-"""Panels of mode shapes side by side on a page."""
+"""Number of panels of mode shapes in one row of a page."""
 
 LONGEST_NAME = 26
-"""Letters of a name that a figure shows."""
+"""Largest number of letters of a name in a figure."""
 
 OTHER_SCRIPTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Micro Hei", "Microsoft YaHei", "PingFang SC", "SimHei",
 )  # fmt: skip
-"""Fonts for names that DejaVu Sans has no letters for; used where one is installed."""
+"""Fonts for names with letters that DejaVu Sans lacks; used if installed."""
 
 SETTINGS: dict[Any, Any] = dict(
     mpl.rc_params_from_file(Path(__file__).with_name("house.mplstyle"), use_default_template=False)
 )
-"""What the house style sets in matplotlib."""
+"""Settings of the house style for matplotlib."""
 
 _SETTINGS_LOCK = RLock()
-"""Held while a figure is drawn or written: matplotlib has one set of settings for all threads."""
+"""Lock for drawing and writing figures: matplotlib has one set of settings for all threads."""
 
 _narrow: list[bool] = []
-"""Not empty while a figure is drawn for a telephone; only changed by the thread that holds the lock."""
+"""Flag, not empty while a figure is drawn for a telephone; only the thread with the lock changes this list."""
 
 
 def settings() -> dict[Any, Any]:
-    """Collect what to set for as long as a figure is made or written."""
+    """Return the settings for drawing or writing a figure."""
     return {**SETTINGS, "font.family": list(families())}
 
 
 @cache
 def families() -> tuple[str, ...]:
-    """Find the fonts that are used here, in order of preference."""
+    """Find the installed fonts for figures, in order of preference."""
     installed = set(font_manager.get_font_names())
     return ("DejaVu Sans", *(name for name in OTHER_SCRIPTS if name in installed))
 
@@ -87,7 +87,7 @@ def _fonts() -> tuple[FT2Font, ...]:
 
 @contextmanager
 def house_settings() -> Iterator[None]:
-    """Set matplotlib as the house has it, for one thread at a time; the user's settings are restored at the end."""
+    """Apply the house style to matplotlib, for one thread at a time; restore the user's settings at the end."""
     with _SETTINGS_LOCK, mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(settings())
@@ -96,7 +96,7 @@ def house_settings() -> Iterator[None]:
 
 @contextmanager
 def for_narrow_page() -> Iterator[None]:
-    """Draw figures for a telephone: panels below one another rather than side by side."""
+    """Draw figures for a telephone, with panels below one another."""
     with _SETTINGS_LOCK:
         _narrow.append(True)
         try:
@@ -106,23 +106,23 @@ def for_narrow_page() -> Iterator[None]:
 
 
 def narrow_page() -> bool:
-    """Whether the figure that is drawn now is for a telephone."""
+    """Return whether the current figure is for a telephone."""
     return bool(_narrow)
 
 
 def page_width() -> float:
-    """Width of the page that the figure is drawn for, inch."""
+    """Return the page width of the current figure, inch."""
     return NARROW_WIDTH if narrow_page() else PAGE_WIDTH
 
 
 def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Figure]:
-    """Make a figure in the house style, and leave the user's settings as they were."""
+    """Draw a figure in the house style without a change of the user's settings."""
 
     @wraps(draw)
     def drawn(*args: PlotArguments.args, **kwargs: PlotArguments.kwargs) -> Figure:
         with house_settings():
             figure = draw(*args, **kwargs)
-            # The layout is found once; what is drawn later, under whichever settings, stays where it is.
+            # The layout is computed once: later drawing under other settings does not move the parts.
             engine = figure.get_layout_engine()
             if engine is not None:
                 engine.execute(figure)
@@ -143,25 +143,25 @@ class ShownFigure(Figure):
 
 
 def new_figure(width: float, height: float, *, fixed: bool = False) -> Figure:
-    """Make an empty figure, inch, whose parts make room for each other unless their places are fixed."""
+    """Make an empty figure, inch. Unless `fixed`, its layout prevents overlaps of the parts."""
     return ShownFigure(figsize=(width, height), layout=None if fixed else "constrained")
 
 
 def grid_of(panels: int, columns: int) -> tuple[int, int]:
-    """Rows and columns for a number of panels."""
+    """Compute the rows and columns for a number of panels."""
     columns = max(1, min(columns, panels))
     return -(-panels // columns), columns
 
 
 def panels(figure: Figure, count: int, columns: int, *, sharex: bool = False, sharey: bool = False) -> list[Axes]:
-    """So many panels in a grid; the places left over stay empty."""
+    """Make `count` panels in a grid; unused places stay empty."""
     return panels_by_group(figure, [count], columns, sharex=sharex, sharey=sharey)[0]
 
 
 def panels_by_group(
     figure: Figure, counts: Sequence[int], columns: int, *, sharex: bool = False, sharey: bool = False
 ) -> list[list[Axes]]:
-    """So many panels for each group, and each group on rows of its own."""
+    """Make panels for each group; each group begins a new row."""
     columns = max(1, min(columns, max(counts)))
     rows = [-(-count // columns) for count in counts]
     grid = figure.subplots(sum(rows), columns, squeeze=False, sharex=sharex, sharey=sharey)
@@ -174,37 +174,37 @@ def panels_by_group(
         for unused in there[count:]:
             unused.remove()
     if sharex:
-        # The lowest panel of a column tells the numbers, also where the grid's last row does not reach it.
+        # The lowest panel of each column shows the tick labels, also above empty places of the grid.
         for axes in lowest.values():
             axes.tick_params(labelbottom=True)
     return groups
 
 
 def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool = False) -> None:
-    """Put the legend of one panel's lines on the whole figure, in one row where the columns are not said."""
+    """Put the legend of one panel's lines on the whole figure, by default in one row."""
     handles, labels = axes.get_legend_handles_labels()
     place: Any = "outside upper left" if left else "outside upper center"
     figure.legend(handles, labels, loc=place, ncols=columns or (2 if narrow_page() else max(len(labels), 1)))
 
 
 def looks(count: int) -> list[dict[str, Any]]:
-    """Colours with a line and a marker each, for so many lines in one panel."""
+    """Choose a colour, line style and marker for each of `count` lines in one panel."""
     marks = zip(range(count), cycle(COLOURS), cycle(DASHES), cycle(MARKERS), strict=False)
     return [{"color": colour, "ls": line, "marker": marker} for _, colour, line, marker in marks]
 
 
 def error_bars(axes: Axes, values: Floats, heights: Floats | Ints, std: Floats | None, **look: Any) -> None:
-    """Measured values over the height with one standard deviation on either side."""
+    """Draw measured values over the height with bars of one standard deviation."""
     axes.errorbar(values, heights, xerr=std, fmt="o", color=MEASURED, ms=3.0, capsize=2.0, lw=0.9, **look)
 
 
 def even_columns(most: int, fitting: int) -> int:
-    """Columns for so many panels a group where so many fit: those that fill its rows best."""
+    """Compute the number of columns that fills the rows of the largest group best, at most `fitting`."""
     return -(-most // -(-most // fitting))
 
 
 def shape_grid(counts: Sequence[int], stories: int, narrowest: float) -> tuple[int, int, float, float]:
-    """Lay out panels of mode shapes, so many a group: columns, rows, and height of a panel and width of all, inch."""
+    """Lay out groups of mode-shape panels: columns, rows, height of a panel and width of the figure, inch."""
     fitting = 2 if narrow_page() else SHAPES_A_ROW
     columns = even_columns(max(counts), fitting)
     width = page_width() if narrow_page() else max(PAGE_WIDTH * columns / fitting, narrowest)
@@ -212,7 +212,7 @@ def shape_grid(counts: Sequence[int], stories: int, narrowest: float) -> tuple[i
 
 
 def letters(text: str, longest: int = LONGEST_NAME) -> str:
-    """Write a text from a file as a figure can show it: on one line, not too long, of letters that the fonts have."""
+    """Write a text from a file for a figure: one line, limited length, only letters that the fonts contain."""
     line = " ".join(text.split())
     if len(line) > longest:
         line = line[: longest - 1].rstrip() + "…"
@@ -220,7 +220,7 @@ def letters(text: str, longest: int = LONGEST_NAME) -> str:
 
 
 def power_of_ten(value: float, _: object = None) -> str:
-    """Tick label of a logarithmic axis, such as 10⁻³."""
+    """Write the tick label of a logarithmic axis, such as 10⁻³."""
     if value == 0 or not np.isfinite(value):
         return "0"
     exponent = np.log10(abs(value))
@@ -234,11 +234,11 @@ def power_of_ten(value: float, _: object = None) -> str:
 
 
 NARROW = 1.3
-"""Decades of an axis up to which two and five are labelled between the powers of ten."""
+"""Largest length of an axis in decades with additional labels at two and five times the powers of ten."""
 
 
 def logarithmic(axis: Axis, most: int = 7) -> None:
-    """Ticks at powers of ten, labelled so; at twice and five times them too where there is one at most."""
+    """Set labelled ticks at powers of ten; a short axis has additional labels at two and five times these."""
 
     def between(value: float, _: object = None) -> str:
         low, high = axis.get_view_interval()
@@ -252,7 +252,7 @@ def logarithmic(axis: Axis, most: int = 7) -> None:
 
 
 def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
-    """Positions of labels, ascending, at least a gap apart and between two ends, each near where it belongs."""
+    """Move ascending positions of labels apart by at least a gap, between two ends, each near its own place."""
     placed = np.asarray(positions, dtype=float).copy()
     gap = min(gap, (high - low) / max(len(placed) - 1, 1))
     for i in range(len(placed)):
@@ -264,14 +264,14 @@ def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
 
 FIGURE_KINDS = ("svg", "png", "pdf")
 ENLARGED = 1.4
-"""Pixels of a page a point of a figure: letters of the size of the text around them."""
+"""Pixels of a page for one point of a figure; the letters get the size of the page's text."""
 
 RESOLUTION = 200
-"""Dots an inch of a PNG."""
+"""Dots per inch of a PNG."""
 
 
 _COLOUR = re.compile(r"(?<=[: ])#([0-9A-Fa-f]{6})(?=[;\"])")
-"""A colour in a style of an SVG drawing; a page that is dark gives its own for it."""
+"""Pattern of a colour in an SVG style; a dark page replaces the colour."""
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -281,12 +281,12 @@ def save(figure: Figure, path: str | Path) -> None:
     ----------
     figure : Figure
     path : str or Path
-        Ending in .svg, .png or .pdf; a device is written SVG to.
+        Ending in .svg, .png or .pdf; a device receives SVG.
 
     Raises
     ------
     InputError
-        Where the ending is another, or the file cannot be written.
+        If the ending is unknown, or the file cannot be written.
     """
     write_file(path, encoded(figure, ending_of(path, FIGURE_KINDS, "a figure is written as")))
 
@@ -298,29 +298,29 @@ def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
     with house_settings():
         FigureCanvasAgg(figure)
         figure.savefig(out, format=kind, dpi=RESOLUTION, metadata=no_date, transparent=transparent)
-    # matplotlib puts every text into a comment beside its outlines, where a name would stand as it is.
+    # matplotlib copies every text into an unescaped comment; names from files must not reach the page this way.
     return re.sub(rb"<!--.*?-->", b"", out.getvalue(), flags=re.DOTALL) if kind == "svg" else out.getvalue()
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """Write a figure as an SVG element to stand in a page.
+    """Write a figure as an SVG element for a page.
 
     Parameters
     ----------
     figure : Figure
     name : str
-        Sets its ids apart from those of the other figures of the page; a plain word.
+        Prefix of its ids, which keeps the ids of several figures on a page different; a plain word.
     """
-    # The page shows through, and with it the shade at an edge beyond which a drawing goes on.
+    # The background is transparent: the page's shade then marks an edge where a wide drawing continues.
     text = encoded(figure, "svg", transparent=True).decode("utf-8")
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    # Two pictures that are the same would have the same id, to which nothing refers.
+    # Equal images would have equal ids; no element refers to these ids.
     text = re.sub(r'(<image\b[^>]*?) id="[^"]*"', r"\1", text)
     text = re.sub(r'\bid="', f'id="{name}-', text)
     text = re.sub(r'href="#', f'href="#{name}-', text)
     text = text.replace("url(#", f"url(#{name}-")
-    # The page says what a figure shows; the drawing itself is nothing to be read out.
+    # The page contains the alternative text; screen readers skip the drawing itself.
     width = ENLARGED * 72 * figure.get_figwidth()
     head = re.sub(r' (width|height)="[\d.]+pt"', "", text[: text.index(">")])
     size = f'width="{width:.0f}" style="--width: {width:.0f}px"'
