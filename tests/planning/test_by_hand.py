@@ -148,7 +148,7 @@ def test_an_effect_is_as_far_from_another_as_what_that_cannot_do_like_it():
 def test_the_odds_of_a_right_verdict_are_those_of_a_normal_number():
     """For an effect of unit size and either sign with information g, the evidence is y^2 / 2 (1 + g) - log(1 + g) / 2.
 
-    Odds of 19 or more name the effect; odds below 1 exclude it.
+    Odds of 19 or more name the effect; odds below 1 name no effect.
     """
     g = 25.0
     gain = Target(put("sensor_gain", floor=3), 0.05)

@@ -400,7 +400,7 @@ def test_figures_drawn_in_threads_are_those_drawn_alone(paper, eight):
 
 
 def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatch, tmp_path, capsys):
-    # The package has three figures of its own.
+    # Keep three of the package's figures for each kind of result.
     few = {key: dict(list(value.items())[:3]) for key, value in figure_table._TABLE.items()}
     monkeypatch.setattr(figure_table, "_TABLE", few)
 

@@ -255,7 +255,7 @@ def test_the_animation_moves_the_drawing_that_was_made(text):
 
 
 def test_compose_without_the_effect_is_the_plain_frame(paper):
-    """Check the reference frame of the effect sizes."""
+    """The plain frame is the reference for the effect sizes."""
     each = paper.experiment.configurations[0]
     plain = compose(paper.experiment, each, [], paper.estimate.theta[:4])
     assert plain.system.K[0, 0] == pytest.approx(paper.frame.story_stiffness.sum())

@@ -43,7 +43,7 @@ def test_clicks_choose_and_give_up_and_are_written(result, tmp_path):
     picker = PolePicker(result, file)
     assert picker.frequencies == pytest.approx(PAPER_FRAME.modes()[0], rel=1e-3)
     click(picker, result.frequencies[1])
-    click(picker, 0.5 * result.frequencies[0])  # without a pole, without effect
+    click(picker, 0.5 * result.frequencies[0])  # no pole there: the choice stays
     expected = PAPER_FRAME.modes()[0][[0, 2]]
     assert picker.frequencies == pytest.approx(expected, rel=1e-3)
     assert tomllib.loads(file.read_text())["record"]["pick"] == pytest.approx(expected, rel=1e-3)
