@@ -84,7 +84,7 @@ def test_one_structure_cannot_show_gravity_whatever_it_carries_but_bare_and_ten_
 
 
 def test_one_structure_can_show_gravity_where_the_design_stiffness_is_known_well_enough():
-    """Gravity takes 1.1 P / h, in the upper story 1.1 x 9.81 x (m + 41) / 0.39 N/m, of a stiffness known to 2 %."""
+    """Gravity reduces a stiffness known to 2 % by 1.1 P / h: 1.1 x 9.81 x (m + 41) / 0.39 N/m in the upper story."""
     found = plan(paper_design(0.02), tests=1, goal="gravity", added_mass=41.0)
     assert found.apart[1].distance > 5
     assert plan(paper_design(0.05), tests=1, goal="gravity", added_mass=41.0).apart[1].distance < 4
@@ -349,7 +349,7 @@ def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, capsy
 
 
 def test_a_plan_on_measured_modes_expects_the_measured_frequencies_with_what_the_loop_found():
-    """A ground spring carries a third of the load at the top: a shear frame misses its first frequency by percents."""
+    """A ground spring carries a third of the load at the top: a shear frame's first frequency is percents off."""
     mass, stiffness = np.array([10.0, 10.0, 9.0, 8.0]), np.array([24e3, 20e3, 16e3, 10e3])
     drift = np.eye(4) - np.eye(4, k=-1)
     M, K = np.diag(mass), (drift.T * stiffness) @ drift
