@@ -133,7 +133,7 @@ def solved(name, program):
 
 
 def exactly(program):
-    """Return the minimizer in rational numbers (None if there is none), and whether it is known to be unique."""
+    """Return the minimizer in rational numbers (None without a minimizer), and whether uniqueness is certain."""
     R, s = (rational(part) for part in program.weighted)
     A, b = (rational(part) for part in program.equalities)
     G, h = (rational(part) for part in program.inequalities)

@@ -27,7 +27,7 @@ SURE = 0.95
 
 
 def variants() -> dict[str, cvxshear.Experiment]:
-    """Return the experiments by the changed declaration."""
+    """Return the experiments, keyed by the changed declaration."""
     declared = cvxshear.load("los-alamos")
     found = {"as declared": declared}
     for factor in (*FACTORS, None):

@@ -1,4 +1,4 @@
-"""Measure many identifications at once, and compare few iterations."""
+"""Time batches of identifications, parallel processes, and larger problems."""
 
 import time
 

@@ -2,7 +2,7 @@
 
 Each problem is a frame of two or three stories with noise. The study compares the difference of log Z between the shear
 model and a set of effects. This module implements likelihood and priors from docs/theory/loop.md, and dynesty (Speagle
-2020) integrates them. The library supplies only the fits, whose optimum and width bound the sampled box of the frame's
+2020) integrates them. The library supplies only the fits. Their optimum and width bound the sampled box of the frame's
 parameters. The study fails if a box truncates the posterior.
 """
 

@@ -281,8 +281,8 @@ def _simulate():
 def vague_designs(frames=6, std=0.3, others=400, seed=7):
     """Compare the planned deviations for vague stiffnesses with an average over many other possible frames.
 
-    The actual deviation is the root mean square deviation of the same test over frames drawn from the prior. Return it
-    over the plan's value at the design values and over the plan's average: two arrays of shape (frames, 2N).
+    The actual deviation is the root mean square deviation of the same test over frames drawn from the prior. For each
+    frame, return the ratios of the actual deviation to the value at the design values and to the plan's average, (2N,).
     """
     rng = np.random.default_rng(seed)
     promises = []

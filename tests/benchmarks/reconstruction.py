@@ -49,7 +49,7 @@ def sensors(stories):
 
 
 def building(stories, case, seed):
-    """Return the sound frame, the frame in the record, and the softer story (from 1; 0 if there is none)."""
+    """Return the sound frame, the frame in the record, and the softer story (from 1; 0 without a softer story)."""
     rng = np.random.default_rng([1, seed, stories])
     mass = 2e5 * np.exp(0.1 * rng.standard_normal(stories))
     shape = np.linspace(1.0, 0.4, stories) * np.exp(0.1 * rng.standard_normal(stories))

@@ -91,7 +91,7 @@ def sound_record(seed: int, kind: str) -> TimeRecord:
 
 
 def decay_record(frame: KnownFrame, random: np.random.Generator, noise: float, rate: float) -> TimeRecord:
-    """Return three releases from a pull at some floors, each starting after 3 s, in closed form."""
+    """Return three closed-form releases from a random pull at the floors, each after 3 s of rest."""
     frequencies, shapes = frame.modes()
     omega = 2 * np.pi * frequencies
     quiet = int(3 * rate)

@@ -121,7 +121,7 @@ def _iterated(backend, *, started):
 
 
 def built_anew(of):
-    """Time a user's program: the plain rows, built and compiled for every solve."""
+    """Solve a user's program: the plain rows, built and compiled for every solve."""
     x = cp.Variable(of.unknowns)
     stated = [] if of.A is None else [of.A @ x == of.b]
     if of.upper is not None:

@@ -1,4 +1,4 @@
-"""Designs that the tests plan for, and their information made another way."""
+"""Provide designs for the planning tests, and an independent computation of their information."""
 
 from itertools import combinations
 
@@ -21,7 +21,7 @@ def design(mass, stiffness, *, mass_std=0.02, stiffness_std=0.1, frame=None):
 
 
 def tapered(stories, **keys):
-    """A frame whose stories soften upwards, with floors that are not all alike."""
+    """Return a frame with stories that soften upwards and unequal floors."""
     rng = np.random.default_rng(stories)
     mass = 2e4 * rng.uniform(0.8, 1.2, stories)
     stiffness = 1e8 * np.linspace(1.5, 0.8, stories) * rng.uniform(0.8, 1.2, stories)
@@ -33,21 +33,21 @@ def frame_model(of, modes=3, noise=NOISE, quantities=("floor_mass", "story_stiff
 
 
 def exhaustive(of, number, by):
-    """The best value of all choices of so many candidates, each of them looked at by itself, and the choice."""
+    """Return the best value of all choices of `number` candidates, evaluated one by one, and the best choice."""
     every = [list(each) for each in combinations(range(of.count), number)]
     values = [float(by.value(of, of.subset(each))) for each in every]
     return min(values), every[int(np.argmin(values))]
 
 
 def log_data(sizes, added, floors, modes):
-    """Logarithms of frequencies, and shapes at some floors, each of unit modal mass: what the scale is free of."""
+    """Return log frequencies and shapes at some floors, each with unit modal mass, without the free scales."""
     n = len(sizes) // 2
     frequencies, shapes = modes_of(sizes[:n] + added, sizes[n:])
     return np.log(frequencies[:modes]), shapes[:modes][:, floors]
 
 
 def slow_covariance(of, added, floors, modes, noise, *, mass_std, stiffness_std):
-    """Covariance of relative masses and stiffnesses by central differences, a free scale a mode and test."""
+    """Return the covariance of relative masses and stiffnesses by central differences; each shape has a free scale."""
     n, sizes = of.stories, of.sizes
     rows = [np.diag(1.0 / np.concatenate([np.full(n, mass_std), np.full(n, stiffness_std)]))]
     scales = np.zeros((2 * n, len(added) * modes))

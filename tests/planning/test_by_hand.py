@@ -1,4 +1,4 @@
-"""Limits, grids, targets and what a plan says of itself, by numbers put in by hand; odds of verdicts by normal laws."""
+"""Test limits, grids, targets and texts of plans with given numbers, and odds of verdicts by normal laws."""
 
 from types import SimpleNamespace
 
@@ -58,7 +58,7 @@ def test_modes_and_names_are_those_that_are_free():
 
 
 def plan_of(**more):
-    """A plan of which only what is named is known."""
+    """Return a plan with only the named entries."""
     made = object.__new__(Plan)
     for key, value in more.items():
         object.__setattr__(made, key, value)
@@ -111,7 +111,7 @@ def test_a_target_is_an_effect_at_its_place_of_a_usual_size():
     gravity = target("gravity", FRAME, SCALE)
     item = gravity.placed.effect.parameters[0]
     assert gravity.size == pytest.approx(abs(item.start - item.null))
-    # One that is even between 1 and 1.2 where it is there, and none at 0.
+    # The size is uniform between 1 and 1.2 if the effect is present, and 0 otherwise.
     assert (gravity.mean, gravity.side) == (1.0, 0)
     assert gravity.std == pytest.approx(stats.uniform(1.0, 0.2).std() / gravity.size)
     assert (found.mean, found.std, found.side, found.null) == (0.0, 1.0, 1, 0.0)
@@ -125,7 +125,7 @@ def test_a_target_is_an_effect_at_its_place_of_a_usual_size():
 
 
 def test_an_effect_is_as_far_from_another_as_what_that_cannot_do_like_it():
-    """Along (1, 0) and (0.6, 0.8) of lengths 3 and 2: sines of their angle; of two with a side opposite ones cannot."""
+    """Vectors along (1, 0) and (0.6, 0.8): distance is length times sine, or the length for opposite one-sided ones."""
     one, other = 3.0 * np.array([1.0, 0.0]), 2.0 * np.array([0.6, 0.8])
     G = np.array([[one @ one, one @ other], [one @ other, other @ other]])
     sided = [Target(put("ground_spring", floor=floor), 100.0, "N/m") for floor in (2, 3)]
@@ -146,9 +146,9 @@ def test_an_effect_is_as_far_from_another_as_what_that_cannot_do_like_it():
 
 
 def test_the_odds_of_a_right_verdict_are_those_of_a_normal_number():
-    """One effect of either sign and unit size, data of information g: evidence y^2 / 2 (1 + g) - log(1 + g) / 2.
+    """For an effect of unit size and either sign with information g, the evidence is y^2 / 2 (1 + g) - log(1 + g) / 2.
 
-    It is named from odds of 19 on, and none of them below even odds.
+    Odds of 19 or more name the effect; odds below 1 name no effect.
     """
     g = 25.0
     gain = Target(put("sensor_gain", floor=3), 0.05)
@@ -164,7 +164,7 @@ def test_the_odds_of_a_right_verdict_are_those_of_a_normal_number():
 
 
 def test_masses_and_floors_are_chosen_by_turns_until_they_stay(monkeypatch):
-    """The floors of one turn are those of the next; the tests come out lightest first."""
+    """Each turn starts with the floors of the previous turn; the result lists the lightest test first."""
     limits, asked = MassLimits(np.array([2.0, 2.0, 2.0]), 6.0), []
 
     def choose(problem, number, by, solver, **options):

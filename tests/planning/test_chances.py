@@ -1,4 +1,4 @@
-"""Probabilities of the right verdict: against integrals, and in the limits."""
+"""Test probabilities of the right verdict against integrals and limits."""
 
 import numpy as np
 import pytest
@@ -92,7 +92,7 @@ def test_over_several_frames_the_probability_of_the_right_verdict_is_their_mean(
 
 
 def test_physics_lets_joints_and_springs_be_on_one_side_and_gravity_near_its_value():
-    """Gravity's coefficient lies between 1 and 1.2 about 1.1: its mean and spread in sizes, and no side of nothing."""
+    """Gravity's coefficient lies between 1 and 1.2, around 1.1: mean and spread are in sizes, without a sign limit."""
     item = Gravity().parameters[0]
     assert (GRAVITY.mean, GRAVITY.side) == (1.0, 0)
     assert pytest.approx((item.upper - item.lower) / np.sqrt(12) / 1.1) == GRAVITY.std

@@ -1,4 +1,4 @@
-"""A frame before a test, as files of design values, results and measurements declare it."""
+"""Test a frame before a test, declared by files of design values, results or measurements."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_design_values_are_at_the_total_that_is_declared(frame, priors, mass):
     np.testing.assert_allclose(design.floor_mass, mass)
     np.testing.assert_allclose(design.theta, [*mass, 2e4, 1e4])
     assert (design.stories, design.name, design.measured) == (2, "of mine", None)
-    # What is exact is so in relative changes: each mass, or the sum of both.
+    # Exact declarations are rows of relative changes: each mass, or the sum of both.
     exact = {"floor_masses": np.eye(2, 4), "total_mass": [[*np.array(mass) / sum(mass), 0, 0]]}
     np.testing.assert_allclose(design.fixed(), exact.get(next(iter(frame), ""), np.zeros((0, 4))))
 
@@ -58,7 +58,7 @@ def test_design_values_that_do_not_go_together_are_refused(frame, priors, messag
 
 
 def test_a_result_is_known_as_surely_as_it_says():
-    """Rows by relative changes: one over each coefficient of variation; what has no deviation is exact or open."""
+    """Rows of relative changes are 1 / (coefficient of variation); without a deviation, a value is exact or open."""
     design = Design.of_result(RESULT, "earlier")
     assert [placed.label for placed in design.effects] == ["ground spring at floor 1", "ground spring at floor 2"]
     np.testing.assert_allclose(design.theta, [10.0, 8.0, 2e4, 1e4, 300.0, 500.0])
@@ -77,7 +77,7 @@ def test_a_result_that_says_too_little_is_refused():
 
 
 def test_measured_frequencies_stand_beside_those_of_the_frame():
-    """The second test's masses are heavier than declared: its frequencies are missed, the others met."""
+    """The second test's masses exceed the declared ones: its frequencies disagree, the others agree."""
     mass, stiffness = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
     bare = configuration(mass, stiffness, name="bare", frequency_std=1e-5)
     loaded = configuration(mass, stiffness, [0, 0, 3.0], modes=[1, 3], name="loaded", frequency_std=0.1)

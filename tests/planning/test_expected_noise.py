@@ -1,4 +1,4 @@
-"""The noise that follows from a record: Au's factors from the spectrum itself, and the study of simulated records."""
+"""Test the predicted noise of a record: Au's factors against the spectrum, and against simulated records."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def paper_modes():
 
 
 def test_the_band_factors_are_fisher_information_of_a_resonance():
-    """Of log(S / (1 + u^2)), u in half-widths of the resonance: the information of a Whittle likelihood."""
+    """Differentiate log(S / (1 + u^2)), u in half-widths of the resonance: the information of a Whittle likelihood."""
     for kappa in (1.0, 4.0, 10.0):
         frequency = quad(lambda u: (2 * u / (1 + u**2)) ** 2, -kappa, kappa)[0]
         slope = quad(lambda u: 2 / (1 + u**2), -kappa, kappa)[0]
@@ -51,7 +51,7 @@ def test_four_times_the_record_halves_every_standard_deviation():
     ],
 )
 def test_the_laws_are_what_simulated_records_scatter_by(kind, duration, frequency, entries):
-    """Root mean square errors, %, of twenty seeds with 5 % noise: `python -m tests.benchmarks.records` prints them."""
+    """The expected root mean square errors (%) of twenty seeds with 5 % noise come from `tests.benchmarks.records`."""
     expected = Recorded(kind, duration, damping=0.01, sensor_noise=0.05).of(paper_modes(), PAPER_FRAME.masses, WHICH)
     for law, seen in zip(expected, (frequency, entries), strict=True):
         ratio = np.array(seen) / (100 * law)
@@ -60,16 +60,16 @@ def test_the_laws_are_what_simulated_records_scatter_by(kind, duration, frequenc
 
 @pytest.mark.parametrize("kind", ["shaker", "hammer", "ambient"])
 def test_entries_scatter_by_the_spectra_about_their_resonance(kind):
-    """Noise of the sensors, and of ambient records the other modes, beside what a resonance shows of itself.
+    """Sensor noise, and other modes in ambient records, add to the spectrum of a resonance.
 
-    Integrals of the resonance are numerical, and so are the derivatives of the entries over the largest one.
+    Compute the integrals of the resonance and the derivatives of the entries over the largest entry numerically.
     """
     zeta, duration, noise = 0.02, 700.0, 0.04
     found = paper_modes()
     phi, f, m = found.shapes, found.frequencies, PAPER_FRAME.masses
     _, stds = Recorded(kind, duration, damping=zeta, sensor_noise=noise).of(found, m, WHICH)
     joint = np.outer(phi @ m, phi @ m) if kind == "shaker" else phi @ phi.T
-    # (1 / 2)^2 / (x^2 + zeta^2), x the distance from the resonance over its frequency.
+    # The factor is (1 / 2)^2 / (x^2 + zeta^2), with x the distance from the resonance over its frequency.
     power = quad(lambda x: 0.25 / (x**2 + zeta**2), -np.inf, np.inf)[0]
     channels = sum(phi[j] ** 2 * joint[j, j] * power * f[j] for j in range(3))
     inside = quad(lambda u: 0.5 / (1 + u**2), -BAND_WIDTH, BAND_WIDTH)[0]

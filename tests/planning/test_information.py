@@ -1,4 +1,4 @@
-"""The information of floors and tests: against differences of another eigenvalue solver, and what must hold for it."""
+"""Test the information of floors and tests against differences of another eigenvalue solver and known properties."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ def test_floors_add_up_with_the_scales_as_parameters_as_shapes_do_with_the_scale
     of = model.sensors(tests, 3)
     added_up = of.covariance(of.own(of.subset(FLOORS)))
     eliminated = model.covariance(tests, FLOORS)
-    # The scales are not quite free: each has the standard deviation of what nothing is known of.
+    # Each scale has the standard deviation of an unknown parameter, so scales are almost free.
     np.testing.assert_allclose(added_up, eliminated, rtol=1e-4, atol=1e-9)
 
 

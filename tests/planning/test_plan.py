@@ -1,4 +1,4 @@
-"""Plans as a user makes them: choices, masses within limits, files, simulated tests that keep what was promised."""
+"""Test plans from the user's view: choices, masses within limits, files, and simulated tests of the plan's values."""
 
 import json
 import re
@@ -68,7 +68,7 @@ def test_a_file_of_design_values_is_planned_for(file):
 
 
 def test_the_papers_three_structures_can_show_gravity(paper):
-    """The loop finds it in the measured data with noise of 0.2 and 1 % assumed: 12 standard deviations were there."""
+    """With assumed noise of 0.2 and 1 %, the loop finds gravity in the measured data, at 12 standard deviations."""
     gravity = paper.apart[1]
     assert gravity.distance > 10
     assert gravity.probability > 0.99
@@ -84,7 +84,7 @@ def test_one_structure_cannot_show_gravity_whatever_it_carries_but_bare_and_ten_
 
 
 def test_one_structure_can_show_gravity_where_the_design_stiffness_is_known_well_enough():
-    """Gravity takes 1.1 P / h, in the upper story 1.1 x 9.81 x (m + 41) / 0.39 N/m, of a stiffness known to 2 %."""
+    """Gravity reduces a stiffness known to 2 % by 1.1 P / h: 1.1 x 9.81 x (m + 41) / 0.39 N/m in the upper story."""
     found = plan(paper_design(0.02), tests=1, goal="gravity", added_mass=41.0)
     assert found.apart[1].distance > 5
     assert plan(paper_design(0.05), tests=1, goal="gravity", added_mass=41.0).apart[1].distance < 4
@@ -118,7 +118,7 @@ def test_a_floor_that_can_carry_nothing_carries_nothing():
 
 
 def test_simulated_tests_scatter_as_planned():
-    """Forty samples of eight parameters: the root mean square of the ratio is known to 4 to 11 %."""
+    """With forty samples of eight parameters, the root mean square of the ratio is known to 4 to 11 %."""
     of = design([10.0, 8.0, 7.0, 5.0], [24e3, 20e3, 16e3, 9e3], stiffness_std=0.05)
     found = plan(of, 3, 2, modes=3, noise=Declared(0.001, 0.005), added_mass=3.0)
     seen = scatter(found, 40, seed=5)
@@ -263,7 +263,7 @@ def test_the_command_shows_quantities_in_the_units_that_were_asked_for(file, run
 
 
 def test_vague_design_values_are_averaged_over_and_what_is_promised_is_their_average():
-    """Against the root mean square over two hundred frames drawn from the priors: within 5 % in the mean."""
+    """Compare with the root mean square over two hundred frames drawn from the priors: within 5 % on average."""
     found = vague_designs(frames=3, others=200, seed=3)
     at_design, averaged = (
         np.concatenate([each[place][len(each[place]) // 2 :] for each in found]) for place in range(2)
@@ -291,7 +291,7 @@ def test_firm_design_values_are_taken_as_they_are_and_a_declared_total_is_kept()
 
 
 def test_a_choice_that_changes_nothing_is_said_to_be_arbitrary(file, capsys):
-    """A single sensor tells nothing of a shape of free scale: every floor gives nearly what frequencies alone give."""
+    """A single sensor has no information on shapes of free scale: every floor is nearly equal to frequencies alone."""
     found = plan(file, sensors=1, modes=2)
     assert found.chosen.arbitrary
     assert found.chosen.worst == pytest.approx(found.objective, rel=0.01)
@@ -315,7 +315,7 @@ def test_what_no_tests_of_the_grid_can_beat_is_printed_as_that(file, run):
 
 @pytest.mark.parametrize("fresh", [False, True])
 def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan(fresh, tmp_path):
-    """Modes tell masses up to one factor: that of every floor is known as the total is, and as its share is."""
+    """Modes determine masses up to one factor: each mass has the uncertainty of the total and of its share."""
     angles = np.pi / 14 * np.array([2, 6, 10])
     shapes = np.sin(angles[:, None] * [1, 2, 3])
     declared = (
@@ -331,7 +331,7 @@ def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan
 
 
 def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, capsys):
-    """Three equal floors on equal stories: 2 sin((2 r - 1) pi / 14) times the root of k / m, floors as sines."""
+    """Three equal floors on equal stories: frequencies 2 sin((2 r - 1) pi / 14) sqrt(k / m), shapes are sines."""
     angles = np.pi / 14 * np.array([2, 6, 10])
     shapes = np.sin(angles[:, None] * [1, 2, 3])
     (tmp_path / "modes.toml").write_text(
@@ -349,7 +349,7 @@ def test_a_plan_on_measured_modes_of_a_frame_that_nobody_weighed(tmp_path, capsy
 
 
 def test_a_plan_on_measured_modes_expects_the_measured_frequencies_with_what_the_loop_found():
-    """A ground spring carries a third of the load at the top: a shear frame misses its first frequency by percents."""
+    """A ground spring carries a third of the load at the top: a shear frame's first frequency is percents off."""
     mass, stiffness = np.array([10.0, 10.0, 9.0, 8.0]), np.array([24e3, 20e3, 16e3, 10e3])
     drift = np.eye(4) - np.eye(4, k=-1)
     M, K = np.diag(mass), (drift.T * stiffness) @ drift
@@ -395,7 +395,7 @@ def test_the_state_that_is_tested_again_is_the_one_asked_for():
 
 
 def test_a_measurement_that_leaves_the_frame_open_is_not_planned_for():
-    """Two frequencies of four stories; at most four of the eight unknowns are named."""
+    """There are two frequencies for four stories; the message names at most four of the eight unknowns."""
     mass, stiffness = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
     table = configuration(mass, stiffness, modes=[1, 2])
     del table["mode_shapes"], table["mode_shape_std"], table["measured_floors"]

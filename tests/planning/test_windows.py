@@ -1,4 +1,4 @@
-"""The bound that looks at every choice within windows: nothing is below it, and it is exact where windows are whole."""
+"""Test the bound by enumeration within windows: it is below every choice, and exact for complete windows."""
 
 from itertools import combinations
 
@@ -24,7 +24,7 @@ def indicator(chosen, n):
 
 
 def place(chosen, first, width):
-    """Of a choice within a window among all of them."""
+    """Return the index of a choice within a window among all choices."""
     return sum(1 << (j - first) for j in chosen if first <= j < first + width)
 
 
@@ -60,7 +60,7 @@ def test_a_term_is_nowhere_below_what_its_window_says(logarithm):
         exact = term.v @ at @ term.v
         said = values[place(each, 2, 3)] + slopes[np.isin(outside, each)].sum()
         assert said <= (np.log(exact) if logarithm else exact) + 1e-9
-    # Floors that are looked at whole leave nothing to a tangent.
+    # Complete enumeration leaves no part for the tangent.
     whole = within_window(term, shares, 4, 0, 8, np.zeros(0))
     exact = term.v @ np.linalg.inv(of.subset([0, 3, 5, 6])[0]) @ term.v
     assert whole[place([0, 3, 5, 6], 0, 8)] == pytest.approx(np.log(exact) if logarithm else exact, rel=1e-9)
@@ -92,7 +92,7 @@ def test_the_slopes_of_a_term_are_those_of_differences():
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("std", [0.05, 0.5])
 def test_no_choice_is_below_the_windows_bound(name, std):
-    """Ten choose four: every choice is looked at. From any shares, with windows of any width."""
+    """Enumerate all choices of four out of ten; compare bounds from arbitrary shares and windows of any width."""
     of, by = floors(10, 4, stiffness_std=std, mass_std=std / 2), CRITERIA[name]
     best = exhaustive(of, 4, by)[0]
     rough = np.random.default_rng(2).uniform(0, 1, 10)
@@ -112,7 +112,7 @@ def test_no_choice_is_below_the_windows_bound(name, std):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_vague_design_values_leave_a_gap_of_five_percent_at_most(name):
-    """Where the convex program alone leaves up to 110 %."""
+    """The convex program alone has a gap of up to 110 %."""
     of, by = floors(15, 8, modes=4, stiffness_std=0.6, mass_std=0.12), CRITERIA[name]
     found, alone = choose(of, 8, by, enumerate_up_to=0), choose(of, 8, by, enumerate_up_to=0, widths=())
     assert found.gap <= 0.05

@@ -1,4 +1,4 @@
-"""Records for the tests: where the measured ones are, and small ones made by hand."""
+"""Provide records for the tests: locations of the measured records, and small synthetic ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 DATA = Path(os.environ.get("CVXSHEAR_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
 SEEDS = int(os.environ.get("CVXSHEAR_SEEDS", "2"))
-"""Repetitions of the simulated records; `python -m tests.benchmarks.records` does twenty."""
+"""Number of simulated records per test; `python -m tests.benchmarks.records` uses twenty."""
 
 needs_mini_table = pytest.mark.skipif(
     not (DATA / "mini-shake-table").is_dir(),
@@ -74,11 +74,11 @@ input_floor = {floor}
 TWO_STORY_SQUARES = np.array([8500 - np.sqrt(8500**2 - 48e6), 8500 + np.sqrt(8500**2 - 48e6)]) / 4
 TWO_STORY_FREQUENCIES = np.sqrt(TWO_STORY_SQUARES) / (2 * np.pi)
 TWO_STORY_RATIOS = (1500 - TWO_STORY_SQUARES) / 1500
-"""phi_1 / phi_2 of each mode, from the second row."""
+"""Ratios phi_1 / phi_2 of each mode, from the second row."""
 
 
 def mini_table(folder: Path, name: str) -> Path:
-    """A record file for one of the mini table's records."""
+    """Write a record file for one of the mini table's records."""
     path = folder / f"{name}.toml"
     source = (DATA / "mini-shake-table" / f"{name}.csv").resolve()
     path.write_text(MINI_TABLE.format(name=name, file=source))
@@ -86,17 +86,17 @@ def mini_table(folder: Path, name: str) -> Path:
 
 
 def southampton(folder: Path, more: str = "") -> Path:
-    """A record file for the three measured sets of functions."""
+    """Write a record file for the three measured sets of functions."""
     path = folder / "southampton.toml"
     path.write_text(SOUTHAMPTON.format(folder=(DATA / "southampton").resolve(), more=more))
     return path
 
 
 def two_story_frf(frequencies: np.ndarray, damping: float, floor: int) -> np.ndarray:
-    """Accelerance of the two-story frame by its dynamic stiffness, no modes involved, shape (lines, 2)."""
+    """Return the two-story frame's accelerance from its dynamic stiffness, without modes, shape (lines, 2)."""
     mass = np.diag([2.0, 1.0])
     stiffness = np.array([[5500.0, -1500.0], [-1500.0, 1500.0]])
-    # Hysteretic damping: at resonance it equals viscous damping of half the loss factor.
+    # At resonance, hysteretic damping equals viscous damping of half the loss factor.
     complex_stiffness = stiffness * (1 + 2j * damping)
     force = np.eye(2)[floor - 1]
     omega = 2 * np.pi * frequencies

@@ -1,4 +1,4 @@
-"""Modes identified elsewhere, and results as plain values."""
+"""Test modes from other programs, and results as plain values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_arrays_are_put_in_order():
 
 
 def test_what_is_not_given_stays_undeclared():
-    """Neither a deviation nor a damping ratio is made up, in the result or in the file of it."""
+    """Missing deviations and damping ratios stay undeclared, in the result and in its file."""
     given = {"frequency_std": 0.001, "mode_shape_std": 0.02, "damping_ratios": [0.01, 0.02]}
     for key in given:
         result = from_arrays([3.0, 9.0], SHAPES, **{name: value for name, value in given.items() if name != key})
@@ -77,7 +77,7 @@ def test_pyoma_algorithm():
 
 
 def test_sdypy_model():
-    """Modal constants of the force at floor 2: each shape times its own entry there, over 2i w."""
+    """Each modal constant of the force at floor 2 is the shape times its entry there, over 2i w."""
     shapes = np.array([[0.5, 1.0], [1.0, -0.6]])
     constants = shapes * shapes[:, [1]] / (2j * 2 * np.pi * np.array([[3.0], [9.0]]))
     model = SimpleNamespace(nat_freq=[3.0, 9.0], nat_xi=[0.01, 0.02], A=constants.T)
@@ -120,7 +120,7 @@ def test_importing_loads_neither_matplotlib_nor_the_optional_readers():
 
 
 def test_a_data_frame_with_a_column_of_time_and_samples_that_are_missing():
-    """The column is its time, and 20 samples that are missing at the middle part it into two runs, as in a file."""
+    """The column gives the time; 20 missing samples in the middle divide the record into two runs, like in a file."""
     pandas = pytest.importorskip("pandas")
     values = np.random.default_rng(0).standard_normal((2000, 2))
     table = pandas.DataFrame(values, columns=["low", "high"])

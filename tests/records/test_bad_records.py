@@ -1,4 +1,4 @@
-"""Records that lie get an error that names the channel and the line."""
+"""Test that a faulty record gives an error with the channel and the line."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ def test_swapped_channels(tmp_path, good):
 
 
 def pieces(path, pick=None):
-    """The runs that a record is read as, and what is said of it."""
+    """Return the runs of the record in the file, and the notes of the reader."""
     found = read_record(path)
     return [(run.start, run.samples) for run in found.record.runs], [note.message for note in found.notes]
 
 
 def test_pieces_beside_a_gap(tmp_path, good):
-    """Forty samples of 20 Hz that are missing at 50 s part the record in two runs; a short one is left out."""
+    """At 20 Hz, forty missing samples after 50 s divide the record into two runs; a short run is omitted."""
     runs, said = pieces(written(tmp_path, np.delete(good, slice(1000, 1040), axis=0)))
     assert runs == [(0.0, 1000), (52.0, len(good) - 1040)]
     assert "the clock jumps 1 time; the longest sound pieces" in said[0]

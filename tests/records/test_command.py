@@ -1,4 +1,4 @@
-"""The command line on a record: modes into a measurement file, and the loop on the record itself."""
+"""Test the command line on a record: writing modes to a measurement file, and the loop on the record itself."""
 
 import json
 
@@ -16,7 +16,7 @@ DAMPING = 0.01
 
 @pytest.fixture
 def record(tmp_path):
-    """Accelerances of the three-story frame, the force at floor 3, with a little noise."""
+    """Return accelerances of the three-story frame with the force at floor 3 and little noise."""
     _, K = chain(MASS, STIFFNESS)
     eigenvalues, vectors = np.linalg.eigh(np.diag(MASS**-0.5) @ K @ np.diag(MASS**-0.5))
     phi = np.diag(MASS**-0.5) @ vectors
@@ -75,7 +75,7 @@ def test_check_asks_about_a_sensor_that_its_file_has_the_wrong_way(record, capsy
     assert status == 3
     assert "RECORD: sign" in shown.out
     assert json.loads(run(capsys, "check", str(record), "--json", "-")[1].out)["doubtful"]
-    # What `modes` puts right stops no other command.
+    # A problem that `modes` repairs does not block the command.
     assert run(capsys, "modes", str(record))[0] == 0
 
 

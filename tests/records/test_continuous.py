@@ -1,4 +1,4 @@
-"""Observers, projections and covariances of continuous records, against explicit recursions and sums."""
+"""Test observers, projections and covariances of continuous records against explicit recursions and sums."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_triangles_add_up_without_one_block_or_several():
 
 
 def arx(rng, lags=3, outputs=2):
-    """An observer of two outputs and one input whose poles decay."""
+    """Return an observer of two outputs and one input with decaying poles."""
     return (0.5 * rng.standard_normal((outputs, 1)), rng.standard_normal((lags, outputs, 1)),
             0.25 * rng.standard_normal((lags, outputs, outputs)))  # fmt: skip
 
@@ -45,7 +45,7 @@ def impulse_response(direct, inputs, outputs, count):
 
 
 def driven(samples=260, seed=2):
-    """Input and output of such a system, from rest."""
+    """Return input and output of this system, starting at rest."""
     rng = np.random.default_rng(seed)
     direct, inputs, outputs = arx(rng)
     u = rng.standard_normal((samples, 1))
@@ -79,13 +79,13 @@ def test_a_rougher_observer_is_that_of_half_the_lags_on_the_same_samples():
 
 
 def test_the_factor_of_a_subspace_is_the_future_as_the_past_explains_it():
-    """Future outputs and the past, each less what future inputs explain; the one projected on the other."""
+    """Remove the future inputs from past and future outputs; project the remaining future on the remaining past."""
     u, y, _ = driven()
     y = y + 0.3 * np.random.default_rng(4).standard_normal(y.shape)
     pieces = [(u[:140], y[:140]), (u[120:], y[120:])]
 
     def windows(which, start):
-        """Four samples in each row; the rows begin at each time from `start` on."""
+        """Return rows of four samples; the rows begin at each time from `start`."""
         found = [np.lib.stride_tricks.sliding_window_view(piece[which][start : len(piece[0]) - 4 + start], 4, axis=0)
                  for piece in pieces]  # fmt: skip
         return np.vstack([each.swapaxes(1, 2).reshape(len(each), -1) for each in found])
@@ -128,7 +128,7 @@ def test_covariances_of_an_ambient_record_are_means_of_products():
     np.testing.assert_allclose(factor @ factor.T, weighted, rtol=1e-6, atol=1e-6 * np.abs(weighted).max())
     future = np.block([[R[i - j] if i >= j else R[j - i].T for j in range(4)] for i in range(4)])
     lift = 1e-8 * future.diagonal().max() - min(0.0, linalg.eigvalsh(future)[0])
-    # The weight of the future decides the order of the columns, and is then removed.
+    # The weight of the future determines the order of the columns and is then removed.
     inverse = np.linalg.inv(np.linalg.cholesky(future + lift * np.eye(8)))
     sizes = np.linalg.norm(inverse @ factor, axis=0)
     alike = (inverse @ factor).T @ (inverse @ factor) / np.outer(sizes, sizes)

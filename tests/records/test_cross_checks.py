@@ -1,4 +1,4 @@
-"""The same records through the maintained libraries, where they are installed."""
+"""Compare with other maintained libraries on the same records, if they are installed."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from cvxshear.records import Channel, Run, TimeRecord, from_pyoma, from_sdypy, i
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, base_record
 from tests.records.shared import DATA, needs_southampton, southampton
 
-# What these libraries warn of, on import and at work, is theirs to mend.
+# Warnings from inside these libraries do not concern this package.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 def by_poles(transition, output, rate):
-    """Frequencies, damping and shapes of a discrete state-space model, well damped poles left out."""
+    """Return frequencies, damping and shapes of a discrete state-space model, without strongly damped poles."""
     values, vectors = np.linalg.eig(transition)
     poles = np.log(values.astype(complex)) * rate
     used = (poles.imag > 0) & (-poles.real / np.abs(poles) < 0.05)
@@ -34,7 +34,7 @@ def test_pyoma2():
     setup.run_by_name("ssi")
     setup.mpe("ssi", sel_freq=[1.03, 2.21, 3.28], order_in=10)
     theirs, ours = from_pyoma(algorithm), identify_modes(record)
-    # Two estimators of one record differ by a part of what the record's length leaves open, 0.1 %.
+    # Two estimators of one record differ by less than the uncertainty due to the record's length, 0.1 %.
     np.testing.assert_allclose(ours.frequencies, theirs.frequencies, rtol=2e-3)
     for first, second in zip(ours.mode_shapes, theirs.mode_shapes, strict=True):
         assert mac(first, second) > 0.9999
@@ -80,8 +80,8 @@ def test_sdypy_ema(tmp_path):
     ours, _ = modes_from_file(southampton(tmp_path))
     found = np.array(model.nat_freq) > 0
     assert found.any()
-    # Which of its many orders the library picks a pole from changes with the last digits of the linear algebra; the
-    # poles of all orders lie within one line of the functions, 1/32 Hz.
+    # The last digits of the linear algebra change the order of the library's chosen pole. The poles of all orders lie
+    # within one line of the functions, 1/32 Hz.
     np.testing.assert_allclose(np.array(model.nat_freq)[found], ours.frequencies[found], rtol=0, atol=1 / 32)
     np.testing.assert_allclose(np.array(model.nat_xi)[found], ours.damping_ratios[found], rtol=0.15)
     if found.all():

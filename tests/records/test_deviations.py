@@ -1,4 +1,4 @@
-"""Standard deviations of modes: against least squares, closed forms and drawn numbers."""
+"""Test standard deviations of modes against least squares, closed forms and random numbers."""
 
 import dataclasses
 
@@ -16,7 +16,7 @@ SHAPES = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.7]])
 
 
 def test_independent_errors_of_shape_entries():
-    """Least squares with nonnegative variances and a weak preference for equal ones."""
+    """The method is least squares with nonnegative variances and a weak preference for equal variances."""
     rng = np.random.default_rng(2)
     for n in (2, 3, 5):
         shape, root = rng.standard_normal(n), rng.standard_normal((n, 2))
@@ -52,7 +52,7 @@ def test_surrogates_keep_the_spectra(samples):
 
 
 def test_written_deviations_have_a_minimum():
-    """Frequencies 0.02 %, known damping ratios 1 %, shape entries 0.5 %."""
+    """The lower limits are 0.02 % for frequencies, 1 % for known damping ratios and 0.5 % for shape entries."""
     given = from_arrays([2.0, 5.0], SHAPES[:, :2], damping_ratios=[0.01, 0.02], frequency_std=[1e-4, 3e-4],
                         mode_shape_std=0.012)  # fmt: skip
     np.testing.assert_allclose(given.written_frequency_std, [2e-4, 3e-4])

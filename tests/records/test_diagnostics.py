@@ -1,4 +1,4 @@
-"""What is wrong with a record is found and said with its number, and what is right is left alone."""
+"""Test that faults of a record are found with their size, and that a sound record has no findings."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_of_two_clocks_alone_nobody_tells_which_is_off(kept, both):
 
 
 def test_what_the_modes_leave_of_a_drift_s_start_is_counted_with_it():
-    """The clock agrees with all others when the record begins."""
+    """At the start of the record, this clock agrees with the others."""
     frame = KnownFrame(np.full(4, 1000.0), np.full(4, 2.5e6), 0.012)
     record = base_record(frame, 1, noise=0.02, duration=240.0, sampling_rate=40.0)
     result = identify_modes(in_step(record, {"floor3": (0.0, 150e-6)}))
@@ -113,7 +113,7 @@ def test_what_the_modes_leave_of_a_drift_s_start_is_counted_with_it():
 
 @pytest.mark.parametrize("late", [0, 1, 2])
 def test_a_late_channel_is_told_whichever_the_phases_are_counted_from(late):
-    """Also the one that all modes move most, which phases without an input are compared with."""
+    """This includes the channel with the largest motion in all modes, the phase reference without an input."""
     eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0])
     shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.7, -0.6], [-0.7, 1.0, -0.4]])
     seconds = np.where(np.arange(3) == late, 0.004, 0.0)
@@ -141,7 +141,7 @@ def test_offsets_of_exact_shapes():
 
 
 def test_a_mode_next_to_half_the_sampling_rate_says_nothing_of_clocks():
-    """Phases of such a mode are off by up to 15 degrees, of which the others know nothing."""
+    """Only this mode has phase errors, of up to 15 degrees."""
     eigenvalues = 2j * np.pi * np.array([2.0, 6.0, 9.0]) - 0.1
     shapes = np.array([[0.4, 0.8, 1.0], [1.0, 0.3, -0.8], [-0.7, 1.0, -0.5]])
     late = np.array([0.004, 0.0, -0.002])
@@ -149,7 +149,7 @@ def test_a_mode_next_to_half_the_sampling_rate_says_nothing_of_clocks():
     turned[2] *= np.exp(1j * np.radians([15.0, 0.0, -8.0]))
     np.testing.assert_allclose(offsets(eigenvalues, turned, sampling_rate=20.0).seconds, late, atol=1e-9)
     assert np.max(np.abs(offsets(eigenvalues, turned, sampling_rate=40.0).seconds - late)) > 1e-3
-    # Two modes are what an offset is told by at least.
+    # An offset needs at least two modes.
     pair = offsets(eigenvalues[1:], turned[1:], sampling_rate=20.0)
     np.testing.assert_array_equal(pair.seconds, offsets(eigenvalues[1:], turned[1:]).seconds)
 
@@ -159,7 +159,7 @@ def test_no_clock_of_a_tall_frame_is_off_whose_highest_mode_is_next_to_half_the_
     soft = KnownFrame(np.full(stories, 2e5), np.linspace(1.5e8, 0.8e8, stories), 0.01)
     stiffnesses = soft.stiffnesses * (9.0 / soft.modes()[0][-1]) ** 2
     frame = KnownFrame(soft.masses, stiffnesses, 0.01)
-    # Standard deviations from few pieces: the phases are looked at as they stand.
+    # With few pieces for standard deviations, the check uses the phases directly.
     result = identify_modes(base_record(frame, 0, noise=0.02, duration=300.0), blocks=7)
     assert len(result.frequencies) == stories
     assert found(result, "clock offset") == []
@@ -211,7 +211,7 @@ def test_clipped_channel(record):
 
 @pytest.mark.parametrize(("frequency", "noise"), [(3.5, 7.0), (3.5, 0.0), (0.8, 0.3), (0.8, 0.0)])
 def test_a_rounded_peak_is_no_clip(frequency, noise):
-    """Decays at 512 Hz of a thousand steps of the converter, with noise in steps; cut off at 70 % they are clipped."""
+    """Decays at 512 Hz span a thousand converter steps, with noise in steps; limited to 70 %, they are clipped."""
     time = np.arange(4096) / 512
     clips = {1.0: 0, 0.7: 0}
     for seed in range(20):
@@ -246,7 +246,7 @@ def test_held_samples(record):
 
 def test_aliasing(record):
     def hum(values):
-        # 49.6 Hz sampled at 20 Hz folds to 9.6 Hz; a sine of amplitude s has half the power of s^2.
+        # A hum of 49.6 Hz sampled at 20 Hz folds to 9.6 Hz; a sine of amplitude s has the power s^2 / 2.
         values[:, 0] += values[:, 0].std() * np.sin(2 * np.pi * 49.6 * np.arange(len(values)) / 20)
 
     [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "aliasing"]
@@ -255,14 +255,14 @@ def test_aliasing(record):
 
 
 def test_a_hammer_sampled_at_a_third_of_the_mains_does_not_hum():
-    """At 20 Hz three lines of the mains fold to 0 Hz, where a blow has its power, and three to 10 Hz."""
+    """At 20 Hz, three lines of the mains fold to 0 Hz, inside the spectrum of a blow, and three fold to 10 Hz."""
     sound = hammer_record(PAPER_FRAME, 4, noise=0.02, hits=1)
     assert not [f for f in channel_findings(sound) if f.kind == "mains hum"]
 
 
 def test_mains_hum(record):
     def hum(values):
-        # 50 Hz folds to 10 Hz, half the sampling rate: the sine of amplitude s is s or -s at each sample.
+        # At half the sampling rate (50 Hz folds to 10 Hz), a sine of amplitude s is s or -s at each sample.
         values[:, 0] += values[:, 0].std() * np.cos(2 * np.pi * 50.0 * np.arange(len(values)) / 20)
 
     [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "mains hum"]
@@ -300,7 +300,7 @@ def test_reciprocity_violation():
 
 
 def test_a_transfer_near_a_node_tells_nothing_of_calibrations():
-    """Floor 2 hardly moves in mode 2: 0.1 % of crosstalk makes its transfers differ by a tenth there."""
+    """Floor 2 hardly moves in mode 2: crosstalk of 0.1 % changes its transfers by a tenth there."""
     real = np.array([[0.6, 1.0], [1.0, 0.01]])
     products = np.einsum("ri,rj->rij", real, real).astype(complex)
     setting = SimpleNamespace(base=False, floors=np.array([1, 2]))
@@ -313,7 +313,7 @@ def test_a_transfer_near_a_node_tells_nothing_of_calibrations():
 
 
 def test_another_mode_than_all_may_be_of_a_story_that_was_not_declared():
-    """Sensors at floors 2 and 4 of four stories, declared as floors 2 and 3 of three: four modes are found."""
+    """Sensors at floors 2 and 4 of four stories are declared at floors 2 and 3 of three; four modes are found."""
     frame = KnownFrame(np.full(4, 10.0), np.full(4, 2e4), 0.01)
     base = base_record(frame, 0, noise=0.01, duration=200.0, sampling_rate=64.0)
     run = dataclasses.replace(base.runs[0], responses=base.runs[0].responses[:, [1, 3]])
@@ -331,7 +331,7 @@ def test_resolution_coarser_than_the_line():
 
 
 def test_frequency_that_depends_on_amplitude():
-    """Half the record shaken five times as hard, and 1 % softer by it."""
+    """Half the record has five times the excitation and 1 % lower frequencies."""
     soft = dataclasses.replace(PAPER_FRAME, stiffnesses=0.98 * PAPER_FRAME.stiffnesses)
     weak = base_record(PAPER_FRAME, 1, noise=0.01, duration=150.0).runs[0]
     strong = base_record(soft, 2, noise=0.01, duration=150.0).runs[0]
@@ -344,7 +344,7 @@ def test_frequency_that_depends_on_amplitude():
 
 
 def earthquake(seed: int, limit: float | None = None, rate: float = 20.0, steps: int = 20) -> TimeRecord:
-    """Ground motion that dies away to a hundredth; a second story that slides beyond `limit` times its elastic peak."""
+    """Return a record of a decaying ground motion; the second story slides beyond `limit` times its elastic peak."""
     random = np.random.default_rng(seed)
     time, inner = np.arange(0.0, 120.0, 1 / rate), np.arange(0.0, 120.0, 1 / (rate * steps))
     ground = np.interp(inner, time, random.standard_normal(len(time)) * np.minimum(time / 4, np.exp((4 - time) / 25)))
@@ -372,7 +372,7 @@ def earthquake(seed: int, limit: float | None = None, rate: float = 20.0, steps:
 
 @pytest.mark.parametrize("decay", [0.0, 0.3])
 def test_a_mode_that_dies_away_where_hum_folds_to_is_no_hum(decay):
-    """50 Hz sampled at 40 Hz shows at 10 Hz, where a lightly damped mode may be, narrower than a line of 20 s."""
+    """50 Hz sampled at 40 Hz appears at 10 Hz; a lightly damped mode there can be narrower than a line of 20 s."""
     time = np.arange(0.0, 30.0, 1 / 40.0)
     noise = 0.01 * np.random.default_rng(1).standard_normal((len(time), 2))
     motion = noise + np.outer(np.exp(-decay * time) * np.cos(20.0 * np.pi * time), [1.0, 0.6])
@@ -383,7 +383,7 @@ def test_a_mode_that_dies_away_where_hum_folds_to_is_no_hum(decay):
 
 @pytest.mark.parametrize("seed", [5, 6, 7, 9])
 def test_earthquake_on_a_linear_frame_has_no_amplitude_in_its_frequencies(seed):
-    """The weaker half of its record is a tenth of the motion and all of the noise."""
+    """The weaker half of the record has a tenth of the motion and the full noise."""
     assert not found(identify_modes(earthquake(seed)), "amplitude")
 
 
@@ -395,7 +395,7 @@ def test_earthquake_in_which_a_story_slides_is_suspected(seed):
 
 @pytest.mark.parametrize("offset", [0.0, 0.02, -0.02])
 def test_blows_are_blows_whatever_the_offset_of_the_force(offset):
-    """Over a run an offset of 2 % of the peak has more energy than the blow; sound runs outvote one without a blow."""
+    """Over a run, an offset of 2 % of the peak has more energy than the blow; sound runs outvote one without a blow."""
     record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(1, 3), hits=3)
     peak = max(float(np.max(run.excitation)) for run in record.runs)
     runs = [dataclasses.replace(run, excitation=run.excitation + offset * peak) for run in record.runs]
@@ -413,10 +413,10 @@ def test_findings_are_plain_values(record):
 
 
 def test_shapes_are_as_uncertain_as_a_failure_of_reciprocity_says():
-    """Calibrations drawn at random, of two sensors and two driving points: what they do to a shape and to the pair."""
+    """Draw calibrations of two sensors and two driving points; compare their effect on a shape and on the pair."""
     s, draws = 0.03, 20_000
     sensors, forces = s * np.random.default_rng(3).standard_normal((2, draws, 2))
-    # The residue of floor i driven at j is (1 + sensor i)(1 + force j) phi_i phi_j; a driving point gives phi_i twice.
+    # The residue of floor i driven at j is (1 + sensor i)(1 + force j) phi_i phi_j. A driving point gives phi_i^2.
     entry = np.sqrt((1 + sensors) * (1 + forces)) - 1
     failure = (1 + sensors[:, 0]) * (1 + forces[:, 1]) / ((1 + sensors[:, 1]) * (1 + forces[:, 0])) - 1
     seen = float(np.sqrt(np.mean(failure**2)))

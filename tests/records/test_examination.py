@@ -1,4 +1,4 @@
-"""Faults of records are named with their channel before anything is identified; sound records are left as they are."""
+"""Test that faults of a channel are found before the identification, and that sound records stay the same."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_sound_record_comes_back_as_it_went_in(kind):
 @pytest.mark.parametrize("kind", INPUTS)
 @pytest.mark.parametrize("fault", ["delay", "drift", "dead", "stuck", "saturated", "spikes"])
 def test_a_fault_of_one_channel_is_named(kind, fault):
-    """Before any mode is looked for; delays and drifts to a tenth of a sample, from the size that was put in."""
+    """The check runs before the identification; delays and drifts are right within a tenth of a sample."""
     least = {"delay": 0.05, "drift": 100.0}.get(fault, -1.0)
     case = next(case for seed in range(60, 90) if abs((case := case_of(seed, kind, fault)).size) > least)
     found = [item for item in examined(case.record).findings if item.numbers.get("channel") in case.channels]
@@ -48,13 +48,13 @@ def test_a_fault_of_one_channel_is_named(kind, fault):
     if fault == "delay":
         assert first.numbers["seconds"] == pytest.approx(case.size, abs=0.15 / case.record.sampling_rate)
     if fault == "drift":
-        # Three releases have few stretches of motion: what is stated says how well they tell it.
+        # Three releases have short motions. The stated deviation of the drift gives the tolerance.
         within = 3e6 * first.numbers["drift_std"] if kind == "free_decay" else 5.0
         assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=within)
 
 
 def damped_record(kind: str, late: float = 0.0, hit: int = 0) -> TimeRecord:
-    """Sensors with noise on all floors of `damped_motion` but 2; `late` delays floor 4, by a whole number of steps."""
+    """Return noisy sensors on all floors of `damped_motion` except 2; floor 4 is `late` by a whole number of steps."""
     rate, finer = 64.0, 5
     moved, base, force, random = copy.deepcopy(damped_motion(kind, hit, rate, finer))
     moved[:, 3] = np.roll(moved[:, 3], round(late * rate * finer))
@@ -68,10 +68,10 @@ def damped_record(kind: str, late: float = 0.0, hit: int = 0) -> TimeRecord:
 
 @functools.cache
 def damped_motion(kind: str, hit: int, rate: float, finer: int):
-    """Five stories at 2 Hz with a dashpot in story 2 alone, 2 to 9 % of damping, modes far from real.
+    """Return the motion of five stories (2 Hz) with a dashpot in story 2: damping of 2 to 9 %, complex modes.
 
-    Exact for forces held over steps a fifth of a sample long. White base motion, a sweep of a shaker, wind, a knock.
-    Accelerations of the floors, the base's, the forces, and the generator of random numbers.
+    The solution is exact for forces held constant over steps of a fifth of a sample. Excitations: white base motion, a
+    shaker sweep, wind, or a knock. Return floor accelerations, base acceleration, forces and the random generator.
     """
     count, random = 5, np.random.default_rng([21, INPUTS.index(kind)])
     drift = np.eye(count) - np.eye(count, k=-1)
@@ -104,7 +104,7 @@ def damped_motion(kind: str, hit: int, rate: float, finer: int):
 
 
 def test_a_damper_is_no_drift_where_one_floor_is_hit_after_another():
-    """The phases that a damper makes change with the floor that is hit, and so with time."""
+    """A damper causes phases that depend on the hit floor, and therefore on time."""
     runs, random = [], np.random.default_rng(3)
     for floor in (1, 5):
         record = damped_record("force", hit=floor)
@@ -118,7 +118,7 @@ def test_a_damper_is_no_drift_where_one_floor_is_hit_after_another():
 
 @pytest.mark.parametrize("drift", [0.0, 6e-5])
 def test_a_drift_from_release_to_release(drift):
-    """Four releases in closed form, a dashpot in story 2; floor 4 is sampled at the times that its own clock shows."""
+    """Four releases in closed form, with a dashpot in story 2; floor 4 is sampled at the times of its own clock."""
     count, rate, random = 5, 30.0, np.random.default_rng(4)
     story = np.eye(count) - np.eye(count, k=-1)
     stiffness = 900.0 * story.T @ np.diag([1.0, 0.9, 0.9, 0.7, 0.6]) @ story
@@ -149,10 +149,10 @@ def test_a_drift_from_release_to_release(drift):
 
 @pytest.mark.parametrize("kind", INPUTS)
 def test_a_damper_is_no_late_clock_and_no_spike(kind):
-    """A sweep passes a damper's phases one after the other, which is no drift; a knock on a sensor's floor no spike."""
+    """The damper's phases appear one by one in a sweep, but are no drift; a knock at a sensor's floor is no spike."""
     record = damped_record(kind)
     assert [finding.message for finding in examined(record).findings] == []
-    if kind != "free_decay":  # one decay of modes so damped has no standard deviations
+    if kind != "free_decay":  # one strongly damped decay has no standard deviations
         accused = {"clock offset", "clock drift", "sign", "swapped channels"}
         assert not accused & {finding.kind for finding in identify_modes(record).findings}
 
@@ -163,7 +163,7 @@ def test_a_late_clock_is_named_beside_a_damper(kind, late):
     record = damped_record(kind, late)
     [finding] = examined(record).findings
     assert (finding.kind, finding.numbers["channel"]) == ("clock offset", "floor4")
-    # The damper's own phases stay, and the deviation says so.
+    # The damper's own phases remain. The deviation includes them.
     within = 4 * finding.numbers["std"] + 1e-4
     assert finding.numbers["seconds"] == pytest.approx(late, abs=within)
     if kind in ("base", "none"):
@@ -180,7 +180,7 @@ def test_places_signs_and_units_are_named(kind, fault):
 
 
 def test_numbers_of_modes_follow_from_repaired_signs():
-    """Six stories, five sensors, the fourth floor's reversed: the lowest mode was called the third."""
+    """Six stories have five sensors, with floor 4 reversed; before the repair, the lowest mode was numbered 3."""
     frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
     record = base_record(frame, 0, noise=0.02, duration=200.0, sampling_rate=42.0)
     kept = [0, 1, 2, 3, 5]
@@ -199,7 +199,7 @@ def test_the_input_is_named_where_most_floors_move_against_it():
 
 @pytest.mark.parametrize(("lowest", "told"), [(0.2, True), (1.2, False)])
 def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest, told):
-    """A table without motion below so many times the first frequency; floor 2 is reversed, floor 3 in g."""
+    """The table has no motion below this multiple of the first frequency; floor 2 is reversed, floor 3 is in g."""
     frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.01)
     record = base_record(frame, 1, noise=0.0, duration=300.0, sampling_rate=50.0)
     (run,), random = record.runs, np.random.default_rng(1)
@@ -213,7 +213,7 @@ def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest
 
 
 def test_a_channel_in_another_unit_and_a_reversed_one_are_told_together():
-    """Modes of a uniform frame of six stories in closed form: floor 4 in g, and floor 2 or floor 4 itself reversed."""
+    """Closed-form modes of a uniform six-story frame: floor 4 is in g, and floor 2 or floor 4 is reversed."""
     floors = np.arange(1, 7)
     angles = np.pi / 13 * np.array([1, 3])
     shapes = np.sin(angles[:, None] * floors)
@@ -231,7 +231,7 @@ def test_a_channel_in_another_unit_and_a_reversed_one_are_told_together():
 
 @pytest.mark.parametrize(("floors", "pair", "turned"), [([1, 2, 4, 5, 6], (1, 3), 1), ([2, 3, 4, 5, 6], (0, 4), 2)])
 def test_two_channels_exchanged_and_one_reversed_are_told(floors, pair, turned):
-    """The modes of a uniform frame of six stories are sines: (2 r - 1) pi / 13 times the floor."""
+    """Mode r of a uniform six-story frame is a sine of (2 r - 1) pi / 13 times the floor."""
     floors = np.array(floors)
     angles = np.pi / 13 * np.array([1, 3])
     shapes = np.sin(angles[:, None] * floors)
@@ -251,7 +251,7 @@ def test_two_channels_exchanged_and_one_reversed_are_told(floors, pair, turned):
 
 
 def test_a_missed_mode_is_weighed_against_a_reversed_channel():
-    """Two sensors and modes two and three of a frame: the ratio of frequencies speaks for a mode that was missed."""
+    """With two sensors and the second and third modes, the frequency ratio indicates a missed mode."""
     frequencies, shapes = KnownFrame(np.ones(6), np.ones(6), 0.01).modes()
     floors = np.array([2, 6])
     best = weighed(frequencies[1:3], shapes[1:3][:, floors - 1], floors, 6)[0]
@@ -262,7 +262,7 @@ def test_a_missed_mode_is_weighed_against_a_reversed_channel():
 
 @pytest.mark.parametrize("kept", [[0, 1, 3], [0, 2, 3], [1, 2, 3]])
 def test_poles_of_noise_take_no_number(kept):
-    """Two modes of four lie below half the sampling rate; between them the model has stable poles of noise."""
+    """Two of four modes lie below half the sampling rate; the model has stable noise poles between them."""
     frame = KnownFrame(np.array([20.3, 19.8, 20.1, 16.2]), np.array([55e3, 63e3, 47e3, 41e3]), 0.015)
     result = identify_modes(only(base_record(frame, 1, noise=0.01, duration=300.0), np.array(kept)), method="subspace")
     np.testing.assert_array_equal(result.modes, [1, 2])
@@ -278,7 +278,7 @@ def test_missing_modes_are_said_only_where_some_are_missing():
 
 
 def test_a_mode_found_twice_is_said_and_takes_one_number():
-    """Two runs of one record, between which every story lost 5 % of its stiffness."""
+    """The record has two runs; every story lost 5 % of its stiffness between them."""
     weaker = dataclasses.replace(PAPER_FRAME, stiffnesses=0.95 * PAPER_FRAME.stiffnesses)
     before, after = (base_record(frame, 3, noise=0.002, duration=400.0) for frame in (PAPER_FRAME, weaker))
     result = identify_modes(dataclasses.replace(before, runs=(before.runs[0], after.runs[0])))
@@ -287,7 +287,7 @@ def test_a_mode_found_twice_is_said_and_takes_one_number():
 
 
 def test_a_second_opinion_of_every_mode():
-    """Against the frame's own modes, not against the first opinion."""
+    """Compare the second opinion with the frame's own modes, not with the first opinion."""
     result = identify_modes(base_record(PAPER_FRAME, 0, noise=0.01, duration=300.0), second="okid")
     said = [item.numbers for item in result.findings if item.kind == "second opinion"]
     assert [(item["mode"], item["agrees"]) for item in said] == [(1, True), (2, True), (3, True)]
@@ -318,13 +318,13 @@ def test_a_second_opinion_compares_the_nearest_mode_of_the_same_shape():
         "mode": 1, "method": "other", "agrees": True, "frequency": pytest.approx(1.98), "change": pytest.approx(-0.01),
         "mac": pytest.approx(mac),
     }  # fmt: skip
-    # The second differs by 5.2 % in frequency, the third in shape.
+    # The second mode differs by 5.2 % in frequency, the third in shape.
     assert [(each.numbers["mode"], each.numbers["agrees"]) for each in (second, third)] == [(2, False), (3, False)]
     assert [each.numbers["frequency"] for each in more] == [2.05, 5.26, 9.1]
 
 
 def torsional_record() -> tuple[TimeRecord, float]:
-    """A sway record whose roof turns at 1.6 Hz, seen by two sensors at unequal distances from the centre."""
+    """Return a sway record with roof rotation at 1.6 Hz, seen by two sensors at unequal distances from the center."""
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=300.0)
     run, random = record.runs[0], np.random.default_rng(1)
     turning = signal.lfilter(*signal.iirpeak(1.6, 30, fs=20), random.standard_normal(run.samples))
@@ -348,7 +348,7 @@ def test_two_sensors_on_a_floor_are_its_motion_and_its_rotation():
     [((1.3, -0.7), (0.35, 0.65)), ((0.5, 2.0), (4 / 3, -1 / 3)), ((2.0, 2.5), (0.5, 0.5)), ((None, 1.0), (0.5, 0.5))],
 )
 def test_the_floors_center_follows_from_the_positions(places, weights):
-    """Sensors at y1 and y2 across show U - t y: U is (y2 u1 - y1 u2) / (y2 - y1), unless that extrapolates far."""
+    """Sensors at y1 and y2 measure U - t y: U is (y2 u1 - y1 u2) / (y2 - y1), unless this extrapolates far."""
     record, _ = torsional_record()
     channels = (
         *record.channels[:2],
@@ -364,7 +364,7 @@ def test_the_floors_center_follows_from_the_positions(places, weights):
 
 
 def test_a_roof_that_turns_with_the_sway_is_said_mode_by_mode():
-    """With the positions declared the shapes are those of the centers, though the roof turns in its second mode."""
+    """With declared positions, the shapes belong to the centers, although the roof rotates in the second mode."""
     record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
     run = record.runs[0]
     second = PAPER_FRAME.modes()[0][1]
@@ -391,7 +391,7 @@ def test_two_sensors_that_contradict_each_other_are_refused(factor, said):
 
 
 def test_a_center_somewhere_between_two_sensors_makes_its_entries_as_uncertain():
-    """The roof turns by a fifth of its sway about a center that is nearer to one sensor."""
+    """The roof rotates by a fifth of its sway; its center is closer to one sensor."""
     record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
     run = record.runs[0]
     top = run.responses[:, 2]
@@ -403,12 +403,12 @@ def test_a_center_somewhere_between_two_sensors_makes_its_entries_as_uncertain()
     np.testing.assert_allclose(ratio, 1.1, rtol=0.02)
     largest = np.abs(result.mode_shapes).max(axis=1)
     stated = result.entry_std[:, 2] * largest / np.abs(result.mode_shapes[:, 2])
-    # Half of the difference is 0.2 of 1.1, and uniform between the sensors.
+    # Half of the difference is 0.2 of 1.1, with a uniform distribution between the sensors.
     np.testing.assert_allclose(stated, 0.2 / 1.1 / np.sqrt(3.0), rtol=0.05)
 
 
 def test_one_sensor_beside_the_center_is_as_uncertain_as_the_other_floors_turn():
-    """The roof turns by 0.2 of 1.1 a metre; a sensor half a metre off the center then errs by half of that."""
+    """The roof rotates by 0.2 / 1.1 per meter; a sensor 0.5 m off the center errs by half of this."""
     record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
     run = record.runs[0]
     top = run.responses[:, 2]
@@ -464,7 +464,7 @@ def test_between_two_records_a_gain_is_a_cable_and_damage_is_not(gain, lost, nam
 
 
 def cabled(factors, *, floors=5, modes=5, hurt=1.0):
-    """What is found between the modes of a frame and those with factors on entries, mode by mode at another scale."""
+    """Return findings between a frame's modes and modes with factors on entries, each mode scaled differently."""
     stiffnesses = np.full(5, 8e5)
     frequencies, shapes = KnownFrame(np.full(5, 1e3), stiffnesses, 0.01).modes()
     stiffnesses[2] *= hurt
@@ -486,12 +486,12 @@ ROWS = np.linspace(1.0, 1.4, 5)[:, None]
         ([1, 1, 1, 1, 0.7], {"floors": 3}, (5, 0.7, "floor 5 reads 0.700 times as much")),
         ([1, -1, 1, 1, 1], {}, (2, -1.0, 'floor 2 is reversed in "after" as against "before"')),
         ([1, 1, 1.2, 1, 1], {"modes": 2}, (3, 1.2, "floor 3")),
-        # Less than an instrument drifts by; two at a time; another factor in each mode; damage.
+        # No finding: less than an instrument's drift; two channels; a different factor in each mode; damage.
         ([1, 1, 1.02, 1, 1], {}, None),
         ([1, 1, 1.2, 1.1, 1], {}, None),
         (np.where(np.arange(5) == 2, ROWS, 1.0), {}, None),
         ([1, 1, 1, 1, 1], {"hurt": 0.6}, None),
-        # Too little to tell from.
+        # Too few modes or floors.
         ([1, 1, 1, 1, 1.2], {"floors": 2}, None),
         ([1, 1, 1, 1, 1.2], {"modes": 1}, None),
     ],
@@ -567,7 +567,7 @@ def test_units_of_a_table(unit, factor, quantity):
 
 
 class DataArray:
-    """What of xarray's class is read: values, dims, and coords whose entries have values."""
+    """Stand-in for xarray's class with the attributes that are read: values, dims, and coords with values."""
 
     def __init__(self, values, dims, coords):
         self.values, self.dims = values, dims
@@ -646,7 +646,7 @@ def test_a_measurement_file_without_a_mass_is_read_with_a_placeholder(tmp_path):
     ],
 )
 def test_a_wrong_unit_is_said_beside_the_declared_one(declared, times, expected, unit):
-    """The lowest modes of a uniform frame of five stories; floor 2 shows so many times what the others do."""
+    """Lowest modes of a uniform five-story frame; floor 2 reads this multiple of the true motion."""
     frequencies, shapes = modes_of(np.full(5, 10.0), np.full(5, 2e4))
     shapes[:, 1] *= times
     channels = [Channel(f"acc {floor}", floor, unit=declared if floor == 2 else None) for floor in range(1, 6)]
@@ -684,5 +684,5 @@ def test_what_is_probable_but_not_sure_is_said_with_odds_that_make_up_the_whole(
 
 
 def test_what_a_release_leaves_in_the_model_is_no_spike():
-    """The model of spikes looks 24 samples back: nine after this release it errs by ten of its deviations."""
+    """The spike model uses the 24 preceding samples; nine samples after this release, its error is ten deviations."""
     assert "spikes" not in {finding.kind for finding in examined(sound_record(120002, "free_decay")).findings}

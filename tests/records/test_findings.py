@@ -1,4 +1,4 @@
-"""The sentences about records: each is said somewhere, and whoever says it fills every gap of it."""
+"""Test the messages about records: each is used, and each use fills all its gaps."""
 
 import ast
 from pathlib import Path
@@ -10,20 +10,20 @@ from cvxshear.records.result import OVERLOOKED_KIND
 
 
 def keys_of(node, named):
-    """Keys of a dict that stands in a call, one given by name or spread into another among them."""
+    """Return the keys of a dict in a call, with the keys of named and spread dicts."""
     if isinstance(node, ast.Name):
         return named.get(node.id, set())
     if not isinstance(node, ast.Dict):
         return set()
     found = set()
     for key, value in zip(node.keys, node.values, strict=True):
-        # None stands for a dict that is spread out.
+        # A key of None marks a spread dict.
         found |= keys_of(value, named) if key is None else {key.value} if isinstance(key, ast.Constant) else set()
     return found
 
 
 def said():
-    """Key of the sentence and the names that fill its gaps, for each call of `finding` in the package."""
+    """Return the message's key and the names for its gaps, for each call of `finding` in the package."""
     for path in Path(cvxshear.__file__).parent.rglob("*.py"):
         for function in (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)):
             named = {}

@@ -1,4 +1,4 @@
-"""Readers and writers: the same record by every road, and modes out and in again."""
+"""Test readers and writers: the same record in every format, and a round trip of modes."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_mat_that_is_none(tmp_path):
 
 
 def universal(path, values, kinds, step=0.02):
-    """Data sets 58 by pyuff: real time histories of nodes 1 and 2 and a force."""
+    """Write data sets 58 by pyuff: real time histories of nodes 1 and 2 and a force."""
     pyuff = pytest.importorskip("pyuff")
     sets = [
         pyuff.prepare_58(
@@ -261,7 +261,7 @@ def test_an_unknown_mass_is_said(tmp_path):
 
 
 def test_modes_are_identified_without_a_reader_or_a_writer():
-    """`formats` makes records of `modal`, so `modal` imports nothing of it, not even inside a function."""
+    """`formats` builds records of `modal`. Therefore `modal` must not import from it, not even in a function."""
     for path in (Path(cvxshear.__file__).parent / "modal").glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []

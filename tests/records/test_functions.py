@@ -1,4 +1,4 @@
-"""Measured functions against the dynamic stiffness, coherence against its closed form, and poles picked by hand."""
+"""Test measured functions against dynamic stiffness, coherence against its closed form, and manually chosen poles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def hammer():
 
 
 def accelerance(lines):
-    """Of the paper's frame by its dynamic stiffness, shape (lines, outputs, inputs)."""
+    """Return the accelerance of the paper's frame from its dynamic stiffness, shape (lines, outputs, inputs)."""
     frequencies, shapes = PAPER_FRAME.modes()
     mass = np.diag(PAPER_FRAME.masses)
     damper = mass @ shapes.T @ np.diag(4 * np.pi * PAPER_FRAME.damping * frequencies) @ shapes @ mass
@@ -105,7 +105,7 @@ def test_a_mode_left_out_by_hand_is_not_called_missing():
 
 
 def test_poles_out_of_reach_are_told_up_to_the_frequency_asked_for():
-    """The first mode and one that is not there: the record is not decimated until the third is out of sight."""
+    """Request the first mode and a missing one: decimation must keep the third mode in the band."""
     record = shaker_record(PAPER_FRAME, 0, noise=0.01, floor=3, duration=120.0, sampling_rate=64.0)
     with pytest.raises(InputError, match=r"no stable pole of its own within 3 % of 20 Hz; there are .*3\.28"):
         identify_modes(record, pick=[1.03, 20.0])
@@ -117,7 +117,7 @@ def test_what_was_not_kept_is_said():
 
 
 def test_a_blow_of_one_sample_reaches_half_the_sampling_rate():
-    """Its spectrum is flat; that of half a sine of 8 samples is weak before 3 / 16 of the rate, where it vanishes."""
+    """The spectrum of one sample is flat; a half sine of 8 samples is weak before its zero at 3 / 16 of the rate."""
     answers = np.random.default_rng(1).standard_normal((512, 1))
 
     def reached(blow):

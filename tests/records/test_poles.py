@@ -1,4 +1,4 @@
-"""Poles and modes: stable poles, their energy, their average and their residues, against closed forms."""
+"""Test stable poles, their energy, average and residues, and modes, against closed forms."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def poles(order, *modes):
 
 
 def test_stable_poles_and_their_clusters():
-    """From one order to the next: 1 % of frequency, half of the damping or of 0.01, MAC 0.95."""
+    """The limits between successive orders are 1 % of frequency, half of the damping or 0.01, and MAC 0.95."""
     up, turned, off = [1.0, 1.0], [1.0, 0.7], [1.0, 0.5]
     sweep = [
         poles(2, (5.0, 0.02, up), (9.0, 0.004, up), (20.0, 0.01, up), (49.5, 0.01, up), (30.0, 0.11, up)),
@@ -32,16 +32,16 @@ def test_stable_poles_and_their_clusters():
     stable = stable_poles(sweep, 100.0, Criteria())
     assert stable == [[], [0, 1], [0, 3]]
     assert clusters(sweep, stable, Criteria()) == [[(1, 0), (2, 3)], [(1, 1)], [(2, 0)]]
-    # In the third order a second pole with the same shape is near; the second order has no such pole.
+    # The third order has a second pole with the same shape nearby; the second order has no such pole.
     assert undivided([(1, 0), (2, 3)], sweep, Criteria()) == [(1, 0)]
     assert undivided([(2, 3)], sweep, Criteria()) == [(2, 3)]
-    # An exponential window adds 0.4 /s of decay: 0.013 of damping ratio at 5 Hz, and more than the pole has at 9 Hz.
+    # An exponential window adds 0.4 /s of decay: a damping ratio of 0.013 at 5 Hz; at 9 Hz, more than the pole has.
     assert stable_poles(sweep[:2], 100.0, Criteria(highest_damping=0.02), shift=0.4) == [[], [0]]
     assert stable_poles(sweep[:2], 100.0, Criteria(highest_damping=0.008))[1] == []
 
 
 def test_the_energy_of_a_mode():
-    """Two modes hardly overlap, so each has its own sum of squares. The third mode is not listed."""
+    """The overlap of two modes is negligible, so each has its own sum of squares. The third mode is not listed."""
     rate, time = 50.0, np.arange(400) / 50.0
     values = 2 * np.pi * np.array([3.0, 11.0, 20.0]) * np.exp(1.6j)
     shapes = np.array([[1.0, 2.0], [1.0, -1.0], [0.5, 1.0]])

@@ -1,4 +1,4 @@
-"""The measured records of shared/data, with one set of defaults; figures of the issue."""
+"""Test the measured records of shared/data with the default settings; expected values come from the issue."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STIFF = ([7.82, 25.05, 39.75], [(0.429, 0.831, 1), (1, 0.251, -0.792), (-0.680, 
 
 @functools.cache
 def mini(name, **options):
-    """The result for one record of the mini table; several tests ask for the same."""
+    """Return the (cached) result for one record of the mini table."""
     with tempfile.TemporaryDirectory() as folder:
         return modes_from_file(mini_table(Path(folder), name), **options)[0]
 
@@ -30,7 +30,7 @@ def test_mini_table(name, expected):
     frequencies, shapes = expected
     result = mini(name)
     np.testing.assert_allclose(result.frequencies, frequencies, rtol=0.005)
-    # The figures are real parts: where a clock is late they are the moduli times the cosine of the phase it makes.
+    # The expected values are real parts: for a late clock, modulus times the cosine of the clock's phase.
     moduli = np.array(shapes, dtype=float)
     late = next(finding.numbers for finding in result.findings if finding.kind == "clock offset")
     moduli[2, 2] /= np.cos(np.radians(late["before_degrees"]))
@@ -44,7 +44,7 @@ def test_mini_table(name, expected):
 @needs_mini_table
 @pytest.mark.parametrize("name", ["flexible-northridge", "stiff-northridge"])
 def test_late_sensor_of_the_mini_table(name):
-    """The third floor's clock is 1 to 3 ms late, in both records."""
+    """The third floor's clock is 1 to 3 ms late in both records."""
     result = mini(name)
     late = [finding for finding in result.findings if finding.kind == "clock offset"]
     third = [finding.numbers["seconds"] for finding in late if finding.numbers["channel"] == "floor3_x"]
@@ -56,9 +56,9 @@ def test_late_sensor_of_the_mini_table(name):
 @needs_mini_table
 @pytest.mark.parametrize(("sine", "earthquake"), [("stiff-sine-2.0", "stiff-northridge")])
 def test_a_sensor_a_sample_off_changes_no_shape(sine, earthquake):
-    """The sine record has its first floor's sensor one sample of 120 Hz later than the earthquake's has it.
+    """In the sine record, the first floor's sensor is one sample of 120 Hz later than in the earthquake record.
 
-    In both the sensors of the two floors are some tenths of a millisecond apart besides.
+    In both records, the sensors of the two floors also differ by some tenths of a millisecond.
     """
     first, second = mini(sine), mini(earthquake)
     apart = [each.clock_offsets["floor1_x"][0] - each.clock_offsets["floor2_x"][0] for each in (first, second)]
@@ -110,7 +110,7 @@ def test_southampton_is_not_reciprocal(tmp_path):
 
 @needs_southampton
 def test_southampton_was_cut_off(tmp_path):
-    """Mode 1 rings on after 32 s, exp(-0.0017 * 2 pi 6.51 * 32) = 0.11; the masses depend on how that is read."""
+    """Mode 1 still vibrates at 32 s, exp(-0.0017 * 2 pi 6.51 * 32) = 0.11; its correction affects the masses."""
     result, _ = modes_from_file(southampton(tmp_path))
     leak = next(finding for finding in result.findings if finding.kind == "leakage")
     assert leak.numbers["left"] == pytest.approx(0.108, abs=0.01)

@@ -1,4 +1,4 @@
-"""Modes of records integrated exactly from a known frame; figures of the issue, twenty seeds by the study."""
+"""Test modes of exactly integrated records of a known frame; expected values come from the issue."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.records.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS
 from tests.response.common import matrices
 
 PAPER_FREQUENCIES = [1.0336, 2.2099, 3.2812]
-"""As the paper prints them."""
+"""Frequencies printed in the paper."""
 
 
 def test_known_frame_has_the_papers_frequencies():
@@ -55,7 +55,7 @@ def test_integration_agrees_with_a_general_solver():
 
 @pytest.mark.parametrize("hits", [2, 4])
 def test_a_floor_that_loses_a_hit_counts_as_much_as_before(hits):
-    """Without noise the hits left give the same matrix, but for the blows' places between two samples."""
+    """Without noise, the remaining hits give the same matrix except for the positions of blows between samples."""
     record = hammer_record(PAPER_FRAME, 2, noise=0.0, floors=(1, 3), hits=hits)
     source = source_of(record, "era")
     whole = source.factor()
@@ -75,7 +75,7 @@ def test_accuracy_with_measured_input(kind: str, noise: float):
 
 @pytest.mark.parametrize("noise", [0.01, 0.05])
 def test_accuracy_of_twenty_ambient_minutes(noise: float):
-    """Frequencies within 0.2 % in the mean square; single ones scatter as no estimator can help.
+    """Frequencies have a root mean square error of 0.2 %; single ones have the scatter of any estimator.
 
     The variance of a frequency from a long ambient record is at least f^2 zeta / (2 pi f T) (Au 2014,
     "Uncertainty law in ambient modal identification", MSSP 48): 0.11, 0.08, 0.06 % here.
@@ -94,7 +94,7 @@ def test_subspace_method_is_as_accurate():
 
 
 def test_stated_deviations_hold():
-    # A ratio from eight short records scatters by a quarter, the middle of nine such ratios by less.
+    # The deviation ratio of eight short records scatters by a quarter. The median of nine ratios scatters less.
     found = scatter("base", noise=0.05, seeds=8, duration=120.0)
     frequency, shape = found.stated_over_seen()
     ratios = np.concatenate([frequency, shape[np.isfinite(shape)]])
@@ -124,7 +124,7 @@ def test_from_record_to_masses(maker, frame):
 
 
 def two_story_decay(seed: int, noise: float, window: float | None = None) -> TimeRecord:
-    """Free decay of the two-story frame from both modes at once, of 0.5 % damping, by its closed form."""
+    """Return the two-story frame's free decay in both modes, with 0.5 % damping, in closed form."""
     time = np.arange(4000) / 100.0
     omega = 2 * np.pi * TWO_STORY_FREQUENCIES
     modal = np.exp(-0.005 * omega * time[:, None]) * np.cos(omega * np.sqrt(1 - 0.005**2) * time[:, None] + [0.3, 1.1])
@@ -153,7 +153,7 @@ def test_exponential_window_is_taken_out():
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_modes_that_a_soft_hammer_hardly_reaches_are_not_bent(seed):
-    """The blow's spectrum is nil at 15 Hz, and has 0.15 % of its largest power at the highest mode, 14.1 Hz."""
+    """The blow's spectrum vanishes at 15 Hz and is 0.15 % of its maximum at the highest mode, 14.1 Hz."""
     frame = KnownFrame(np.full(5, 10.0), np.full(5, 21400.0), 0.01)
     frequencies, _ = frame.modes()
     assert 14.0 < frequencies[-1] < 14.2
@@ -164,7 +164,7 @@ def test_modes_that_a_soft_hammer_hardly_reaches_are_not_bent(seed):
 
 
 def test_pieces_that_tell_more_weigh_more_in_the_jackknife():
-    """The weighted mean of values of variance 1 / weight has a variance of 1 / the sum of the weights."""
+    """The weighted mean of values with variance 1 / weight has the variance 1 / (sum of the weights)."""
     random = np.random.default_rng(3)
     weights = np.array([1.0, 2.0, 4.0, 8.0, 3.0, 5.0])
     groups = np.array([0, 0, 0, 0, 1, 1])
@@ -182,7 +182,7 @@ def test_pieces_that_tell_more_weigh_more_in_the_jackknife():
         assert lost == 0
     expected = np.array([1 / 15, 1 / 8, 1 / 15 + 1 / 8])
     np.testing.assert_allclose(np.mean(found, axis=0), expected, rtol=0.1)
-    # A chi-square of n degrees of freedom has the variance 2 n.
+    # A chi-square with n degrees of freedom has the variance 2 n.
     np.testing.assert_allclose(freedom[:2], 2 * expected[:2] ** 2 / np.var(found, axis=0)[:2], rtol=0.2)
     assert 1 <= freedom[2] <= 4
 
@@ -191,7 +191,7 @@ def test_pieces_that_tell_more_weigh_more_in_the_jackknife():
     ("hits", "how"), [(3, "jackknife over 9 hits"), (1, "jackknife over 3 driving points, at least 20 surrogates'")]
 )
 def test_the_scatter_of_few_hits_does_not_stand_alone(hits, how):
-    """Three driving points; surrogates can but make a deviation larger."""
+    """There are three driving points; surrogates can only increase a deviation."""
     record = hammer_record(PAPER_FRAME, 4, noise=0.01, hits=hits, duration=40.0)
     assert identify_modes(record).to_dict()["uncertainty"] == how
 
@@ -207,7 +207,7 @@ def test_a_band_decimates_and_keeps_the_modes():
 
 
 def test_a_tall_frame_has_all_its_modes_each_with_its_number():
-    """Twelve modes ask for more than thirty states, and the highest have entries that are hardly more than noise."""
+    """Twelve modes require more than thirty states; some entries of the highest modes are hardly above the noise."""
     frame = KnownFrame(np.full(12, 10.0), np.linspace(40000.0, 25000.0, 12), 0.01)
     result = identify_modes(base_record(frame, 1, noise=0.02, duration=300.0, sampling_rate=50.0))
     assert result.modes.tolist() == list(range(1, 13))
@@ -225,7 +225,7 @@ def test_changes_of_sign_where_small_entries_can_have_either(seed):
 
 
 def test_few_sensors_on_a_tall_frame_bend_no_mode():
-    """Observers of 20 lags put modes 10 to 13 up to six of their standard deviations off."""
+    """Observers of 20 lags would bias modes 10 to 13 by up to six standard deviations."""
     frame = KnownFrame(np.linspace(420e3, 300e3, 14), np.linspace(900e6, 350e6, 14), 0.015)
     record = base_record(frame, 1, noise=0.03, duration=600.0, sampling_rate=50.0)
     kept = [0, 3, 6, 9, 13]
@@ -238,7 +238,7 @@ def test_few_sensors_on_a_tall_frame_bend_no_mode():
 
 
 def test_noise_of_the_sensors_bends_no_weak_mode():
-    """Unweighted, noise in the strong modes' singular vectors put the sixth 0.9 of its deviations low on average."""
+    """Without weights, noise in the strong modes' singular vectors would bias the sixth mode low by 0.9 deviations."""
     frame = KnownFrame(np.full(7, 1000.0), np.full(7, 2.5e6), 0.01)
     truth, off = frame.modes()[0][5], []
     for seed in range(5):
@@ -252,7 +252,7 @@ def test_noise_of_the_sensors_bends_no_weak_mode():
 
 @pytest.mark.parametrize("method", ["subspace", "okid"])
 def test_the_highest_of_six_modes_is_within_its_deviations(method):
-    """OKID's observer bends it by ten of those that the scatter alone would state: 5 % of noise, every floor."""
+    """OKID's observer biases this mode by ten deviations of the scatter: noise 5 %, sensors at every floor."""
     frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.03)
     found = identify_modes(base_record(frame, 1, noise=0.05, duration=300.0, sampling_rate=42.0), method=method)
     np.testing.assert_array_equal(found.modes, np.arange(1, 7))
@@ -263,7 +263,7 @@ def test_the_highest_of_six_modes_is_within_its_deviations(method):
 
 
 def test_no_damping_is_stated_as_known_better_than_a_hundredth_of_itself():
-    """A record without noise scatters by less than any two tests of a frame do."""
+    """A record without noise scatters less than two tests of a frame."""
     found = identify_modes(base_record(PAPER_FRAME, 0, noise=0.0, duration=200.0))
     assert np.all(found.damping_std < 1e-4 * found.damping_ratios)
     assert found.configuration()["damping_ratio_std"] == pytest.approx([0.01] * 3)
@@ -274,7 +274,7 @@ def test_no_damping_is_stated_as_known_better_than_a_hundredth_of_itself():
 
 @pytest.mark.parametrize("seed", [5, 7])
 def test_a_strong_dashpot_in_one_story_takes_no_mode_for_another(seed):
-    """The phases that it leaves are no clock's: the second mode, of 9 % damping, changes sign once as it was found."""
+    """The dashpot causes the phases, not a clock; the second mode (9 % damping) is found with one sign change."""
     rng = np.random.default_rng(seed)
     stories, rate = 4, 100.0
     M, _, K = matrices(np.full(stories, 10.0), np.linspace(1.2, 0.8, stories) * 2e4, np.zeros(stories))

@@ -1,4 +1,4 @@
-"""Sampling rates behind rounded time stamps: found where they are one, refused where a sample is missing."""
+"""Test sampling rates from rounded time stamps: a constant rate is found, a missing sample is refused."""
 
 from __future__ import annotations
 

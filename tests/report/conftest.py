@@ -1,4 +1,4 @@
-"""Results that every test of figures and reports looks at; made once for all processes."""
+"""Provide results for all tests of figures and reports, computed once for all processes."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from tests import closed
 from tests.fe.experiments import simulated
 
 NASTY = '<img src="http://example.org/x" onerror="alert(1)"> $a_$ & 结构'
-"""A name that a page, a figure or a formula could stumble over."""
+"""Name with characters that are special in HTML, figures or formulas."""
 
 
 def experiment(effect, stories, configurations=2, seed=3, **options):
@@ -53,7 +53,7 @@ def twenty():
 
 @pytest.fixture(scope="session")
 def nine():
-    """Nine configurations, the fifth with a mass that nobody declared."""
+    """Return nine configurations; the fifth has an undeclared mass."""
     return closed.close_loop(
         cvxshear.Experiment.from_dict(experiment("added_mass", 3, 9), name="nine states"),
         effects=["added_mass", "gravity"],
@@ -62,7 +62,7 @@ def nine():
 
 @pytest.fixture(scope="session")
 def ambiguous():
-    """One configuration, in which columns that stretch look like joints that turn."""
+    """Return one configuration with column elongation that resembles joint rotation."""
     result = closed.close_loop(
         cvxshear.Experiment.from_dict(experiment("axial_columns", 3, 1, noise=0.002), name="one test"),
         effects=["axial_columns", "joint_rotation", "mass_coupling"],
@@ -88,7 +88,7 @@ def comparison(paper):
 
 @pytest.fixture
 def no_heights(paper):
-    """The paper's result as if no heights had been declared."""
+    """Return the paper's result without declared heights."""
     frame = dataclasses.replace(paper.experiment.frame, story_heights=None)
     experiment = dataclasses.replace(paper.experiment, frame=frame)
     return cvxshear.identify(experiment, method="two-stage")

@@ -1,7 +1,6 @@
-"""Reports opened in a real browser, a headless Chromium.
+"""Test reports in a real browser, a headless Chromium.
 
-Where no Chromium is on the PATH these tests are skipped, but in continuous integration (CI in the environment),
-where they fail.
+Without a Chromium on the PATH, these tests are skipped. In continuous integration (CI in the environment), they fail.
 """
 
 import json
@@ -44,11 +43,11 @@ port = 20000 + os.getpid() % 20000
 matplotlib.rcParams |= {"webagg.port": port, "webagg.port_retries": 500, "webagg.open_in_browser": False}
 identify_modes(hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2)).pick(sys.argv[1])
 """
-"""A script that opens the stabilization diagram of the paper's frame as a browser page."""
+"""Script that opens the stabilization diagram of the paper's frame as a browser page."""
 
 
 def missing(what):
-    """Skip, or fail where the tests must run."""
+    """Skip, or fail if the tests are mandatory."""
     if os.environ.get("CI"):
         pytest.fail(f"the browser tests need {what}")
     pytest.skip(f"needs {what}")
@@ -85,13 +84,13 @@ def reports(paper, eight, unexplained, comparison, shared_drawings, tmp_path_fac
 
 @pytest.fixture(scope="module")
 def pages():
-    """The reports that are open, by name; to load one takes longer than to look at it in another way."""
+    """Return the open reports by name, because loading a report is slower than a change of view."""
     return {}
 
 
 @pytest.fixture
 def opened(browser, reports, pages):
-    """Look at a report; at the end nothing was complained of, and nothing was asked for but the file itself."""
+    """Open a report; at the end, check that it gave no errors and loaded no other file."""
     called = []
 
     def load(name):
@@ -120,7 +119,7 @@ def opened(browser, reports, pages):
 
 
 def visible(page, selector):
-    """The drawings that are shown: of a figure with two forms the one that fits the page."""
+    """Return the visible drawings: for a figure with two forms, the form for this page width."""
     return [each for each in page.query_selector_all(selector) if each.is_visible()]
 
 
@@ -144,7 +143,7 @@ def test_the_page_says_what_the_json_says(opened, reports, name):
         for side, cell, written in zip(("before", "after"), row.query_selector_all("td"), said.cells[1:], strict=True):
             assert json.loads(cell.get_attribute("data-exact")) == result[side][key]
             assert cell.inner_text() == written
-    # A row a floor, and their sum.
+    # The table has one row per floor and their sum.
     assert len(page.query_selector_all("#identified tbody tr")) == len(result["frame"]["floor_mass"]) + 1
     for effect in result["effects"]:
         assert effect["size"].removesuffix(")")[1:] in page.inner_text("#headline")
@@ -193,7 +192,7 @@ def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, 
     assert len(drawings) == figures
     for drawing in drawings:
         shown, natural = drawing.bounding_box()["width"], float(drawing.get_attribute("width"))
-        # The smallest letters are 6.5 points of a drawing of natural width, which is 1.4 pixels a point.
+        # The smallest letters have 6.5 points in a drawing of natural width, with 1.4 pixels per point.
         assert 0.85 * natural <= shown <= natural
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     ids = page.evaluate("[...document.querySelectorAll('[id]')].map(each => each.id)")
@@ -245,7 +244,7 @@ def test_the_report_is_whole_without_scripts_and_a_mouse(browser, reports):
     assert page.inner_text("#verdict") == "explained"
     assert not page.is_visible("#play")
     assert page.query_selector("svg.mode .column").bounding_box()["width"] > 5
-    # The first stop of a keyboard leads to the result.
+    # The first Tab stop is the link to the result.
     page.keyboard.press("Tab")
     assert page.inner_text(":focus") == "To the result"
     context.close()
@@ -263,14 +262,14 @@ def test_nothing_is_cut_off_on_paper(opened, name, tmp_path):
 
 @pytest.fixture
 def picking(tmp_path):
-    """The address of a stabilization diagram that a script of its own shows, and the record file that it writes to."""
+    """Yield the address of a stabilization diagram from a separate script, and the script's record file."""
     pytest.importorskip("tornado", reason="matplotlib's browser pages need the package tornado")
     file = tmp_path / "record.toml"
     file.write_text('[record]\ninput = "force"\n')
     environment = {**os.environ, "MPLBACKEND": "webagg"}
     command = [sys.executable, "-c", PICKED, str(file)]
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
-        # It takes a port that is free, and says which.
+        # The script chooses a free port and prints it.
         line = process.stdout.readline()
         address = re.search(r"http://127\.0\.0\.1:\d+", line)
         assert address, line
@@ -288,14 +287,14 @@ LINES = """() => {
   }
   return found.map((x) => x * canvas.clientWidth / canvas.width);
 }"""
-"""Where the lines through the chosen poles stand in the picture, in pixels of the page."""
+"""Positions of the lines through the chosen poles in the picture, in pixels of the page."""
 
 GLANCE = 100
-"""ms between two looks at the picture; to read it at every frame would keep the browser busy with that."""
+"""Interval between two checks of the picture, ms; a check at every frame would keep the browser busy."""
 
 
 def test_a_click_in_a_browser_chooses_a_pole_and_is_written(browser, picking):
-    """A click on the line of the second mode gives it up, another chooses it again."""
+    """A click on the line of the second mode removes it; a second click restores it."""
     address, file = picking
     page = browser.new_page(viewport=DESKTOP)
     said = []

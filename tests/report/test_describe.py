@@ -1,4 +1,4 @@
-"""One description of a result: what it says, and that terminal, prompt, page and notebook show the same of it."""
+"""Test the description of a result: its facts, and their equality in terminal, prompt, page and notebook."""
 
 import dataclasses
 import math
@@ -60,7 +60,7 @@ def test_the_headline_of_an_explained_frame_names_size_probability_and_errors(pa
 
 
 def test_what_to_test_next_says_one_thing_of_what_may_be_there_besides(paper):
-    """Where candidates are left the averaged frame allows for them; where none is, no test is needed."""
+    """If candidates remain, the averaged frame includes them; otherwise, no test is needed."""
 
     def said(result):
         (section,) = (each for each in describe(result).sections if each.key == "next")
@@ -124,7 +124,7 @@ def test_an_adequate_headline_says_within_which_noise(paper):
 
 
 def test_the_headline_names_the_error_of_the_data_that_carried_the_verdict(paper):
-    """A gain of a sensor moves no frequency: whatever speaks for it are the shapes."""
+    """A sensor gain changes no frequency, so its evidence lies in the shapes."""
     tested = cvxshear.Experiment.from_dict(experiment("sensor_gain", 3), name="gain")
     found = close_loop(tested, effects=["sensor_gain"])
     assert found.effects[0].placed.effect.name == "sensor_gain"
@@ -134,7 +134,7 @@ def test_the_headline_names_the_error_of_the_data_that_carried_the_verdict(paper
     first, last = (step.estimate.quality.max_shape_error for step in (found.before, found.after))
     assert f"the largest mode-shape error falls from {100 * first:.2f} % to {100 * last:.2f} %" in headline(found)
     assert "The evidence lies in the mode shapes" in terminal.text(found, width=1000)
-    # By kind of data the residual is the whole chi-square: nothing else was known beforehand.
+    # By kind of data, the residual is the whole chi-square, because there is no prior.
     assert sum(chi2_by_kind(paper.estimate).values()) == pytest.approx(paper.estimate.chi2)
     same = headline(dataclasses.replace(paper, steps=(paper.after, paper.after)))
     assert "the largest frequency error stays at 0.34 %" in same
@@ -156,7 +156,7 @@ def test_a_verdict_from_outside_has_its_words_everywhere(paper, comparison, monk
     found = dataclasses.replace(paper, verdict="postponed")
     said = terminal.text(found, width=1000)
     assert said.startswith("POSTPONED: look again at ")
-    # A part of the template for which the result has nothing is left out.
+    # A part of the template without data in the result is omitted.
     assert "probable); the largest frequency error falls" in said.splitlines()[0]
     assert "Somebody must look again." in said
     assert "Look again." in describe(found)["next"].parts[0].text
@@ -304,7 +304,7 @@ def test_a_wide_table_is_folded_and_loses_nothing():
 
 
 def test_headers_that_must_be_wrapped_cost_no_number():
-    """The columns just fit with their headers wrapped: rich would make them alike, and cut the last."""
+    """The columns fit only with wrapped headers; rich would equalize their widths and truncate the last one."""
     names = ("floor / story", "mass, kg", *["as planned"] * 3, "all floors", "stiffness, MN/m", "one less", "one more")
     cells = ("4", "16647", "1.67 %", "1.85 %", "1.53 %", "1.46 %", "69.58", "1.55 %", "3.64 %")
     table = plain_table("title", *names, rows=[cells])
@@ -405,7 +405,7 @@ def test_parameters_are_said_in_words():
 
 
 def test_what_is_held_fast_has_one_format_in_its_column():
-    """Masses that are declared beside a stiffness that is not, and a value that nothing determines."""
+    """The masses are declared, a stiffness is not, and one value is undetermined."""
     frame = IdentifiedFrame(
         np.array([21020.0, 20612.0, 21224.0]),
         np.array([120e6, 98.3e6, math.nan]),

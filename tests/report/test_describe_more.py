@@ -1,4 +1,4 @@
-"""What `check`, `plan` and `predict` say is described once too: terminal, prompt and notebook show the same of it."""
+"""Test the descriptions of `check`, `plan` and `predict`: equal content in terminal, prompt and notebook."""
 
 import html
 import json
@@ -36,7 +36,7 @@ def table(of, key, units=None):
 
 
 def column(of, at):
-    """The numbers of a table's column, those of the lowest floor first."""
+    """Return the numbers of a table's column, starting at the lowest floor."""
     return [float(re.match(r"[-+\d.e]+", row.cells[at])[0]) for row in reversed(of.rows) if row.cells[at]]
 
 
@@ -47,7 +47,7 @@ def planned():
 
 @pytest.fixture(scope="module")
 def shaken():
-    """A damped frame, its base motion, and how it moves by another integrator."""
+    """Return a damped frame, its base motion, and its response by another integrator."""
     M, C, K = matrices(*(frame := damped_frame(3)))
     base = shaking()
     return frame[:2], (M, C, K), base, integrated(M, C, K, base, STEP)
@@ -113,7 +113,7 @@ def test_a_plan_is_told_in_units_that_fit_and_what_is_laid_on_floors_in_kg(plann
 
 
 def test_what_a_plan_leaves_open_is_called_so():
-    """Below 100 % of its size an effect is a number; from there on its standard deviation says nothing."""
+    """An effect has a standard deviation in the text below 100 % of its size; larger deviations are uninformative."""
     cannot = plan("paper", goal="gravity", fresh=True)
     can = plan("paper", tests="declared", goal="gravity")
     assert cannot.objective > 5.0
@@ -127,7 +127,7 @@ def test_what_a_plan_leaves_open_is_called_so():
 
 
 def between_samples(pencil, base, finer=32):
-    """Accelerations and displacements at so many times the samples, the excitation in straight lines, by `lsim`."""
+    """Return accelerations and displacements at `finer` times the samples, for a linear excitation, by `lsim`."""
     M, C, K = pencil
     n, rest = len(M), -np.linalg.solve(M, np.hstack([K, C]))
     A = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), rest])
@@ -147,9 +147,9 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
     for at, values in ((1, total), (2, 1e3 * relative), (3, 1e3 * drift)):
         assert column(shown, at) == pytest.approx(np.max(np.abs(values), axis=0), rel=5e-3)
     errors = table(predicted, "prediction-errors")
-    # Nothing was added to the shear model, so that before and after are one.
+    # The loop added no effect, so the models before and after are equal.
     assert [row.cells[0] for row in errors.rows] == ["3", "2", "1"]
-    # The model is made of the exact modes of the frame that was shaken; both integrate the same motion.
+    # The model has the exact modes of the frame. Both methods integrate the same motion.
     assert errors.head[1:4] == ("error in time", "rms", "peak")
     for row in errors.rows:
         assert all(abs(float(cell.strip("<%+ "))) <= 0.5 for cell in row.cells[1:4])
@@ -194,7 +194,7 @@ def test_a_screening_that_found_nothing_says_so_with_what_was_accepted():
 
 @pytest.mark.parametrize(("times", "said"), [(1.0, False), (30.0, True)])
 def test_deviations_that_are_far_too_large_are_said(times, said):
-    """Modes with the noise that is stated, and with stated deviations thirty times as large."""
+    """The modes have noise of the stated size, and stated deviations thirty times larger."""
     declared, _ = simulated(None, stories=4, configurations=2, rng=np.random.default_rng(5))
     for each in declared["configuration"]:
         for key in ("frequency_std", "mode_shape_std"):

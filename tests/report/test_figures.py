@@ -1,4 +1,4 @@
-"""Figures: nothing overlaps or is cut off at two or at twenty stories, and what is drawn is what was found."""
+"""Test figures for two to twenty stories: no overlap, no clipping, and values equal to the result."""
 
 import contextlib
 import dataclasses
@@ -31,7 +31,7 @@ OF_A_LOOP = [figures.findings, figures.frame, figures.shapes, figures.residual, 
 
 
 def boxes(figure):
-    """Every visible text with the box that the renderer gives it, pixels."""
+    """Return every visible text with its box from the renderer, pixels."""
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw(renderer)
     texts = [*figure.texts, *(text for legend in figure.legends for text in legend.get_texts())]
@@ -61,7 +61,7 @@ def assert_readable(figure):
         inside = box.x0 >= -1 and box.y0 >= -1 and box.x1 <= width + 1 and box.y1 <= height + 1
         assert inside, f"{text!r} is cut off"
     for (text, a), (other, b) in itertools.combinations(found, 2):
-        # Half a pixel of two letters' bearings is no overlap.
+        # Half a pixel of side bearings is not an overlap.
         shared = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
         assert min(shared) < 1.0, f"{text!r} and {other!r} overlap by {shared} pixels"
 
@@ -101,7 +101,7 @@ def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_s
 
 
 def test_values_without_deviation_have_one_format_in_a_frame(paper):
-    """The masses of the paper's frame are above and below 10 kg times 1.5, the stiffnesses of one size."""
+    """The paper's masses lie on both sides of 10 kg times 1.5; the stiffnesses have one size."""
     parts = cvxshear.identify(paper.experiment, method="two-stage")
     for axes in figures.frame(parts).axes:
         said = [text.get_text() for text in axes.texts]
@@ -146,11 +146,11 @@ def test_the_residual_is_drawn_in_the_noise_of_the_final_model(paper):
     left = figures.residual(paper).axes[0]
     drawn = {line.get_label(): line.get_xdata() for line in left.lines}
     measured = np.concatenate([each.frequencies for each in paper.experiment.configurations])
-    # No noise is declared here: 0.2 % is the default, and the final model tells how many times that it is.
+    # No noise is declared. The default is 0.2 %, and the final model estimates its factor.
     noise = 0.002 * paper.noise.to_dict()["frequency"]["factor"]
     for step, name in ((paper.before, "shear model"), (paper.after, "with effects")):
         modelled = np.concatenate([each.frequencies for each in step.estimate.predictions])
-        # The fit was made with the noise that the one before it spoke for; the two agree to a few percent.
+        # The fit uses the noise estimated by the previous fit. The two agree within a few percent.
         assert drawn[name] == pytest.approx(np.log(modelled / measured) / noise, rel=0.05)
     ratio = drawn["shear model"] / np.log(
         np.concatenate([p.frequencies for p in paper.before.estimate.predictions]) / measured
@@ -161,7 +161,7 @@ def test_the_residual_is_drawn_in_the_noise_of_the_final_model(paper):
 
 @pytest.mark.parametrize("narrow", [False, True])
 def test_every_residual_lies_within_its_panel_and_its_label_beside_it(narrow):
-    """Also those of soft priors, of which one has two rows and one a single, negative one, and long names."""
+    """The residuals include soft priors (one with two rows, one with a single negative row) and long names."""
     frame = {"total_mass": 20.0, "story_heights": 0.4}
     prior = [
         {"kind": "nominal", "quantity": "story_stiffness", "values": [24e3, 20e3], "std": 0.1},
@@ -213,7 +213,7 @@ def test_shapes_are_scaled_to_the_measured_ones(eight):
         assert np.nanmax(np.abs(item.measured)) == pytest.approx(1.0)
         largest = int(np.argmax(np.abs(measured)))
         assert item.measured * (measured[largest] / item.measured[largest]) == pytest.approx(measured)
-        # By least squares what is left is orthogonal to the model's shape.
+        # After least squares, the residual is orthogonal to the model's shape.
         assert (item.measured - item.modelled) @ item.modelled == pytest.approx(0.0, abs=1e-9)
 
 
@@ -336,7 +336,7 @@ def test_powers_of_ten_are_written_so():
 
 
 def test_what_was_found_is_marked_at_its_place_with_its_probability(nine):
-    """A mass that nobody declared in one of nine states: its floor is marked in that state's drawing alone."""
+    """One of nine states has an undeclared mass: only this state's drawing marks its floor."""
     (effect,) = nine.effects
     floor, state = effect.placed.place.floor, effect.placed.place.state
     drawn = figures.findings(nine)
@@ -380,7 +380,7 @@ def test_a_figure_shows_itself(paper):
 
 
 def test_figures_drawn_in_threads_are_those_drawn_alone(paper, eight):
-    """The user draws too meanwhile, and every setting is as it was."""
+    """The user also draws in the meantime; all settings stay."""
     settings = {key: value for key, value in mpl.rcParams.items() if key != "backend"}
     wanted = {result: inline_svg(figures.residual(result), "a") for result in (paper, eight)}
     narrow = {}
@@ -400,7 +400,7 @@ def test_figures_drawn_in_threads_are_those_drawn_alone(paper, eight):
 
 
 def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatch, tmp_path, capsys):
-    # Beside three that the package has.
+    # Keep three of the package's figures for each kind of result.
     few = {key: dict(list(value.items())[:3]) for key, value in figure_table._TABLE.items()}
     monkeypatch.setattr(figure_table, "_TABLE", few)
 
@@ -431,7 +431,7 @@ def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatc
 
 
 def test_where_the_shear_model_fails_is_drawn_and_told():
-    """A brace from floor 1 to floor 4 of a five-story chain, which no effect that is looked for has: 6000 kN/m."""
+    """An unmodeled brace (6000 kN/m) connects floors 1 and 4 of a five-story chain."""
     rng, n, k = np.random.default_rng(4), 5, np.linspace(2.4e7, 1.6e7, 5)
     across = np.array([-1.0, 0.0, 0.0, 1.0, 0.0])
     K = np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1) + 6e6 * np.outer(across, across)

@@ -1,4 +1,4 @@
-"""The report as text: it stands by itself, says what the result says, and lets nothing of a file through as markup."""
+"""Test the text of the report: self-contained, equal to the result, and without markup from input files."""
 
 import base64
 import dataclasses
@@ -30,7 +30,7 @@ VOID = {"meta", "link", "br", "img", "hr", "input"}
 
 
 class Page(HTMLParser):
-    """Tags, ids and headings of a page; every tag that was opened must be closed."""
+    """Tags, ids and headings of a page; every opened tag must be closed."""
 
     def __init__(self, text):
         super().__init__()
@@ -67,7 +67,7 @@ def page(text):
 
 @pytest.fixture(scope="module")
 def drawn(paper, comparison):
-    """What is drawn of the paper's frame and of the backends, by what it is drawn of; drawn once."""
+    """Return the figures of the paper's frame and of the backends by subject, drawn once."""
     return {type(each): drawings(each) for each in (paper, comparison)}
 
 
@@ -117,7 +117,7 @@ def test_headings_descend_one_at_a_time_and_images_have_words(page):
 
 
 def contrast(foreground, background):
-    """Of two colours such as #1b1b1b, as the accessibility guidelines (WCAG) define it."""
+    """Return the contrast of two colors (such as #1b1b1b) by the accessibility guidelines (WCAG)."""
 
     def luminance(colour):
         parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
@@ -129,7 +129,7 @@ def contrast(foreground, background):
 
 
 def test_letters_stand_out_from_what_is_behind_them(text):
-    """In light and in dark: letters on the page and on shaded parts, and the verdict's mark beside the page."""
+    """Check light and dark mode: letters on the page and on shaded parts, and the verdict's mark beside the page."""
     themes = [dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", part)) for part in re.findall(r":root {([^}]*)}", text)]
     assert len(themes) == 2
     for colours, tone in zip(themes, ("colour", "dark"), strict=True):
@@ -178,7 +178,7 @@ def test_the_whole_result_and_measurement_stand_in_the_report(text, unexplained)
 def test_the_effect_of_gravity_has_its_size(paper):
     said = " ".join(consequences(paper.estimate, paper.effects[0].placed))
     mass, stiffness = paper.frame.floor_mass, paper.frame.story_stiffness
-    # P-delta of columns that bend, by hand: 6/5 of the weight above story 1 over its height.
+    # P-delta of bending columns by hand: 6/5 of the weight above story 1 over its height.
     load = 1.2 * 9.81 * (mass.sum() + 77.1) / 0.39
     assert f"{load / 1000:.3g} kN/m, {100 * load / stiffness[0]:.2f} % of the story stiffness, from story 1 in" in said
     assert '"Structure 3"' in said
@@ -190,7 +190,7 @@ def test_a_change_is_what_taking_the_effect_out_changes(eight):
     assert placed.effect.name == "base_rocking"
     theta = eight.estimate.theta
     z = 0.39 * np.arange(1, 9)
-    # A force at the top of 1 N turns the base by z_top / k_theta; every story drifts by its height times that.
+    # A force of 1 N at the top rotates the base by z_top / k_theta; each story drifts by its height times this angle.
     drift = 1.0 / theta[8:16] + 0.39 * z[-1] * theta[16]
     assert first.stiffness_share == pytest.approx(1.0 / drift / theta[8:16] - 1.0, rel=1e-6)
     assert first.mass == pytest.approx(np.zeros(8), abs=1e-12)
@@ -246,7 +246,7 @@ def test_importing_the_library_loads_no_report():
 
 
 def test_the_animation_moves_the_drawing_that_was_made(text):
-    """The script's own numbers are those that the drawings were made with."""
+    """The script's numbers are the numbers of the drawings."""
     names = ("centre", "half", "largest")
     centre, half, largest = (float(re.search(rf"\b{name} = ([\d.]+)", text)[1]) for name in names)
     drawn = re.search(r'data-sway="([^"]+)".*?class="column" points="([^"]+)"', text, re.DOTALL)
@@ -255,7 +255,7 @@ def test_the_animation_moves_the_drawing_that_was_made(text):
 
 
 def test_compose_without_the_effect_is_the_plain_frame(paper):
-    """What the sizes are measured against."""
+    """The plain frame is the reference for the effect sizes."""
     each = paper.experiment.configurations[0]
     plain = compose(paper.experiment, each, [], paper.estimate.theta[:4])
     assert plain.system.K[0, 0] == pytest.approx(paper.frame.story_stiffness.sum())

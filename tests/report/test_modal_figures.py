@@ -1,4 +1,4 @@
-"""Figures of identified modes: nothing overlaps, and what is drawn is what was found."""
+"""Test figures of identified modes: no overlap, and values equal to the result."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def base():
 
 
 def twenty_modes(sweep):
-    """Twenty modes, close to one another, at twenty floors, with the order sweep of another record."""
+    """Return twenty closely spaced modes at twenty floors, with the order sweep of another record."""
     angle = (2 * np.arange(1, 21) - 1) * np.pi / 41
     shapes = np.sin(np.outer(angle, np.arange(1, 21)))
     found = from_arrays(3.2 * np.sin(angle / 2), shapes, frequency_std=0.001, mode_shape_std=0.01, name="twenty")
@@ -83,7 +83,7 @@ def test_a_mode_faces_one_way_in_every_record(hammer):
 
 
 def test_each_record_begins_a_row(hammer, shaker):
-    """Two modes or floors between records of three: none stands in a row of another."""
+    """A record with two modes or floors stands between records with three; rows are not shared."""
     for draw in (figures.modal_shapes, figures.functions, figures.coherence):
         rows = [axes.get_subplotspec().rowspan.start for axes in draw(hammer, shaker, hammer).axes]
         assert rows == [0, 0, 0, 1, 1, 2, 2, 2], draw.__name__
@@ -133,7 +133,7 @@ def test_what_is_lacking_is_said():
 
 
 def test_the_same_mode_of_two_configurations_faces_one_way():
-    """The second mode's largest entry moves from the top to the middle floor with a counterweight on the top."""
+    """The second mode's largest entry moves from the top to the middle floor, due to a mass on the top."""
     configurations = []
     for name, added in (("bare", 0.0), ("loaded", 2.5)):
         weights = np.array([0.0, 0.0, added])
@@ -162,5 +162,5 @@ def test_labels_on_either_side_of_zero_are_few(largest):
 
 
 def test_the_first_figure_of_a_record_is_its_stabilization_diagram():
-    """It is what a file named without a kind gets; a report shows the others in this order."""
+    """A file without a named kind gets this figure; a report has the others in this order."""
     assert list(figures.figures_of(ModalResult)) == ["stabilization", "functions", "coherence", "shapes", "mac"]

@@ -1,4 +1,4 @@
-"""Poles chosen by clicks on the stabilization diagram, and the record file that takes the choice."""
+"""Test poles chosen by clicks on the stabilization diagram, and their storage in the record file."""
 
 import tomllib
 
@@ -30,7 +30,7 @@ def result():
 
 
 def click(picker, frequency):
-    """A click on the diagram at a frequency, Hz."""
+    """Click on the diagram at a frequency, Hz."""
     axes = picker.figure.axes[0]
     x, y = axes.transData.transform((frequency, 10.0))
     canvas = picker.figure.canvas
@@ -43,7 +43,7 @@ def test_clicks_choose_and_give_up_and_are_written(result, tmp_path):
     picker = PolePicker(result, file)
     assert picker.frequencies == pytest.approx(PAPER_FRAME.modes()[0], rel=1e-3)
     click(picker, result.frequencies[1])
-    click(picker, 0.5 * result.frequencies[0])  # no pole: nothing
+    click(picker, 0.5 * result.frequencies[0])  # no pole there: the choice stays
     expected = PAPER_FRAME.modes()[0][[0, 2]]
     assert picker.frequencies == pytest.approx(expected, rel=1e-3)
     assert tomllib.loads(file.read_text())["record"]["pick"] == pytest.approx(expected, rel=1e-3)
@@ -73,7 +73,7 @@ def test_a_record_file_without_a_header_is_left_alone(tmp_path):
 
 
 def test_a_backend_without_windows_says_what_to_do(result):
-    """The tests draw into files, as does a server."""
+    """The tests draw into files, like a server."""
     pyplot.switch_backend("agg")
     with pytest.raises(InputError, match=r"%matplotlib widget .* cvxshear modes RECORD --pick list"):
         result.pick()

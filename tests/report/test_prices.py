@@ -1,4 +1,4 @@
-"""Active bounds and exact priors are printed with their prices; backends with how their answers were accepted."""
+"""Test the printed prices of active bounds and exact priors, and how a backend's answers were accepted."""
 
 import dataclasses
 import re
@@ -16,7 +16,7 @@ HOW = ("as_given", "polished", "replaced")
 
 @pytest.fixture(scope="module")
 def example():
-    """The paper's example with the noise of its data declared."""
+    """Return the paper's example with declared noise."""
     declared = cvxshear.load("paper").to_dict()
     for each in declared["configuration"]:
         each |= {"frequency_std": 0.002, "mode_shape_std": 0.01}

@@ -11,7 +11,7 @@ from tests.frames import chain, modes_of
 
 
 def damped_frame(stories, seed=0, *, ratio=0.08):
-    """Return masses, stiffnesses and coupling story dashpots; `ratio` approximates the highest mode's ratio."""
+    """Return masses, stiffnesses and coupling story dashpots; `ratio` is near the highest mode's damping ratio."""
     rng = np.random.default_rng(seed)
     mass = rng.uniform(5.0, 10.0, stories)
     stiffness = rng.uniform(2e4, 3e4, stories)

@@ -274,7 +274,7 @@ def test_a_mistake_is_refused_before_anything_is_predicted(folder, capsys, monke
 
 
 def test_doubts_are_told_with_a_prediction(folder, capsys):
-    """Story heights of 4 km suggest millimetres."""
+    """Story heights of 4 km suggest a height in millimeters."""
     path = folder / "frame.toml"
     declared = cvxshear.load(path).to_dict()
     declared["frame"]["story_heights"] = [4000.0] * 3

@@ -260,7 +260,7 @@ def test_resonances_peak_between_lines_where_the_floors_answer():
 
 @pytest.mark.parametrize("samples", [400, 4000])
 def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode(samples):
-    """In the record, one floor reads 10 % too much and the other has noise of a fifth of its motion."""
+    """One recorded floor reads 10 % too much; the other has noise of a fifth of its motion."""
     model = DampedModel(*matrices(*damped_frame(3)), np.array([1.0, 1.0, 0.9]))
     excitation = np.random.default_rng(9).standard_normal(samples)
     plain = response(model, DrivenRun(excitation), 0.01)

@@ -215,7 +215,7 @@ def test_ratios_of_poles_and_their_slopes_are_those_of_the_pencil():
 
 
 def test_what_is_assumed_of_dashpots_is_that_modes_do_not_couple_and_stories_are_alike():
-    """Couplings are uniform up to the root of both ratios; dashpot over stiffness scatters by 10 times its mean."""
+    """Couplings are uniform up to the root of both ratios; the std of dashpot/stiffness is 10 times a typical value."""
     mass, stiffness, dashpots = damped_frame(3)
     M, C, K = matrices(mass, stiffness, dashpots)
     real, zeta = modes(M, K), np.array([0.02, 0.03])
@@ -233,6 +233,6 @@ def test_dashpots_are_open_along_what_no_row_sees():
     assert sorted(said) == ["the dashpot of 4", "the dashpots of stories 1, 2"]
     assert determined.tolist() == [False, False, True, False]
     assert _left_open(np.eye(3))[0] == ()
-    # One row with three unknowns leaves two open combinations. Entries above a tenth of the largest name each.
+    # One row with three unknowns leaves two open combinations. Each is named by its entries above 0.1 of the largest.
     said, determined = _left_open(np.array([[1.0, 1.0, 0.0]]))
     assert (sorted(said), determined.tolist()) == (["the dashpot of 3", "the dashpots of stories 1, 2"], [False] * 3)

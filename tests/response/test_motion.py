@@ -165,6 +165,6 @@ def test_a_peak_is_known_no_better_than_the_strong_part_of_its_motion():
     # Over |t| < pi / 3, the integrals of sin^2 and cos^2 are pi / 3 -+ sqrt(3) / 4.
     expected = 0.02 * np.sqrt((np.pi / 3 - np.sqrt(3) / 4) / (np.pi / 3 + np.sqrt(3) / 4))
     assert std == pytest.approx(3.003 * expected, rel=1e-3)
-    # A deviation proportional to the motion keeps its value at the peak.
+    # A deviation proportional to the motion has the same ratio at the peak.
     (std,) = peaks_of([(run, {"floor_displacement": 0.02 * np.abs(moved)})]).std["floor_displacement"]
     assert std == pytest.approx(0.02 * 3.003)

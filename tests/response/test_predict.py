@@ -325,7 +325,7 @@ def test_a_floor_with_a_gap_is_not_compared_and_that_is_said(frame):
     ("signs", "said"), [([1, -1, 1], "floor 2.*is reversed.*turned round"), ([-1, -1, -1], "is reversed.*turned round")]
 )
 def test_a_reversed_sensor_is_turned_round_before_it_is_compared(frame, signs, said):
-    """Predict restores the lost sign before the comparison, like `reconstruct`."""
+    """`predict` restores the lost sign before the comparison, like `reconstruct`."""
     _, estimate, truth = frame
     record = recorded(truth)
     run = record.runs[0]

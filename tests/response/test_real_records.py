@@ -66,7 +66,7 @@ def test_one_damping_for_both_records_at_the_same_amplitude():
 def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
     """Frequencies and shapes from the sine with damping from the earthquake give the right size but wrong timing.
 
-    With the sine's own damping, the motion is 40 % too strong; with the earthquake's, 1 % too weak.
+    The motion is 40 % too strong with the sine's own damping, and 1 % too weak with the earthquake's.
     """
     own, swapped = (
         crossed("flexible-sine-2.0", f"flexible-{of}", "flexible-northridge") for of in ("sine-2.0", "northridge")

@@ -228,7 +228,7 @@ def test_slopes_of_smoothed_states_are_those_of_differences(three):
 @pytest.mark.parametrize("force_floor", [0, 3])
 @pytest.mark.parametrize("gap", [500, 300])
 def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap):
-    """The force differs between the samples from its sampled values; masses react to a force at once.
+    """Between its samples the force is not linear; floor accelerations respond to a force at once.
 
     From sample `gap`, one sensor recorded no data; its placeholder values must have no influence.
     """
@@ -501,7 +501,7 @@ def test_base_motion_that_nobody_measured_is_estimated(softened):
 
 @pytest.mark.parametrize(("finer", "taken"), [(1, "straight lines"), (8, "band-limited")])
 def test_the_floors_tell_how_the_ground_moved_between_its_samples(finer, taken):
-    """The floors reveal either kind of ground motion between samples and give correct drifts; the other kind fails."""
+    """The floors reveal the ground motion between its samples; the other kind of motion would give wrong drifts."""
     models, motion, drift, _ = study.setting(3, "soft", 2, finer, seconds=24.0)
     found = reconstruct(models, motion, leave_out=False)
     (said,) = [remark for remark in found.remarks if remark.startswith("between its samples")]

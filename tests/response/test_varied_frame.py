@@ -270,7 +270,7 @@ def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
     N, D, W, X = frame.sizes
     assert (N, W > 0, X) == (3, True, 6)
     assert rows.J.shape == (len(rows.data), N + W + X)
-    # At the fit, the residuals have the size of the declared errors.
+    # The residuals of the fit have the size of the declared errors.
     assert 0.01 < float(np.mean(rows.data**2)) < 3.0
     measured = uncertain.configuration
     for place, step in ((0, 1e-4), (2, 1e-4), (N, 1e-2), (N + W, 1e-4), (N + W + X - 1, 1e-4)):
