@@ -361,7 +361,7 @@ def test_bracing(beta, number):
     """The formula is exact for crossing diagonals and columns whose joints turn. Without joint rotation, braces and
     columns have the same effect."""
     frame = fe.with_braces(fe.with_turning_joints(building(number), 0.5), beta)
-    # The beams are those of the unbraced frame. Relative to the remaining columns, they are 1 / (1 - beta) times
+    # The beams are the same as in the unbraced frame. Relative to the remaining columns, they are 1 / (1 - beta) times
     # stiffer.
     effects = [placed("joint_rotation"), placed("bracing")]
     assert_same(modes_with(effects, 0.5 * (1.0 - beta), beta, number=number), sway_modes(frame))
