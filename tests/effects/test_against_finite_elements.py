@@ -465,7 +465,8 @@ def test_a_neighbor_on_the_ground_is_an_attached_mass_and_a_spring_to_the_ground
 
 
 def test_modes_are_numbered_without_the_attached_mass():
-    """The attached mass's own mode is not numbered. If two modes share its motion, the unmeasured one is left out."""
+    """The attached mass's own mode is not numbered. If two modes share its motion, the number of the unmeasured one is
+    left out."""
     plain = sway_modes(building(0)).frequencies
     for tuning, own in ((0.5, 0), (1.7, 1), (5.0, 4)):
         there = placed("attached_mass", floor=4)
