@@ -18,8 +18,8 @@ REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)\s*(?:\[(?P<extras>[^\]]*)\])?\s*(?:
 
 COMPANIONS = ("click<8.3", "pyparsing<3.3")
 """Upper limits for dependencies of the lowest Typer and Matplotlib. Newer versions of these dependencies deprecate
-functions that the lowest versions call. They still work, but users of this package would not see the warning, and the
-tests treat every warning as an error."""
+functions that the lowest versions call. They still work,
+and the warning does not concern users of this package, but the tests treat every warning as an error."""
 
 TESTS = (
     "test_import.py", "backends/test_backends.py", "backends/test_certificates.py", "backends/test_compiled.py",

@@ -19,8 +19,8 @@ SENSOR_MISTAKES = ("swapped_sensors", "sensor_sign", "floors_from_top", "sensor_
 """Mistakes in the setup of the sensors, so they affect every configuration. The others affect one configuration."""
 
 LEAST_ENTRY = 0.06
-"""Smallest entry, relative to a mode's largest, whose sign a mistake reverses. Swapped sensors must differ by at least
-this in some mode; smaller mistakes have no visible effect."""
+"""Smallest entry, relative to a mode's largest, that a mistake multiplies by -1. Swapped sensors must differ
+by at least this in some mode; smaller mistakes have no visible effect."""
 
 
 def with_mistake(name, declared, rng):

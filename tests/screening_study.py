@@ -45,7 +45,7 @@ def masses_from_top(declared, rng):
 
 
 def load_elsewhere(declared, rng):
-    """Declare the last test's added mass on another floor. The tests differ in nothing else."""
+    """Declare the last test's added mass on another floor. The tests have no other difference."""
     for table in declared["configuration"]:
         table["state"] = "as built"
     table = declared["configuration"][-1]

@@ -211,7 +211,7 @@ def test_an_answer_beyond_its_accuracy_is_replaced_and_one_within_it_is_left():
 
 @pytest.mark.parametrize("name", BOUNDED)
 def test_the_last_step_of_an_iteration_is_rounding_and_no_violation(name):
-    """The data leave a residual that no step removes, and a bound lies at a value with rounding errors."""
+    """The data leave a residual that no step removes, and a bound of zero is off by rounding, 3e-17."""
     R, s = np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]]), np.array([0.0, 0.0, 1.0])
     program = LeastSquares(R, s, lower=np.array([3e-17, -np.inf]), A=np.array([[1.0, 1.0]]), b=np.array([0.0]))
     np.testing.assert_allclose(backends.get(name).solve(program).x, [0.0, 0.0], atol=1e-9)
@@ -268,7 +268,7 @@ def test_an_answer_whose_inequalities_cannot_be_told_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("name", BOUNDED)
 def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(name):
-    """Solvers return -1e11 for the last unknown, whose column is 1e-30 of the others', but the sum must be 22.5."""
+    """Solvers return -1e11 for the last unknown. Its column is 1e-30 of the others', and the sum must be 22.5."""
     R = np.array([[-0.3147, -0.6040, 1.5e-60], [3.8e-31, -0.8437, 5.1e-31], [-6.7e-31, 0.6200, 4.0e-31]])
     program = LeastSquares(R=R, s=np.zeros(3), A=np.ones((1, 3)), b=np.array([22.5]), lower=np.full(3, 0.0075))
     try:
@@ -280,7 +280,7 @@ def test_an_unknown_that_the_objective_hardly_sees_still_keeps_the_constraints(n
 
 @pytest.mark.parametrize(("off", "accepted"), [(2e-20, True), (2e-15, False)])
 def test_an_unknown_that_hardly_anything_pulls_at_is_as_right_as_rounding_allows(off, accepted):
-    """In a step of a converged fit, the gradient for one unknown is 1e-24, for its neighbor 1e4.
+    """A converged fit takes a step. The gradient for one unknown is 1e-24, for its neighbor 1e4.
 
     The neighbor's row has terms of 6 with rounding 1e-15. Relative to an unknown of 109, this is 1e-17.
     """

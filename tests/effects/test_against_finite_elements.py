@@ -361,7 +361,7 @@ def test_bracing(beta, number):
     """The formula is exact for crossing diagonals and columns whose joints turn. Without joint rotation, braces and
     columns have the same effect."""
     frame = fe.with_braces(fe.with_turning_joints(building(number), 0.5), beta)
-    # The beams are those of the unbraced frame. Relative to the remaining columns, they are 1 / (1 - beta) times
+    # The beams are the same as in the unbraced frame. Relative to the remaining columns, they are 1 / (1 - beta) times
     # stiffer.
     effects = [placed("joint_rotation"), placed("bracing")]
     assert_same(modes_with(effects, 0.5 * (1.0 - beta), beta, number=number), sway_modes(frame))
@@ -465,7 +465,8 @@ def test_a_neighbor_on_the_ground_is_an_attached_mass_and_a_spring_to_the_ground
 
 
 def test_modes_are_numbered_without_the_attached_mass():
-    """The attached mass's own mode is not numbered. If two modes share its motion, the unmeasured one is left out."""
+    """The attached mass's own mode is not numbered. If two modes share its motion, the number of the unmeasured one is
+    left out."""
     plain = sway_modes(building(0)).frequencies
     for tuning, own in ((0.5, 0), (1.7, 1), (5.0, 4)):
         there = placed("attached_mass", floor=4)

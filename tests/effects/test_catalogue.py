@@ -633,8 +633,8 @@ OPEN_ENTRIES = {
 
 
 def test_an_entry_of_an_open_class_is_the_cause_that_it_names():
-    """An entry of an open class changes matrices and readings like the effect that it names. Other entries name no
-    effect."""
+    """An entry of an open class changes matrices and readings like the effect that it names. An entry without a
+    corresponding effect names none."""
     mass, stiffness = [10.0, 8.0, 6.0], [2e4, 1.5e4, 1e4]
     tests = [configuration(mass, stiffness, name=name) for name in "ab"]
     of = Experiment.from_dict(declared(mass, stiffness, *tests, frame={"story_heights": 3.0, "total_mass": 24.0}))

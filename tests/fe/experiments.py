@@ -118,7 +118,7 @@ def simulated_pair(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Test a frame that has several effects of practical size, with places drawn in sequence.
 
-    Parameters and results are those of `simulated`; the truth leaves out the keys for a single effect.
+    See `simulated` for parameters and results; the truth leaves out the keys for a single effect.
     """
     frame = _drawn(stories, rng)
     added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
@@ -232,7 +232,7 @@ def placed_at_random(effect: str, stories: int, configurations: int, rng: np.ran
 def simulated_attachment(
     *, stories: int, configurations: int, rng: np.random.Generator, floor: int, part: float, tuning: float
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame that carries a mass on a spring, whose own mode is not measured.
+    """Test a frame that carries a mass on a spring, without a measurement of its own mode.
 
     Parameters
     ----------

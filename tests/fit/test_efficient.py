@@ -132,7 +132,7 @@ def test_no_step_makes_the_fit_worse_and_the_reason_is_named():
             return found
 
     fit = gauss_newton(Watching(of), theta, domain_of(of, (), theta), backends.get("auto"))
-    # The certificate's evaluations near the final point follow after this one.
+    # The certificate's evaluations near the final point come later and are left out.
     path = seen[: fit.evaluations]
     assert len(path) > 3
     assert np.all(np.diff(path) < 0)

@@ -135,7 +135,7 @@ def test_too_long_a_step_is_halved():
 
 
 def test_a_hopeless_fit_is_given_up_after_three_steps_that_bring_little():
-    """The misfit falls by one part in a hundred per step, from residuals of ten deviations; the limit is a fifth."""
+    """The misfit falls by one part in a hundred per step, from residuals of ten deviations."""
 
     class Slow:
         name = "slow"
@@ -159,7 +159,7 @@ def test_a_backend_that_refuses_is_asked_again_with_more_damping_six_times():
         assert found.theta[0] == pytest.approx(3.0)
         expected = np.cumprod([1e-7, 1e5, *(2.0 ** np.arange(2, 7))])[: refusals + 1]
         np.testing.assert_allclose(backend.weights[: refusals + 1], expected, rtol=1e-6)
-    # After six steps the step is very short and another solver's step is better; the seventh ends the fit.
+    # After six refusals the damped step is nearly zero and another solver's step is better; the seventh ends the fit.
     for refusals, said in ((6, "a step of another solver"), (7, "gave up")):
         backend = Refusing(refusals)
         with pytest.raises(NoSolutionError, match=said):

@@ -289,8 +289,7 @@ def test_what_the_equalities_leave_free_keeps_them():
 
 
 def test_the_prior_of_a_parameter_is_taken_as_it_is_where_it_is_students():
-    """The exact density is not used if the parameter is fixed, has no prior, or shares a common size with all
-    others."""
+    """Use Student's t itself. A parameter that is fixed, has no prior, or shares a common size is left out."""
     held, common = put("sensor_gain", floor=2), put("other_stiffness")
     effects = GAIN, GRAVITY, dataclasses.replace(held, fixed=(0.1,)), common
     theta = np.concatenate([MASS, STIFFNESS, [0.03, 1.1, 0.1], np.zeros(len(common.effect.parameters))])

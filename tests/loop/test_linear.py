@@ -221,7 +221,7 @@ def test_a_common_size_is_integrated_out(seed, width):
 @pytest.mark.parametrize("size", [0.3, 1.0, 6.0])
 @pytest.mark.parametrize("width", [0.5, 1.5])
 def test_an_accuracy_that_is_left_open_is_integrated_out_the_fit_following(size, width):
-    """Five of twelve residuals have the variance multiplied by e^2u, and e^u has a log-normal prior above one."""
+    """Five of twelve residuals have the variance multiplied by e^2u, and e^2u - 1 has a log-normal prior."""
     rng = np.random.default_rng(1)
     Q = np.linalg.qr(rng.standard_normal((12, 3)))[0]
     r = rng.standard_normal(12) * np.where(np.arange(12) < 5, size, 1.0)

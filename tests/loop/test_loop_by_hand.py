@@ -404,7 +404,7 @@ def deviation(label, deviations, entries, error=None):
 
 
 def test_a_residual_sits_where_its_parts_are_improbable_among_all_there_are(monkeypatch):
-    """The probability is a hundredth for five parts and two floors."""
+    """The level of a hundredth is divided among five parts and two floors."""
     level = 0.01 / 7
     limit = stats.norm.isf(level / 2)
     of_three, of_two = (np.sqrt(special.chdtri(n, level) / n) for n in (3, 2))

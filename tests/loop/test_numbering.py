@@ -180,7 +180,7 @@ def test_what_is_in_question():
     assert len(overlooked_in_one(experiment)) == 8
     odds = sum(np.exp(item.log_odds) for item in (*in_all, *overlooked_in_one(experiment)))
     assert odds == pytest.approx(0.05 / 0.95)
-    # The odds are relative to the given numbers, whose own odds are one.
+    # The odds are relative to the given numbers, which have odds of one.
     assert np.exp(Numbering(experiment).log_odds) == 1.0
     assert named_numberings(experiment) == []
 

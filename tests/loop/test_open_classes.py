@@ -317,7 +317,7 @@ def test_no_frame_far_from_the_first_fit_is_overlooked(seed):
 
 @pytest.mark.parametrize("gains", [{}, {2: 0.3, 4: -0.2}])
 def test_entries_that_stand_out_of_a_class_are_proposed_by_their_names(gains):
-    """Some sensors read too much or too little. If all sensors are right, nothing is proposed."""
+    """Some sensors read too much or too little. If all sensors are right, the result proposes no entry."""
     rng, mass, stiffness = frame(13)
     tables = [measured_in(mass, stiffness, rng, name=f"t{i}", added=i * np.ones(N)) for i in range(2)]
     factors = [1.0 + gains.get(floor, 0.0) for floor in range(1, N + 1)]
@@ -530,7 +530,7 @@ def test_declared_floor_masses_that_are_all_off_are_the_twin_of_wrong_loads():
 
 @pytest.mark.parametrize(("stated", "least", "most"), [(1.25e-5, 30, 200), (2e-4, 2.5, 10)])
 def test_frequencies_that_scatter_more_than_was_declared_are_no_cause(stated, least, most):
-    """The scatter is 0.1 %, the declared scatter an eightieth or a fifth of this; nothing else is wrong."""
+    """The scatter is 0.1 %, the declared scatter an eightieth or a fifth of this; all else is right."""
     rng, mass, stiffness = frame(8)
     tables = [
         measured_in(mass, stiffness, rng, name=str(i), state="one", added=added) | {"frequency_std": stated}

@@ -134,7 +134,7 @@ def test_of_two_replaced_effects_each_has_its_rival_by_state_or_kind():
 
 
 def test_twins_share_what_either_would_have_alone():
-    """The prior odds of each are below even, but those of either one are even."""
+    """Each twin alone has a probability below one half; the probability of either one is above."""
     of = posterior(model([A], 0.45, chi2=20.0), model([B], 0.45, chi2=20.0), model([], 0.1, chi2=60.0, dof=21))
     of = of.with_twins({A: [B], B: [A]})
     (best,) = of.best.effects

@@ -158,7 +158,7 @@ def test_what_contains_the_true_effect_and_more_does_not_replace_it(seed):
 
 
 def test_what_the_stiffnesses_say_already_keeps_its_odds():
-    """With a uniform prior the data do not raise its odds, and the report states this."""
+    """With a uniform prior the data do not raise its odds, and the report contains this fact."""
     of, _ = measured(None, 5)
     result = close_loop(of, effects=[Stiffer().expecting(probability=0.6)])
     assert result.effects == ()
@@ -287,7 +287,7 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
     floor, part = max(distances, key=distances.get)
     proposed = result.next_test
     assert (proposed.floor, proposed.added_mass) == (floor, pytest.approx(part * mean, rel=0.05))
-    # The library's derivative holds the shapes' scales at those of the accepted model (Kaufman).
+    # The library's derivative uses the accepted model's scales of the shapes (Kaufman).
     assert proposed.standard_deviations == pytest.approx(distances[floor, part], rel=0.02)
     assert proposed.standard_deviations > 1.0
 

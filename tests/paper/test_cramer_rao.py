@@ -1,6 +1,6 @@
 """Compare the Cramer-Rao bound with published figures, a frame solved by hand, and an independent information matrix.
 
-The matrix uses nothing from the package: the modes are those of M^-1/2 K M^-1/2, the derivatives are central
+The matrix uses nothing from the package: the modes come from M^-1/2 K M^-1/2, the derivatives are central
 differences, and the unknown scale of each measured mode is a parameter of the information matrix.
 """
 

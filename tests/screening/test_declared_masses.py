@@ -57,7 +57,7 @@ def test_design_values_listed_from_the_top_are_refused():
 
 @pytest.mark.parametrize(("tilt", "names"), [(0.15, []), (0.4, ["masses_from_top"])])
 def test_design_stiffnesses_that_tilt_the_other_way_within_their_deviations_are_not_doubted(tilt, names):
-    """Ten stories of deviation 0.1: at the ends, two deviations of 1.5 each way are no mistake, two of 4 are."""
+    """Ten stories have the deviation 0.1. Errors of 1.5 deviations at both ends are no mistake, errors of 4 are."""
     height = np.linspace(-1.0, 1.0, 10)
     mass, stiffness = np.full(10, 10.0), 20e3 * (1 + tilt * height)
     prior = {"kind": "nominal", "quantity": "story_stiffness", "values": stiffness[::-1].tolist(), "std": 0.1}

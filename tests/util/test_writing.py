@@ -294,7 +294,7 @@ def killed(step, write, path):
     if child == 0:
         def die(*arguments):
             if step == "fdopen":
-                # Half of the output is written.
+                # Half of it is on its way.
                 os.write(arguments[0], b"half")
             os.kill(os.getpid(), signal.SIGKILL)
         setattr(os, step, die)
