@@ -55,7 +55,7 @@ MOST_CAUSES = 4
 """Largest number of causes that replace a group, added one after the other."""
 
 MOST_SETS = 300
-"""Number of visited sets after which a search ends, except for the current step and the neighbors of the best sets. The
+"""Number of visited sets after which a search ends, except for the current step. The
 limit is twice the need of consistent data of three states (about 150 sets). The result reports that the search was cut
 short."""
 
