@@ -25,10 +25,10 @@ attachment acts like a missing mass on every mode, a faster one like an added ma
 
 START_MASS, START_FREQUENCY = 0.05, 1.05
 START_FREQUENCIES = (0.65, 0.95, 1.05, 1.2, 1.7, 2.5)
-"""Starting points of fits. The mass is in parts of the mean floor mass; without a declared mass, in parts of the
-largest added mass, else in kg. The frequencies are in parts of the lowest measured one. For frames with tanks and
-dampers of 2 to 5 % of their mass, fits from such a mass reach the best place from at least one of these frequencies.
-Fits from almost no mass stay at their start."""
+"""Starting points of fits. The mass is in parts of the mean floor mass; without a declared total, in parts of the
+largest added mass, or in kg without added mass. The frequencies are in parts of the lowest measured one. For frames
+with tanks and dampers of 2 to 5 % of their mass, fits from such a mass reach the best place from at least one of these
+frequencies. Fits from almost no mass stay at their start."""
 
 AMONG_THE_HIGHEST = (0.6, 1.2)
 """Further starting frequencies, in parts of the highest measured one. For a base with its own mass, on soil of

@@ -367,7 +367,8 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     invariances = search.invariances(found)
     untold = defaultdict[str, list[str]](list)
     for placed in said:
-        # Exclude changes of single stories or floors of the state: their sum is the change itself.
+        # Only effects with such sentences count as alternatives. Changes of single stories or floors do not, because
+        # their sum is the effect itself.
         alike = [other for other in said if other.place.state == placed.place.state]
         if invariances.untold(placed, alike):
             said_of = placed.effect.granted.replace("{prior}", str(placed.place.prior))

@@ -136,7 +136,7 @@ class Linearised:
     def _likely_sizes(self, placed: Placed) -> Floats:
         """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
 
-        A prior with Student's t gets a wide one, so that the prior does not shrink a large effect. A common size gets
+        Student's prior is widened by `WIDE`, so that the prediction does not shrink a large effect. A common size gets
         its most probable value.
         """
         stds = self.expectation.of(placed)

@@ -23,8 +23,8 @@ ADDED = 0.5
 """Smallest probability of an added effect: the median model predicts best (Barbieri and Berger 2004)."""
 
 RAISED = 3.0
-"""Smallest factor by which the data raise the odds of an added effect. Effects without influence on the data keep their
-prior odds."""
+"""Smallest increase of the odds of an added effect by the data, as a factor. Effects that the data do not determine
+keep their prior odds."""
 
 RIVAL = 0.05
 """Smallest probability, relative to the best set, of a set whose effects count as rivals."""
@@ -37,7 +37,7 @@ WITH_EACH_MORE is the factor for each further kind. One frame in fifty has a cau
 of effects imitate one in two hundred of these causes, five kinds half of them."""
 
 AS_PROBABLE = 0.01
-"""Relative difference of two probabilities that counts as none. Fits end within a similar distance of their optimum,
+"""Relative difference of two probabilities that counts as zero. Fits end within a similar distance of their optimum,
 and the order of two equal effects must not depend on the machine."""
 
 
