@@ -154,7 +154,7 @@ def _scaled(rows: Floats, sides: Floats) -> tuple[Floats, Floats]:
 
 
 def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
-    """Whether some vector satisfies every statement."""
+    """Return whether some vector satisfies every statement."""
     together = constrained(LeastSquares(np.zeros((0, size)), np.zeros(0)), parts, np.zeros(size))
     (G, h), (A, b) = _scaled(*together.inequalities), _scaled(*together.equalities)
     scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
@@ -165,9 +165,10 @@ def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
 
 
 def plainly_feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
-    """Whether the statements are lower bounds and at most one weighted sum greater than the same sum of the bounds.
+    """Return whether the statements obviously have a feasible point, without a linear program.
 
-    Then a feasible point exists, and no linear program is needed.
+    This is the case if they are lower bounds and at most one weighted sum that is greater than the same sum of the
+    bounds.
     """
     lower = np.full(size, -np.inf)
     sums: list[tuple[Floats, float]] = []

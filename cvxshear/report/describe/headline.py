@@ -230,7 +230,7 @@ def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
     Parameters
     ----------
     before, after : Estimate
-        In the same noise.
+        Fits with the same noise.
     """
     first, last = chi2_by_kind(before), chi2_by_kind(after)
     falls = {kind: max(value - last.get(kind, 0.0), 0.0) for kind, value in first.items()}
