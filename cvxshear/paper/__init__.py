@@ -1,4 +1,4 @@
-"""The paper's printed figures recomputed, and its noise study beside the least scatter that is possible."""
+"""Recomputation of the paper's printed figures, and a noise study compared with the Cramer-Rao bound."""
 
 from cvxshear.paper.reproduce import Reproduction, reproduce
 from cvxshear.paper.scatter import NoiseStudy, Scatter, noise_study, paper_setups, six_story_study

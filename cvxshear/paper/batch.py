@@ -1,7 +1,8 @@
-"""Many complete measurements at once: the two-stage and one-shot methods in closed form, a sample a row.
+"""Two-stage and one-shot methods in closed form for many complete measurements at once, one sample per row.
 
-Both work on normal matrices, which need no row a pair of modes (`programs.orthogonality`). Squaring squares the
-condition number, which costs frames of a few stories nothing that could be seen; there `identify` keeps the rows.
+Both methods use normal matrices, which do not need one row per pair of modes (`programs.orthogonality`). A normal
+matrix has the squared condition number; this costs no visible accuracy for frames of a few stories. `identify` keeps
+the rows.
 """
 
 from dataclasses import dataclass
@@ -21,11 +22,11 @@ class Batch:
     Parameters
     ----------
     floor_mass, story_stiffness : ndarray, shape (S, N)
-        kg and N/m; nan where not `positive`.
+        kg and N/m; nan for samples that are not `positive`.
     iterations : ndarray of int, shape (S,)
     positive : ndarray of bool, shape (S,)
-        Whether every mass, in each iteration, and every stiffness came out positive. Where one did not, a bound
-        acts in `identify` and the closed form is not its answer.
+        Whether all masses, in each iteration, and all stiffnesses are positive. Otherwise a bound is active in
+        `identify`, and the closed form differs from its answer.
     """
 
     floor_mass: Floats
@@ -42,13 +43,13 @@ def two_stage_batch(
     Parameters
     ----------
     mode_shapes : ndarray, shape (S, N, N)
-        One row a mode, of any scale.
+        One row per mode, of any scale.
     frequencies : ndarray, shape (S, N)
         Hz.
     total_mass : float
         kg.
     initial_mass : ndarray, shape (N,), optional
-        The total spread evenly where not given.
+        By default, the total spread evenly.
     """
     samples, n, _ = mode_shapes.shape
     shapes = mode_shapes.transpose(0, 2, 1)
@@ -61,7 +62,7 @@ def two_stage_batch(
         mass[going] += dm
         iterations[going] += 1
         settled = np.max(np.abs(dm), axis=1) < TOLERANCE * np.max(np.abs(mass[going]), axis=1)
-        # Eq. 3 has no answer with a mass that is not positive: such a sample is given up.
+        # Eq. 3 needs positive masses: samples with other masses are given up.
         going = going[~settled & (mass[going] > 0).all(axis=1)]
         if not len(going):
             break
@@ -69,12 +70,12 @@ def two_stage_batch(
 
 
 def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) -> Batch:
-    """Masses from the orthogonality of the modes and the total alone, stiffnesses from Eq. 24, on S measurements.
+    """Compute masses from the modes' orthogonality and the total, stiffnesses from Eq. 24, on S measurements.
 
     Parameters
     ----------
     mode_shapes : ndarray, shape (S, N, N)
-        One row a mode, of any scale.
+        One row per mode, of any scale.
     frequencies : ndarray, shape (S, N)
         Hz.
     total_mass : float
@@ -88,12 +89,12 @@ def one_shot_batch(mode_shapes: Floats, frequencies: Floats, total_mass: float) 
 
 
 def _normalized(shapes: Floats, mass: Floats) -> Floats:
-    """Eq. 3, shape (S, N, N)."""
+    """Normalize the shapes by Eq. 3, shape (S, N, N)."""
     return np.asarray(shapes / np.sqrt(np.sum(shapes**2 * mass[:, :, None], axis=1, keepdims=True)))
 
 
 def _corrections(shapes: Floats, mass: Floats, total: float) -> Floats:
-    """dm of Eq. 14, shape (S, N)."""
+    """Compute dm of Eq. 14, shape (S, N)."""
     P = _normalized(shapes, mass)
     normal = pair_normal(P)
     side = np.sum(P**2, axis=2) - (normal @ mass[:, :, None])[:, :, 0]
@@ -103,7 +104,7 @@ def _corrections(shapes: Floats, mass: Floats, total: float) -> Floats:
 def _held_to_sum(normal: Floats, side: Floats, total: float | Floats) -> Floats:
     """Minimize x' normal x / 2 - side' x with sum x = total: the system of Eq. 14, shape (S, N)."""
     samples, n, _ = normal.shape
-    # The row of ones in the matrix' own units, lest it decide the pivots.
+    # The row of ones is scaled to the matrix, so that it does not determine the pivots.
     scale = np.trace(normal, axis1=1, axis2=2) / n
     system = np.zeros((samples, n + 1, n + 1))
     system[:, :n, :n] = normal
@@ -113,7 +114,7 @@ def _held_to_sum(normal: Floats, side: Floats, total: float | Floats) -> Floats:
 
 
 def _finished(shapes: Floats, frequencies: Floats, mass: Floats, iterations: Ints) -> Batch:
-    """Eq. 24 for the samples whose masses are positive."""
+    """Apply Eq. 24 to the samples with positive masses."""
     stiffness = np.full(mass.shape, np.nan)
     positive: Bools = np.asarray((mass > 0).all(axis=1))
     X = transformation(mass.shape[1]).T @ _normalized(shapes[positive], mass[positive])

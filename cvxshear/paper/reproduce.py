@@ -1,4 +1,4 @@
-"""The paper's figures recomputed."""
+"""Recomputation of the paper's figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Reproduction(InJson):
 
     @property
     def summary(self) -> str:
-        """How many figures agree, in a sentence or two."""
+        """Number of figures that agree, in a sentence or two."""
         results = [row for section in self.sections if section.counted for row in section.rows]
         fixed = [row for row in results if row.chance is None and not row.printed.startswith("about")]
         verdicts = (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
@@ -53,12 +53,11 @@ def reproduce(
     Parameters
     ----------
     backend : str or Backend, optional
-        Which solver solves the programs. The random samples of Table 3 and Fig. 6 are solved in closed form,
-        all at once.
+        Solver of the programs. The random samples of Table 3 and Fig. 6 are solved in closed form, all at once.
     samples : sequence of int, optional
         Numbers of random samples for Table 3; the paper has 100.
     seed : int, optional
-        Of those samples.
+        Seed of these samples.
 
     Returns
     -------
@@ -67,7 +66,7 @@ def reproduce(
     Raises
     ------
     NoSolutionError
-        Where the backend does not solve a program.
+        If the backend does not solve a program.
     """
     solver = backends.get(backend)
     parts = (

@@ -1,8 +1,8 @@
-"""The noise study: how far identified masses and stiffnesses scatter, beside the least that is possible.
+"""Noise study: scatter of identified masses and stiffnesses, compared with the smallest possible scatter.
 
-The same seeded samples go to every method. The paper's study (its Section 5.2, Table 3, Figs. 5 and 6) reports
-bias and coefficient of variation; beside them stand the root-mean-square error, the Cramer-Rao bound of the
-same data, and how often a stated 95 % interval holds the truth.
+All methods get the same seeded samples. The paper's study (its Section 5.2, Table 3, Figs. 5 and 6) reports bias and
+coefficient of variation. This study adds the root-mean-square error, the Cramer-Rao bound of the same data, and the
+coverage of stated 95 % intervals.
 """
 
 import time
@@ -26,33 +26,33 @@ SIGMAS = (0.01, 0.02, 0.03, 0.04, 0.05)
 """Standard deviations of the mode shapes' noise in the paper's study."""
 
 SAMPLES = 2000
-"""Samples of each setup: a coefficient of variation is then known to 1.6 % of itself."""
+"""Default number of samples of each setup: the standard error of a coefficient of variation is 1.6 % of its value."""
 
 SEED = 2023
-"""Seed of the noise where none is given, so that the figures of the documentation come back."""
+"""Default seed of the noise, which reproduces the figures of the documentation."""
 
 MOST_SAMPLES = 1_000_000
-"""Largest number of samples; more take gigabytes at once, and say nothing that a million do not."""
+"""Largest number of samples; more need gigabytes of memory and do not improve the figures."""
 
 LARGEST_SEED = 2**63
-"""Seeds below it are whole numbers on every platform."""
+"""Upper limit of seeds; smaller values are integers on every platform."""
 
 COMPARED = ("two-stage", "one-shot", "efficient")
-"""Methods of a study that names none: the paper's, and those that are to be better."""
+"""Default methods of a study: the paper's method and its improvements."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter(InJson):
-    """One method on the samples of one noise level.
+    """Results of one method on the samples of one noise level.
 
     Parameters
     ----------
     setup : Setup
     method : str
     estimates : ndarray, shape (S, 2N)
-        Floor masses, then story stiffnesses, kg and N/m; nan where there was no answer.
+        Floor masses, then story stiffnesses, kg and N/m; nan for samples without an answer.
     stated_std : ndarray, shape (S, 2N) or None
-        What the method says of its own accuracy; None where it says nothing.
+        Standard deviations that the method states; None if it states none.
     bound : ndarray, shape (2N,)
         Cramer-Rao bound of the standard deviations, kg and N/m.
     seconds : float
@@ -71,7 +71,7 @@ class Scatter(InJson):
 
     @property
     def answered(self) -> Bools:
-        """Which samples have an answer, shape (S,); every figure is of these."""
+        """Mask of the samples with an answer, shape (S,); all figures use only these samples."""
         return np.asarray(np.isfinite(self.estimates).all(axis=1), dtype=np.bool_)
 
     @property
@@ -86,7 +86,7 @@ class Scatter(InJson):
 
     @property
     def errors(self) -> Floats:
-        """Estimate less truth, relative to the truth, shape (answered, 2N)."""
+        """Estimate minus truth, relative to the truth, shape (answered, 2N)."""
         return self.estimates[self.answered] / self.setup.truth - 1.0
 
     @property
@@ -96,7 +96,7 @@ class Scatter(InJson):
 
     @property
     def bias(self) -> Floats:
-        """Error of the mean, relative, shape (2N,): Table 3."""
+        """Relative error of the mean, shape (2N,): Table 3."""
         return np.asarray(self.errors.mean(axis=0))
 
     @property
@@ -121,13 +121,13 @@ class Scatter(InJson):
 
     @property
     def ratio(self) -> Floats:
-        """Root-mean-square error over the Cramer-Rao bound, shape (2N,); nan where nothing is left to estimate."""
+        """Ratio of rms error and Cramer-Rao bound, shape (2N,); nan for exactly known parameters."""
         free = self.bound > 0
         return np.where(free, self.rmse / np.where(free, self.relative_bound, 1.0), np.nan)
 
     @property
     def coverage(self) -> Floats | None:
-        """Share of the samples whose stated 95 % interval holds the truth, shape (2N,)."""
+        """Fraction of the samples whose stated 95 % interval contains the truth, shape (2N,)."""
         if self.stated_std is None:
             return None
         distance = np.abs(self.estimates - self.setup.truth)[self.answered]
@@ -136,12 +136,12 @@ class Scatter(InJson):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NoiseStudy(Shown):
-    """What `noise_study` returns.
+    """Result of `noise_study`.
 
     Parameters
     ----------
     scatters : tuple of Scatter
-        One a setup and method.
+        One per setup and method.
     samples, seed : int
     backend : str
     """
@@ -177,20 +177,20 @@ def noise_study(
     Parameters
     ----------
     setups : sequence of Setup
-        One a noise level, say; `paper_setups()` are the paper's.
+        For example one per noise level; `paper_setups()` returns the paper's.
     methods : sequence of str, optional
-        As `identify` names them.
+        Names as in `identify`.
     samples : int, optional
-        Of each setup.
+        Number of samples of each setup.
     seed : int, optional
-        Of the noise. Each setup draws from its own stream, the same for all methods.
+        Seed of the noise. Each setup has its own random stream, which is the same for all methods.
     backend : str, optional
-        For the methods that solve their programs sample by sample; two-stage and one-shot on complete data are
-        done in closed form, all samples at once.
+        Solver for methods that solve a program per sample; two-stage and one-shot on complete data have closed
+        forms for all samples at once.
     jobs : int, optional
-        Processes for those methods, -1 for every core; the figures do not depend on it.
+        Number of processes for those methods, -1 for every core; the figures do not depend on it.
     progress : callable, optional
-        Called with the number of identifications done and to do.
+        Function of the number of finished identifications and the number of all identifications.
 
     Returns
     -------
@@ -199,7 +199,7 @@ def noise_study(
     Raises
     ------
     UnsuitableError
-        Where a method cannot use a setup's data.
+        If a method cannot use a setup's data.
     """
     checks.whole(samples, "samples", least=2, most=MOST_SAMPLES)
     checks.whole(seed, "seed", least=0, most=LARGEST_SEED)
@@ -223,7 +223,7 @@ def noise_study(
 
 
 def paper_setups(sigmas: Sequence[float] = SIGMAS) -> tuple[Setup, ...]:
-    """Study the paper's three-story frame at several noise levels."""
+    """Set up the paper's three-story frame at several noise levels."""
     return tuple(three_story(sigma) for sigma in sigmas)
 
 
@@ -246,7 +246,7 @@ def six_story_study(
 def _estimates(
     setup: Setup, measured: tuple[Floats, Floats], method: str, backend: str, jobs: int, advance: Callable[[int], None]
 ) -> tuple[Floats, Floats | None]:
-    """Estimates and, where the method states any, standard deviations, shape (samples, 2N) each.
+    """Return estimates and, if the method states them, standard deviations, shape (samples, 2N) each.
 
     `advance` is called with the number of samples done.
     """
@@ -273,12 +273,12 @@ def _estimates(
 
 
 def _identified(setup: Setup, method: str, backend: str, measured: tuple[Floats, Floats]) -> Floats:
-    """Masses and stiffnesses of one sample and their standard deviations, shape (2, 2N), nan where there are none."""
+    """Identify masses, stiffnesses and their standard deviations from one sample, shape (2, 2N); nan if missing."""
     result = np.full((2, 2 * setup.stories), np.nan)
     try:
         (part,) = identify(setup.experiment(*measured), method, backend).parts
     except NoSolutionError:
-        return result  # counted: a row of nan is a sample without an answer
+        return result  # a row of nan counts as a sample without an answer
     found = part.frame
     result[0] = np.concatenate([found.floor_mass, found.story_stiffness])
     result[1] = np.concatenate([found.floor_mass_std, found.story_stiffness_std])

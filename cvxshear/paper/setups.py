@@ -1,4 +1,4 @@
-"""Known frames with noisy measurements, and the Cramer-Rao bound of what can be identified from them."""
+"""Known frames with noisy measurements, and the Cramer-Rao bound of their identification."""
 
 from dataclasses import dataclass, field
 
@@ -24,23 +24,23 @@ class Setup(InJson):
     story_stiffness : array_like, shape (N,)
         True story stiffnesses, N/m.
     mode_shape_std : float
-        Standard deviation of a shape entry, in the sense of `mode_shape_noise`.
+        Standard deviation of a shape entry, defined by `mode_shape_noise`.
     mode_shape_noise : str, optional
-        "multiplicative": times the entry itself (Eq. 27); "additive": times the mode's largest entry.
+        Factor of the standard deviation: "multiplicative", the entry itself (Eq. 27); "additive", the mode's largest.
     frequency_std : float, optional
         Declared relative standard deviation of the frequencies.
     exact_frequencies : bool, optional
-        Whether the frequencies are exact all the same, as the paper has them (its Section 5.2).
+        Whether the simulated frequencies have no noise, as in the paper (its Section 5.2).
     modes : array_like of int, shape (m,), optional
-        Which modes are measured, 1 the lowest; all where empty.
+        Numbers of the measured modes, 1 the lowest; empty for all.
     measured_floors : array_like of int, shape (n,), optional
-        All where empty.
+        Empty for all floors.
     name : str, optional
 
     Raises
     ------
     InputError
-        Where the frame, the noise or the selection is not one.
+        If the frame, the noise or the selection is not valid.
     """
 
     floor_mass: Floats
@@ -86,14 +86,14 @@ class Setup(InJson):
         return len(self.modes) == len(self.measured_floors) == self.stories
 
     def exact(self) -> tuple[Floats, Floats]:
-        """Return what would be measured without noise.
+        """Compute the measurement without noise.
 
         Returns
         -------
         frequencies : ndarray, shape (m,)
             Hz.
         mode_shapes : ndarray, shape (m, n)
-            One row a mode, largest measured entry 1.
+            One row per mode, largest measured entry 1.
         """
         found = modes(mass_matrix(self.floor_mass), stiffness_matrix(self.story_stiffness))
         which = self.modes - 1
@@ -102,7 +102,7 @@ class Setup(InJson):
         return found.frequencies[which], shapes / largest[:, None]
 
     def draw(self, rng: np.random.Generator, samples: int) -> tuple[Floats, Floats]:
-        """Noisy measurements.
+        """Draw noisy measurements.
 
         Parameters
         ----------
@@ -117,21 +117,21 @@ class Setup(InJson):
         """
         frequencies, shapes = self.exact()
         noise = self.mode_shape_std * rng.standard_normal((samples, *shapes.shape))
-        # Additive noise goes with the largest entry of a mode, which `exact` scales to 1.
+        # Additive noise is proportional to the largest entry of a mode; `exact` scales this entry to 1.
         noisy = shapes + noise * (shapes if self.mode_shape_noise == "multiplicative" else 1.0)
         if self.exact_frequencies:
             return np.tile(frequencies, (samples, 1)), noisy
         return frequencies * (1.0 + self.frequency_std * rng.standard_normal((samples, len(frequencies)))), noisy
 
     def experiment(self, frequencies: Floats, mode_shapes: Floats) -> Experiment:
-        """Make one measurement with what is declared of it: the noise, and the total mass.
+        """Make one measurement with its declared noise and total mass.
 
         Parameters
         ----------
         frequencies : ndarray, shape (m,)
         mode_shapes : ndarray, shape (m, n)
         """
-        # Noise can swap two close frequencies; the shapes then tell which mode is which.
+        # Noise can swap two close frequencies; the shapes then identify the modes.
         order = np.argsort(frequencies)
         configuration = Configuration(
             frequencies=frequencies[order],
@@ -147,7 +147,7 @@ class Setup(InJson):
 
 
 def three_story(mode_shape_std: float) -> Setup:
-    """Set up the paper's three-story frame (its Section 5.2): every mode at every floor, the frequencies exact."""
+    """Set up the paper's three-story frame (its Section 5.2): all modes at all floors, exact frequencies."""
     return Setup(
         floor_mass=np.array([10.0, 7.5, 5.0]),
         story_stiffness=np.array([1800.0, 1200.0, 600.0]),
@@ -157,7 +157,7 @@ def three_story(mode_shape_std: float) -> Setup:
 
 
 def six_story(mode_shape_std: float = 0.01) -> Setup:
-    """Set up a six-story frame as tests meet it: four lowest modes, floor 3 without a sensor, frequencies to 0.1 %."""
+    """Set up a six-story frame with a typical test: four lowest modes, floor 3 not measured, frequencies to 0.1 %."""
     return Setup(
         floor_mass=np.array([10.0, 10.0, 9.0, 9.0, 8.0, 6.0]),
         story_stiffness=np.array([24e3, 22e3, 19e3, 16e3, 12e3, 8e3]),
@@ -172,10 +172,10 @@ def six_story(mode_shape_std: float = 0.01) -> Setup:
 
 
 def cramer_rao(setup: Setup) -> Floats:
-    """Smallest covariance of floor masses and story stiffnesses that an unbiased estimator can have.
+    """Compute the smallest covariance of floor masses and story stiffnesses of an unbiased estimator.
 
-    Z (Z' J'J Z)^-1 Z' with J the derivatives of the standardized data at the true frame, the scale of each shape
-    eliminated, and Z spanning the changes that keep the total mass (Stoica and Ng, 1998).
+    The covariance is Z (Z' J'J Z)^-1 Z'. J has the derivatives of the standardized data at the true frame, with the
+    scale of each shape eliminated. Z spans the changes that keep the total mass (Stoica and Ng, 1998).
 
     Parameters
     ----------
@@ -188,12 +188,12 @@ def cramer_rao(setup: Setup) -> Floats:
 
     Notes
     -----
-    The standard deviation of multiplicative noise depends on the parameters itself. What that tells of them, a
-    part 2 sigma^2 of what the entries tell (half a percent at sigma = 5 %), is left out: the declared standard
-    deviations are taken as numbers.
+    The standard deviation of multiplicative noise depends on the parameters, too. The information from this dependence,
+    a fraction 2 sigma^2 of the entries' information (half a percent at sigma = 5 %), is left out: the declared standard
+    deviations count as constants.
     """
     truth = setup.truth
-    # Of relative changes, so that kg and N/m share one size.
+    # Derivatives by relative changes, so that kg and N/m have the same size.
     J = Misfit(setup.experiment(*setup.exact())).evaluate(truth).J * truth
     Z = linalg.null_space(np.concatenate([setup.floor_mass, np.zeros(setup.stories)])[None])
     root = truth[:, None] * Z @ np.linalg.inv(np.linalg.qr(J @ Z, mode="r"))
@@ -201,5 +201,5 @@ def cramer_rao(setup: Setup) -> Floats:
 
 
 def bound(setup: Setup) -> Floats:
-    """Smallest standard deviation of each floor mass and story stiffness, shape (2N,), kg and N/m."""
+    """Compute the smallest standard deviation of each mass and stiffness, shape (2N,), kg and N/m."""
     return np.asarray(np.sqrt(np.diag(cramer_rao(setup))))

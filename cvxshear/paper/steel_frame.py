@@ -1,4 +1,4 @@
-"""Section 6: the two-story steel test frame in three structures, Tables 4 to 8."""
+"""Section 6: the two-story steel test frame with three structures, Tables 4 to 8."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -20,14 +20,14 @@ PerStructure = Mapping[str, Any]
 
 
 class RecoveredShapes(NamedTuple):
-    """The two modes of a two-story frame.
+    """Shapes of the two modes of a two-story frame.
 
     Parameters
     ----------
     first, second : float
-        Entry at floor 1 over that at floor 2.
+        Ratio of the entries at floors 1 and 2.
     misfit : float
-        Largest relative distance of the stiffnesses that Eq. 24 gives from the printed ones.
+        Largest relative difference between the stiffnesses from Eq. 24 and the printed ones.
     """
 
     first: float
@@ -36,20 +36,20 @@ class RecoveredShapes(NamedTuple):
 
 
 def recovered_shapes(floor_mass: Floats, story_stiffness: Floats, frequencies: Floats) -> RecoveredShapes:
-    """Find the mode shapes from which the paper's method finds these masses and stiffnesses.
+    """Find the mode shapes that give these masses and stiffnesses in the paper's method.
 
-    The method ends at masses on which two measured modes are orthogonal, so the second shape follows from the
-    first one's ratio r: m1 r r2 + m2 = 0. That r for which Eq. 24 returns the stiffnesses is found by least
-    squares, two equations for one unknown; what is left shows whether the two agree.
+    The method's final masses make the two measured modes orthogonal. So the ratio r of the first shape gives the
+    ratio r2 of the second one: m1 r r2 + m2 = 0. Least squares finds the r that gives the stiffnesses by Eq. 24, two
+    equations for one unknown; the residual shows whether both agree.
 
     Parameters
     ----------
     floor_mass : ndarray, shape (2,)
-        Identified, with added mass, kg.
+        Identified masses with added mass, kg.
     story_stiffness : ndarray, shape (2,)
-        Identified, N/m.
+        Identified stiffnesses, N/m.
     frequencies : ndarray, shape (2,)
-        Measured, Hz.
+        Measured frequencies, Hz.
     """
     eigenvalues = (2 * np.pi * frequencies) ** 2
 
@@ -68,7 +68,7 @@ def recovered_shapes(floor_mass: Floats, story_stiffness: Floats, frequencies: F
 
 
 class SteelFrame:
-    """The built-in measurement file `paper`, each structure identified by itself as the paper does.
+    """Built-in measurement file `paper`; each structure is identified separately, as in the paper.
 
     Parameters
     ----------
@@ -85,14 +85,14 @@ class SteelFrame:
         self.mass = {name: net + self.tested[name].added_mass for name, net in self.net_mass.items()}
 
     def recovered(self, name: str) -> RecoveredShapes:
-        """Read the shapes of Fig. 8 from the printed figures of one structure."""
+        """Compute the shapes of Fig. 8 from the printed figures of one structure."""
         printed = (tables.TABLE_6_MASS, tables.TABLE_6_STIFFNESS, tables.TABLE_5)
         mass, stiffness, frequencies = (tables.values(table[name]) for table in printed)
         return recovered_shapes(mass, KILO * stiffness, frequencies)
 
 
 def sections(ours: SteelFrame) -> Iterator[PaperSection]:
-    """Tables 4 to 8, Fig. 8, and what Section 7 concludes from them."""
+    """Compute Tables 4 to 8, Fig. 8, and the conclusions of Section 7."""
     added = {name: each.added_mass for name, each in ours.tested.items()}
     measured = {name: each.frequencies for name, each in ours.tested.items()}
     inputs = (
@@ -142,7 +142,7 @@ def _rows(
 
 
 def _spread(found: PerStructure) -> float:
-    """Largest over smallest structure, percent of the largest: as the paper's 2.41 and 5.73 % are taken."""
+    """Compute the largest difference between structures, in percent of the largest: the paper's 2.41 and 5.73 %."""
     table = np.array([found[name] for name in tables.STRUCTURES], dtype=float)
     return 100 * float(np.max((table.max(axis=0) - table.min(axis=0)) / table.max(axis=0)))
 

@@ -1,7 +1,8 @@
-"""The printed figures, as text, so that the number of printed digits is part of them.
+"""Printed figures of the paper as text, which keeps the number of printed digits.
 
-High precision identification method of mass and stiffness matrix for shear-type frame test model, Sections 5
-and 6. Cases 1 and 2 are its two initial masses; "present" is its own method, "Ref. [23]" Qi's, "Ref. [17]" Berman's.
+The source is "High precision identification method of mass and stiffness matrix for shear-type frame test model",
+Sections 5 and 6. Cases 1 and 2 are its two initial masses. "Present" is its own method, "Ref. [23]" Qi's, "Ref. [17]"
+Berman's.
 """
 
 import tomllib
@@ -22,13 +23,13 @@ INITIAL_MASS = {1: (9.5, 7.5, 5.5), 2: (7.5, 7.5, 7.5)}
 """Initial floor masses of the two cases of Section 5.1, kg."""
 
 PAPER_METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]"}
-"""Our name of each method, and the paper's."""
+"""Names of the methods: ours, and the paper's."""
 
 ITERATIONS = {1: "14", 2: "16"}
-"""Section 5.1, of the present method."""
+"""Number of iterations of the present method by case (Section 5.1)."""
 
 _PRINTED = tomllib.loads(resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8"))
-"""The tables of figures, with what each holds and in which unit."""
+"""Tables of figures, with their contents and units."""
 
 
 
@@ -44,7 +45,7 @@ TABLE_1 = {
 """Corrected mass matrices, kg, upper triangle: entry (i, j) by method and case."""
 
 MISPRINT = ("berman", 1, (2, 3))
-"""Method, case and entry of Table 1 that is not what the formula gives."""
+"""Method, case and entry of Table 1 that differs from the formula's value."""
 
 TABLE_2 = dict(sorted(_by_case("table_2").items(), key=lambda item: item[0][1]))
 """Identified story stiffnesses, kN/m, by method and case, the first case first."""
@@ -62,16 +63,16 @@ TABLE_3_SAMPLES = 100
 
 FIGURE_6_SIGMA = 0.05
 FIGURE_6 = "about 5"
-"""Section 5.2: the coefficient of variation of mass and stiffness at that noise, percent."""
+"""Coefficient of variation of mass and stiffness at this noise, percent (Section 5.2)."""
 
 STRUCTURES = ("Structure 1", "Structure 2", "Structure 3")
-"""The states of the test frame, by their counterweights."""
+"""States of the test frame, which differ by their counterweights."""
 
 TABLE_4, TABLE_5, TABLE_6_MASS, TABLE_6_NET_MASS, TABLE_6_STIFFNESS, TABLE_7, TABLE_8 = (
     {structure: tuple(texts) for structure, texts in _PRINTED[f"table_{name}"].items()}
     for name in ("4", "5", "6_mass", "6_net_mass", "6_stiffness", "7", "8")
 )
-"""Tables of the steel frame by structure, two numbers each."""
+"""Tables of the steel frame by structure, two figures per structure."""
 
 TOTAL_NET_MASS = "31.33"
 """Total mass without counterweights (Section 6), kg."""
@@ -79,11 +80,12 @@ TOTAL_NET_MASS = "31.33"
 NET_MASS_DIFFERENCE = "2.41"
 STIFFNESS_DIFFERENCE = "5.73"
 LARGEST_FREQUENCY_ERROR = "1.72"
-"""Section 7, percent: largest differences between the structures, relative to the larger, and largest of Table 8."""
+"""Largest differences between the structures, relative to the larger, and largest error of Table 8, percent
+(Section 7)."""
 
 
 def note(name: str, **gaps: object) -> str:
-    """Write what a reader of recomputed figures should know."""
+    """Return a note for readers of the recomputed figures."""
     words: str = _PRINTED["notes"][name]
     return words.format(**gaps)
 
@@ -94,7 +96,7 @@ def value(printed: str) -> float:
 
 
 def decimals(printed: str) -> int:
-    """How many decimals it is printed with."""
+    """Count the printed decimals."""
     return len(printed.partition(".")[2])
 
 
@@ -107,7 +109,7 @@ TO_THE_DIGIT = "to the last digit"
 ROUNDED = "from rounded figures"
 MISPRINTED = "misprint"
 DIFFERS = "differs"
-"""How a recomputed figure compares with the printed one."""
+"""Possible results of the comparison of a recomputed figure with the printed one."""
 
 
 @dataclass(frozen=True)
@@ -119,18 +121,18 @@ class PaperRow(InJson):
     what : str
         The quantity and its unit.
     where : str
-        In the paper.
+        Place in the paper.
     printed : str
-        As it stands there.
+        Figure as printed.
     recomputed : float
     from_rounded : float, optional
-        The same figure computed from other figures of the paper as they are printed.
+        The same figure, computed from other printed figures of the paper.
     std_error : float, optional
-        Of a recomputed figure that rests on random samples.
+        Standard error of a figure from random samples.
     chance : float, optional
-        Standard deviation of `difference` where printed and recomputed figure rest on other random samples.
+        Standard deviation of `difference` if both figures come from different random samples.
     misprint : bool, optional
-        Whether the paper does not print what its own formula gives.
+        Whether the printed figure differs from the paper's own formula.
     """
 
     what: str
@@ -146,22 +148,22 @@ class PaperRow(InJson):
 
     @property
     def difference(self) -> float:
-        """Recomputed less printed."""
+        """Recomputed figure minus printed figure."""
         return self.recomputed - value(self.printed)
 
     @property
     def agrees(self) -> bool:
-        """Whether the recomputed figure, rounded to the printed number of digits, is the printed one."""
+        """Whether the recomputed figure, rounded to the printed number of digits, equals the printed one."""
         return same_digits(self.recomputed, self.printed)
 
     @property
     def distance(self) -> float | None:
-        """Difference in standard deviations of what chance makes of it; None where no chance is involved."""
+        """Difference in standard deviations of random sampling; None for figures without random samples."""
         return None if self.chance is None else self.difference / self.chance
 
     @property
     def verdict(self) -> str:
-        """How the figures compare, in words; empty where the paper gives no more than a rough one."""
+        """Comparison of the figures in words; empty if the paper gives only a rough figure."""
         if self.misprint:
             return MISPRINTED
         if self.distance is not None:
@@ -184,11 +186,11 @@ class PaperSection(InJson):
     title : str
     rows : tuple of PaperRow
     notes : tuple of str, optional
-        What a reader of the rows should know.
+        Notes for readers of the rows.
     printed_in : str, optional
-        Header of the figures that ours are compared with.
+        Header of the printed figures.
     counted : bool, optional
-        Whether these are results of the paper, which the summary counts; not what went in.
+        Whether the rows are results of the paper, which the summary counts, and not its input.
     """
 
     title: str
@@ -203,13 +205,13 @@ class PaperSection(InJson):
 def rows(
     where: str, what: str, printed: Sequence[str], found: Sequence[float] | Floats, rounded: Floats | None = None
 ) -> Iterator[PaperRow]:
-    """Set the figures of one line of a table beside ours; `what` has a place for their numbers from 1."""
+    """Pair the figures of one line of a table with ours; `what` has a place for their numbers from 1."""
     from_rounded = [None] * len(printed) if rounded is None else rounded.tolist()
     for place, each in enumerate(zip(printed, found, from_rounded, strict=True), 1):
         yield PaperRow(what.format(place), where, each[0], float(each[1]), each[2])
 
 
 def same_digits(number: float, printed: str) -> bool:
-    """Whether a number rounds to a printed one, a zero of either sign being zero."""
+    """Return whether a number rounds to a printed one; the sign of zero does not matter."""
     count = decimals(printed)
     return round(number, count) == round(value(printed), count)

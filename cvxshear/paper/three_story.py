@@ -1,4 +1,4 @@
-"""Section 5: the three-story frame, from exact modes by the paper's method and two earlier ones, and from noise."""
+"""Section 5: the three-story frame from exact modes (by the paper's and two earlier methods) and noisy modes."""
 
 from collections.abc import Iterator, Sequence
 
@@ -19,17 +19,17 @@ from cvxshear.util.cached import cached_property
 from cvxshear.util.typing import Floats
 
 FIGURE_6_SAMPLES = 2000
-"""Samples of Fig. 6, as many as a noise study draws: it has no number of its own."""
+"""Number of samples of Fig. 6, equal to the default of a noise study; the paper states no number."""
 
 UNLIKELY = 1.96
-"""Standard errors that chance exceeds in one case of twenty."""
+"""Difference in standard errors that chance exceeds in one case of twenty."""
 
 BEYOND_CHANCE = 3.5
-"""Standard errors that the largest of 30 figures exceeds in one case of seventy."""
+"""Difference in standard errors that the largest of 30 figures exceeds by chance in one case of seventy."""
 
 
 class ThreeStory:
-    """The frame of Fig. 3 identified by every method from both initial masses.
+    """Frame of Fig. 3, identified with every method from both initial masses.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class ThreeStory:
 
     @cached_property
     def parts(self) -> dict[tuple[str, int], SingleIdentification]:
-        """What each method finds in each case."""
+        """Results of each method in each case."""
         return {
             (method, case): identify(self.experiment, method, self.backend, initial_mass=start).parts[0]
             for method in tables.PAPER_METHODS
@@ -58,13 +58,13 @@ class ThreeStory:
         return np.diag(part.frame.floor_mass) if part.mass_matrix is None else part.mass_matrix
 
     def stiffness_of(self, mass_matrix: Floats) -> Floats:
-        """Eq. 24 on the modes normalized by a mass matrix, shape (3,), N/m."""
+        """Apply Eq. 24 to the modes normalized by a mass matrix, shape (3,), N/m."""
         test = complete_test(self.experiment, self.experiment.configurations[0], "method berman")
         return identified_stiffness(test, mass_matrix, backends.get(self.backend)).x
 
 
 def sections(ours: ThreeStory) -> Iterator[PaperSection]:
-    """Tables 1 and 2, the numbers of iterations, and the errors stated in the text."""
+    """Compute Tables 1 and 2, the numbers of iterations, and the errors stated in the text."""
     yield PaperSection("Table 1: corrected floor masses", tuple(_table_1(ours)), (_misprint(ours),))
     yield PaperSection("Table 2: identified story stiffnesses", tuple(_table_2(ours)))
     iterations = (
@@ -91,7 +91,7 @@ def _table_1(ours: ThreeStory) -> Iterator[PaperRow]:
 
 
 def _misprint(ours: ThreeStory) -> str:
-    """Why that entry is a misprint: the paper's own Table 2 was computed with the formula's value."""
+    """Explain this misprint: the paper's own Table 2 was computed with the formula's value."""
     method, case, (i, j) = tables.MISPRINT
     printed = tables.TABLE_1[method, case][i, j]
     matrix = ours.mass_matrix(method, case)
@@ -134,7 +134,7 @@ def _largest(found: Floats, truth: Floats) -> float:
 
 
 def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:
-    """Table 3 with each number of samples, and Fig. 6.
+    """Compute Table 3 with each number of samples, and Fig. 6.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:
 def _table_3(study: NoiseStudy) -> Iterator[PaperRow]:
     for scatter, (sigma, printed) in zip(study.scatters, tables.TABLE_3.items(), strict=True):
         spread = scatter.errors.std(axis=0, ddof=1)
-        # The paper's mean and ours are of samples that have nothing to do with each other.
+        # The paper's mean and ours come from independent samples.
         chance = spread * np.sqrt(1 / tables.TABLE_3_SAMPLES + 1 / study.samples)
         for place, name in enumerate(tables.PARAMETERS):
             figures = (scatter.bias[place], scatter.bias_error[place], chance[place])
@@ -173,7 +173,7 @@ def _chance(rows: Sequence[PaperRow]) -> str:
 
 
 def _systematic(study: NoiseStudy) -> Iterator[str]:
-    """Find the bias that is left when chance is averaged out, where the samples suffice to see one."""
+    """Find the bias without the effect of chance, if the samples are sufficient."""
     scatter = study.scatters[-1]
     seen = np.flatnonzero(np.abs(scatter.bias) > 3 * scatter.bias_error)
     if seen.size:

@@ -301,7 +301,7 @@ def criterion_named(name: str) -> Criterion:
     Raises
     ------
     InputError
-        If there is none; the message lists the names.
+        If the name is unknown; the message lists the names.
     """
     return CRITERIA[checks.choice(name, list(CRITERIA), "criterion")]
 

@@ -256,7 +256,7 @@ def compared(
 def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_modes: Ints | None) -> tuple[Shift, ...]:
     """Find the modes whose resonance differs from the model's.
 
-    The shift must exceed a line of the spectrum, and either transfer function must be below `FALLEN` at the other's
+    The shift must exceed a line of the spectrum, and both transfer functions must be below `FALLEN` at the other's
     peak. If one mode has such a shift, other modes with similar relative shifts are found, too.
     """
     line = measured.frequencies[1] - measured.frequencies[0]

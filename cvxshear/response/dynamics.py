@@ -119,8 +119,8 @@ class Dynamics:
 class Outputs:
     """Rows that turn states into the outputs of a reconstruction.
 
-    Total accelerations, displacements, drifts and story forces of the frame, then the overturning moment where story
-    heights are declared, and the base acceleration where it is estimated.
+    The outputs are total accelerations, displacements, drifts and story forces of the frame, then the overturning
+    moment if story heights are declared, and the base acceleration if it is estimated.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ this number; model errors limit the accuracy with more samples."""
 
 LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
 """Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
-with less information reduces the variance by less than a fifth, and the direction keeps its prior."""
+with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
 
 MOST_FIT_STEPS = 12
 """Maximum number of Gauss-Newton steps; four to six are usual."""

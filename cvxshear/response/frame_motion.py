@@ -77,7 +77,7 @@ class ReconstructedRun:
         Estimated base acceleration, m/s2; None if it was measured.
     base_std : ndarray, shape (samples,), optional
     measured : ndarray, shape (samples, m)
-        m/s2; nan where missing.
+        m/s2; nan for missing samples.
     excitation : ndarray, shape (samples,)
     missed : ndarray, shape (N,)
         Rms over time of the story forces that the model missed, relative to the rms story force.

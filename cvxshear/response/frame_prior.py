@@ -252,7 +252,7 @@ class FramePrior:
     def _given_modes(self, form_std: float, gain_std: float) -> Gaussian:
         """Return the prior of a record without changes of stories, masses and damping since the tests."""
         N, D, W, X = self.varied.sizes
-        # Modes determine masses and effects only as accurately as the form of the model.
+        # The errors of form limit the accuracy of masses and effects from modes.
         share = self.varied.nuisance_share
         modal = np.isfinite(share)
         nuisances = 1.0 + (form_std / share) ** 2 / max(int(modal.sum()), 1)

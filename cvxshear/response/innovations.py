@@ -1,7 +1,7 @@
 """Innovations of a frame's filter, their likelihood and its derivatives.
 
 The filter of a candidate frame predicts each sample of each sensor from all earlier samples. The prediction errors are
-the innovations. With the right frame and noise they are white with the covariance of the filter (prediction-error
+the innovations. The right frame and noise give white innovations with the covariance of the filter (prediction-error
 method, Ljung 1999). With F = A - K H the derivatives of
 
     -2 log L = sum over samples of e_t' S^-1 e_t + samples log det S
@@ -56,7 +56,8 @@ FURTHEST_FORM = 0.5
 """Bound on the errors of the model's form: beyond 1 the frame could have no modes."""
 
 FURTHEST_NOISE = np.log(30.0)
-"""Bound on the logarithm of a sensor's noise around its start: none is good to 0.1 % of a building's motion."""
+"""Bound on the logarithm of a sensor's noise around its start; real sensors have more noise than 0.1 % of a
+building's motion."""
 
 LEAST_MISSED, MISSED_BY_FORM, MOST_MISSED = 2e-4, 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. The largest bounds the model errors that a

@@ -269,7 +269,7 @@ def _predicted(
 def _missed(side: ModelResponse, std: tuple[dict[str, Floats], ...]) -> float | None:
     """Compute the error of the prediction beyond the stated deviations, relative to the size of the motion.
 
-    The error is the root mean square over time and the measured floors. It includes the noise of the measured
+    The error is the root mean square over time and the measured floors. The error includes the noise of the measured
     excitation, its motion between the samples, the model's error, and the noise of the floors' sensors. If two motions
     fall out of step, their errors in time are larger than the errors of their peaks. The peaks of a few floors would
     therefore give too small an error.

@@ -59,7 +59,7 @@ class RecordedRun:
     Parameters
     ----------
     measured : ndarray, shape (samples, m)
-        Total accelerations, m/s2; nan where a piece is missing.
+        Total accelerations, m/s2; nan in gaps.
     excitation : ndarray, shape (samples,)
         m/s2 or N; zeros if it was not measured.
     floor : int, optional

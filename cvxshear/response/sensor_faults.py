@@ -46,7 +46,7 @@ class SensorRecord:
     channels : tuple of Channel
         Ascending by floor.
     measured : tuple of ndarray, shape (samples, channels)
-        Accelerations of each run, m/s2; nan where a piece is missing.
+        Accelerations of each run, m/s2; nan in gaps.
     excitations : tuple of ndarray, shape (samples,)
         Excitation of each run, m/s2 or N; zeros if it was not measured.
     sampling_rate : float

@@ -58,7 +58,7 @@ class Observed:
     excitation : ndarray, shape (samples, 2)
         As in `Dynamics`; zeros if the excitation was not measured.
     measured : ndarray, shape (samples, m)
-        m/s2; nan where missing.
+        m/s2; nan for missing samples.
     envelope : ndarray, shape (samples,)
         Factor on the standard deviation of the missed story forces, piecewise constant; the noise has no such factor.
     start_scale : float
