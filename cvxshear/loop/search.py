@@ -42,6 +42,11 @@ BEAM = 6
 REACH = 20.0
 """Number of best visited sets that are expanded, and their largest distance from the best in log probability."""
 
+TIE = 2.0
+"""Largest difference in log probability of two sets that are equally good. Further effects are tried beside both of
+them. Tried beside one only, they would count for that set alone, and the probabilities of its effects would be wrong:
+without this rule, an effect that no datum concerns loses its prior probability."""
+
 A_PILE = 3
 """Number of effects that a simple explanation does not reach: two simultaneous causes are rare, three are very rare."""
 
@@ -320,7 +325,7 @@ class Search:
         if self.best.improbable or model is self.best:
             return True
         return not holds_open(model.effects) and not any(
-            better.effects < model.effects and better.score > model.score for better in self.beam
+            better.effects < model.effects and better.score > model.score + TIE for better in self.beam
         )
 
     def lacking(self, model: ModelClass) -> list[Placed]:

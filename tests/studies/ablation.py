@@ -31,6 +31,7 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "equal probabilities go by their position": ("loop.posterior", {"AS_PROBABLE": 0.0}),
     "beam of six sets": ("loop.search", {"BEAM": 3}),
     "sets far behind the best are expanded": ("loop.search", {"REACH": 8.0}),
+    "two equal sets are both expanded": ("loop.search", {"TIE": 0.0}),
     "three effects are no simple explanation": ("loop.search", {"A_PILE": 99}),
     "two weakest effects are taken out": ("loop.search", {"WEAKEST": 1}),
     "single effects stand for a group": ("loop.search", {"STAND_FOR_A_GROUP": 1}),
