@@ -16,7 +16,7 @@ from cvxshear.planning.candidates import Candidates, candidates, free_changes
 from cvxshear.planning.chances import Target
 from cvxshear.planning.design import UNKNOWN_STD, Design
 from cvxshear.planning.expected_noise import TestNoise
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRM = 0.1

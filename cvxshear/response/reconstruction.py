@@ -29,8 +29,7 @@ from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
-from cvxshear.util.arithmetic import usual_arithmetic
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json

@@ -13,8 +13,7 @@ from cvxshear import Experiment, backends, identify
 from cvxshear.measurement.experiment import Configuration, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.programs.pair_rows import digits_lost, one_shot_rows
-from cvxshear.util.text import json_text
-from cvxshear.util.writing import write_file
+from cvxshear.util.writing import json_text, write_file
 from tests.benchmarks.timing import fastest, shown, table
 
 SIZES = (3, 10, 30, 100, 300, 1000)

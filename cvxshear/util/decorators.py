@@ -1,14 +1,15 @@
-"""A cached property without a lock.
-
-`functools.cached_property` of Python 3.11 holds one lock for all instances of a class while it computes. A process that
-is forked meanwhile inherits the lock and waits for it forever. Without a lock, two threads may both compute a value;
-both values are equal, and one of them stays.
-"""
+"""Decorators: a cached property without a lock, and NumPy's usual error handling."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import numpy as np
+
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
 
 if TYPE_CHECKING:
     # Type checkers know this name; the class below behaves as it does.
@@ -17,6 +18,10 @@ else:
 
     class cached_property:  # noqa: N801
         """A property that is computed once for each object and kept in its `__dict__`.
+
+        `functools.cached_property` of Python 3.11 holds one lock for all instances of a class while it computes. A
+        process that is forked meanwhile inherits the lock and waits for it forever. Without a lock, two threads may
+        both compute a value; both values are equal, and one of them stays.
 
         Parameters
         ----------
@@ -39,3 +44,18 @@ else:
             found = self.func(instance)
             instance.__dict__[self.name] = found
             return found
+
+
+def usual_arithmetic(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+    """Run a function with numpy's default error handling.
+
+    Underflow is harmless and frequent, in the tails of probabilities. A caller's `np.seterr(all="raise")` would make
+    it an error.
+    """
+
+    @wraps(function)
+    def wrapped(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+        with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
+            return function(*args, **kwargs)
+
+    return wrapped

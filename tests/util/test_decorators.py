@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import cvxshear
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 
 
 class Slow:
@@ -64,7 +64,7 @@ def test_no_module_takes_the_property_with_a_lock():
     names = {
         (path.name, alias.name)
         for path in folder.rglob("*.py")
-        if path.name != "cached.py"
+        if path.name != "decorators.py"
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.ImportFrom) and node.module == "functools"
         for alias in node.names
