@@ -72,7 +72,7 @@ without a quieter part, the line changes peaks by up to four standard deviations
 ROUGH_DRIFT = 0.1
 """Relative standard deviation of drifts if the record does not fit a linear frame, the fit does not converge, or the
 tests do not determine the frame. The drift of a yielding story is 3 to 17 % too low, and of its neighbors up to 9 % too
-high (``tests.benchmarks.reconstruction``)."""
+high (``tests.studies.reconstruction``)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -78,11 +78,7 @@ def test_an_effect_without_anything_to_bind_is_itself():
 
 @pytest.mark.parametrize(
     ("more", "as_well"),
-    [
-        ({}, True),
-        ({"added_mass": [0.0, 0.0, 1.0, 0.0]}, False),
-        ({"mode_shapes": [[0.3, 0.6, 0.8, 1.0]]}, False),
-    ],
+    [({}, True), ({"added_mass": [0.0, 0.0, 1.0, 0.0]}, False), ({"mode_shapes": [[0.3, 0.6, 0.8, 1.0]]}, False)],
 )
 def test_shapes_or_a_load_tell_a_frame_from_its_dual(more, as_well):
     table = {"name": "before", "frequencies": [1.0], **more}
