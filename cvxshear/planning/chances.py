@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Place, Placed, Scale, named
+from cvxshear.effects import LocatedEffect, Place, Scale, named
 from cvxshear.fit.separation import log_evidence
 from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
@@ -42,13 +42,13 @@ class Target:
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     size : float
         Assumed distance of the parameter from its null value, in the parameter's unit.
     unit : str
     """
 
-    placed: Placed
+    placed: LocatedEffect
     size: float
     unit: str = ""
 
@@ -116,7 +116,7 @@ def target(text: str, frame: Frame, scale: Scale) -> Target:
     except ValueError:
         raise InputError(f"the size in {text!r} must be a number, not {size!r}") from None
     unit = item.unit if frame.story_heights is not None else item.unit_in_stories or item.unit
-    return Target(Placed(effect, place), checks.number(value, f"size of {head.strip()}", above=0.0), unit)
+    return Target(LocatedEffect(effect, place), checks.number(value, f"size of {head.strip()}", above=0.0), unit)
 
 
 def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories: int) -> Place:

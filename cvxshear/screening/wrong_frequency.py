@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 from scipy import special
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.stories import StoryChange
 from cvxshear.loop.close import begun
 from cvxshear.loop.fitter import ModelClass
@@ -199,7 +199,7 @@ def _rivals(
     freed = dataclasses.replace(given, configurations=tuple(less_sure))
     # Changes of stories in the other states belong to those states.
     changed = StoryChange()
-    others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)
+    others = tuple(LocatedEffect(changed, place) for place in changed.places(given) if place.state in experiment.states)
     try:
         with_effect, without = begun(given, others), begun(freed, others)
         # Before any set that explains the data: beside one fewer of a mass's starts are followed.
