@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects import Placed, compose
+from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit.separation import separation
 from cvxshear.model.shear import Modes, mode_derivatives, modes
 from cvxshear.planning.candidates import Candidates, candidates, free_changes
@@ -114,7 +114,7 @@ class TestModel:
         return self.which + 1
 
     @property
-    def effects(self) -> tuple[Placed, ...]:
+    def effects(self) -> tuple[LocatedEffect, ...]:
         """Effects of the model: the effects found before, then the targets."""
         return (*self.design.effects, *(each.placed for each in self.targets))
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from cvxshear.effects import Place, Placed, catalogue, compose, named
+from cvxshear.effects import LocatedEffect, Place, catalogue, compose, named
 from cvxshear.loop.twins import dual_fits_as_well
 from cvxshear.measurement.experiment import Experiment
 
@@ -47,7 +47,7 @@ def test_the_dual_has_the_same_frequencies(effect, place):
         kilograms = placed.effect.parameters[0].unit == "kg"
         return change * floors[placed.place.floor - 1] if kilograms else change
 
-    here, mirrored = Placed(effect, place), Placed(other, there)
+    here, mirrored = LocatedEffect(effect, place), LocatedEffect(other, there)
     np.testing.assert_allclose(
         eigenvalues(dual_mass, dual_stiffness, mirrored, own(mirrored, dual_mass, inverse)),
         eigenvalues(mass, stiffness, here, own(here, mass, CHANGE)),

@@ -10,7 +10,7 @@ from scipy import signal
 
 import cvxshear
 from cvxshear import backends, close_loop, effects
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import efficient
 from cvxshear.io.toml import write_measurement
 from cvxshear.records import Channel, Run, TimeRecord
@@ -111,7 +111,7 @@ def test_the_effect_found_takes_the_error_away():
     shapes = np.array(table["configuration"][0]["mode_shapes"]) * gain
     table["configuration"][0]["mode_shapes"] = shapes.tolist()
     experiment = cvxshear.Experiment.from_dict(table)
-    gained = Placed(effects.named(["sensor_gain"])[0], effects.Place(floor=3))
+    gained = LocatedEffect(effects.named(["sensor_gain"])[0], effects.Place(floor=3))
     solver = backends.get("auto")
     pair = Models(Fitted.of(efficient(experiment, solver)), Fitted.of(efficient(experiment, solver, [gained])))
     truth = DampedModel(M, C, K, np.ones(3))
@@ -348,7 +348,7 @@ def test_a_record_of_a_changed_state_predicts_that_state():
     states = [{**table["configuration"][0], "name": name, "state": name}
               for table, name in zip(tables, ("before", "after"), strict=True)]  # fmt: skip
     experiment = cvxshear.Experiment.from_dict({**tables[0], "configuration": states})
-    change = Placed(effects.named(["story_change"])[0], effects.Place(None, 1, "after"))
+    change = LocatedEffect(effects.named(["story_change"])[0], effects.Place(None, 1, "after"))
     pair = Models(None, Fitted.of(efficient(experiment, backends.get("auto"), [change])))
     record = recorded(after)
     found = predict(pair, DrivenRecord.of(record, state="after"), damping="modal")

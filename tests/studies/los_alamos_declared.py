@@ -48,7 +48,7 @@ def line(task: tuple[str, cvxshear.Experiment]) -> str:
     words, experiment = task
     closure = search_for_effects(experiment)
 
-    def at(placed: cvxshear.effects.Placed) -> tuple[str, tuple[str, int | None]]:
+    def at(placed: cvxshear.effects.LocatedEffect) -> tuple[str, tuple[str, int | None]]:
         where = placed.place.story if placed.effect.name == "story_change" else placed.place.floor
         return placed.place.state or "", (placed.effect.name, where)
 

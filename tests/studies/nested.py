@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg, special, stats
 
 from cvxshear import Experiment, backends
-from cvxshear.effects import Place, Placed, Scale, named, open_classes
+from cvxshear.effects import LocatedEffect, Place, Scale, named, open_classes
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import Accuracy
@@ -270,7 +270,7 @@ def fits(problem, of):
     effects = {effect.name: effect for effect in open_classes()}
     effect = effects.get(problem.effect) or named([problem.effect])[0]
     place = Place(**problem.at)
-    placed = Placed(effect.bound(of).bound_at(of, place), place)
+    placed = LocatedEffect(effect.bound(of).bound_at(of, place), place)
     expectation = EffectPrior(Scale(FLOOR_MASS, STORY_STIFFNESS, np.full(problem.stories, HEIGHT)))
     n = problem.stories
     start = np.concatenate([np.full(n, of.frame.total_mass / n), np.full(n, STORY_STIFFNESS)])
