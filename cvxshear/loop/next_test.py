@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.separation import Disagreement, disagreement, imagined
+from cvxshear.fit.expected_test import Disagreement, disagreement, imagined
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
@@ -70,7 +70,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
 
     The accepted model simulates the test for each testable state (the last of declared states), each floor and several
     masses, with the sensors and noise of the state's first configuration. The result is compared with the prediction of
-    each rival (`fit/separation.py`).
+    each rival (`fit/expected_test.py`).
 
     The criterion is the smallest distance over the rivals. Rivals that no such test distinguishes do not count if other
     rivals can be distinguished. If the distance stays below `CLEAR`, more floors receive a sensor, the best first,

@@ -10,8 +10,9 @@ from cvxshear import backends
 from cvxshear.effects import Gravity, LocatedEffect
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import EffectPrior
+from cvxshear.fit.expected_test import disagreement, imagined
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.separation import disagreement, imagined, separation
+from cvxshear.fit.separation import separation
 from cvxshear.loop.hypotheses import chosen, hypotheses
 from tests.frames import configuration, experiment, modes_of
 
