@@ -17,7 +17,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import acting_on, composed, slices
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints
 

@@ -20,7 +20,7 @@ from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_interval
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 12

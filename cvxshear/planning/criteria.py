@@ -27,7 +27,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.util import checks, ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
