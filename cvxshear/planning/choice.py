@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
-from cvxshear.planning.criteria import MOST_DIRECTIONS, Candidates, Criterion, Reduced
+from cvxshear.planning.criteria import MOST_IN_PROGRAM, Candidates, Criterion, Reduced
 from cvxshear.util import checks, ranking
 from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Floats, Ints
@@ -240,8 +240,8 @@ def _telling(whole: Floats) -> tuple[Floats, bool]:
     """Return orthonormal directions with information of the candidates, the largest first; and whether all are used."""
     values, vectors = np.linalg.eigh(whole)
     many = max(1, int(np.sum(values > TELLING)))
-    used = ranking.order(values)[: min(many, MOST_DIRECTIONS)]
-    return vectors[:, used], many <= MOST_DIRECTIONS
+    used = ranking.order(values)[: min(many, MOST_IN_PROGRAM)]
+    return vectors[:, used], many <= MOST_IN_PROGRAM
 
 
 def _as_mixture(matrix: Floats) -> Floats:

@@ -38,7 +38,7 @@ POWER = 24
 """Exponent of the power mean (sum of v^24)^(1/24), which replaces the largest variance if a derivative is needed. For s
 parameters, the power mean is larger by at most a factor of s^(1/24)."""
 
-MOST_DIRECTIONS = 16
+MOST_IN_PROGRAM = 16
 """Largest number of directions of the goal's parameters in a conic program, and of the other directions. The time grows
 with the fourth power of this number."""
 
@@ -342,7 +342,7 @@ class Eigenvalue(_Mixture):
         return (axes * weights) @ axes.T, mean
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
-        axes = np.linalg.eigh(reduced.asked @ reduced.asked.T + reduced.left)[1][:, ::-1][:, :MOST_DIRECTIONS]
+        axes = np.linalg.eigh(reduced.asked @ reduced.asked.T + reduced.left)[1][:, ::-1][:, :MOST_IN_PROGRAM]
         T, above = _above(cp, axes.T @ reduced.asked, information)
         t = cp.Variable()
         below = t * np.eye(axes.shape[1]) - axes.T @ reduced.left @ axes - T >> 0
@@ -365,7 +365,7 @@ class Worst(_Mixture):
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
         variances = np.diag(reduced.asked @ reduced.asked.T + reduced.left)
-        least_known = ranking.order(variances)[:MOST_DIRECTIONS]
+        least_known = ranking.order(variances)[:MOST_IN_PROGRAM]
         T, above = _above(cp, reduced.asked[least_known], information)
         t = cp.Variable()
         below = cp.diag(T) + np.diag(reduced.left)[least_known] <= t
