@@ -18,7 +18,7 @@ from cvxshear.effects.composition import acting_on, composed, slices
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 

@@ -24,7 +24,7 @@ from cvxshear.fit.gaussian import LOG_SIZES, SizeMarginal, UnknownSize, gains_by
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import free_basis
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 12

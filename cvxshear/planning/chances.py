@@ -14,11 +14,12 @@ import numpy as np
 
 from cvxshear.effects import LocatedEffect, Place, Scale, named
 from cvxshear.fit.gaussian import log_evidence_of_one
-from cvxshear.loop.conclusion import EXPLAINED
 from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.odds import weigh
+from cvxshear.util.quantities import SURE
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -215,8 +216,7 @@ def _right(targets: Sequence[Target], G: Floats) -> list[float]:
         y = noise if truth == 0 else noise + G[:, truth - 1]
         found = [log_evidence_of_one(float(G[i, i]), y[:, i], t.mean, t.std, t.side) for i, t in enumerate(targets)]
         evidence = np.stack([np.zeros(DRAWS), *found], axis=1)
-        likely = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-        likely /= likely.sum(axis=1, keepdims=True)
-        right = likely[:, truth] >= EXPLAINED if truth else likely[:, 1:].max(axis=1) < ADDED
+        likely = weigh(evidence)
+        right = likely[:, truth] >= SURE if truth else likely[:, 1:].max(axis=1) < ADDED
         result.append(float(np.mean(right)))
     return result

@@ -29,8 +29,7 @@ from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
-from cvxshear.util.arithmetic import usual_arithmetic
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
@@ -72,7 +71,7 @@ without a quieter part, the line changes peaks by up to four standard deviations
 ROUGH_DRIFT = 0.1
 """Relative standard deviation of drifts if the record does not fit a linear frame, the fit does not converge, or the
 tests do not determine the frame. The drift of a yielding story is 3 to 17 % too low, and of its neighbors up to 9 % too
-high (``tests.benchmarks.reconstruction``)."""
+high (``tests.studies.reconstruction``)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
