@@ -30,10 +30,7 @@ from cvxshear.loop.searches import dual_fits_as_well, dual_set
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError, NoSolutionError
-from cvxshear.util.quantities import listed, significant
-
-EXPLAINED = 0.95
-"""Smallest probability of each added effect, at its place, if the data are called explained."""
+from cvxshear.util.quantities import SURE, listed, significant
 
 NUMBERED = 1.0 - 2.0 * OVERLOOKED
 """Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
@@ -166,7 +163,7 @@ def _verdict(
     if not added and not numbering.changes:
         answered = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
         return "adequate" if answered else "ambiguous"
-    sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
+    sure = min([numbering.probability, *(item.probability for item in added)]) >= SURE
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:
         return "ambiguous"
