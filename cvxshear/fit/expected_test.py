@@ -7,7 +7,7 @@ eliminated over the floors that have a sensor.
 
 `plan` adds the rows of a test to the information about a frame. `next_test` compares two fits: their predictions differ
 by d, and the uncertainty of each fit moves its own prediction along columns S, one standard deviation per column. The
-distance of the fits is that of `fit/separation.py`.
+distance of the fits is that of `fit/gaussian.py`.
 """
 
 from __future__ import annotations
@@ -21,9 +21,6 @@ import numpy as np
 from cvxshear.data import Frequencies, Model, Residual, Shapes
 from cvxshear.data.pairing import numbered
 from cvxshear.effects import LocatedEffect, compose
-from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.separation import separation
-from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -126,97 +123,3 @@ def data_rows(test: Configuration, model: Model) -> Residual:
     every = np.ones(len(test.frequencies), dtype=bool)
     frequencies, shapes = (kind(test, every).residual(model) for kind in (Frequencies, Shapes))
     return Residual(np.concatenate([frequencies.r, shapes.r]), np.concatenate([frequencies.J, shapes.J]))
-
-
-def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Configuration:
-    """Make a configuration with these masses, measured at every floor as a fit predicts.
-
-    Parameters
-    ----------
-    accepted : Estimate
-    first : Configuration
-        Configuration with the state, modes and noise of the test; floors without a sensor get the mean noise.
-    added_mass : ndarray, shape (N,)
-        kg, in all.
-
-    Raises
-    ------
-    NoModesError
-        If the model buckles under these masses.
-    """
-    noise = accepted.misfit.noise
-    blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
-    model = tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
-    frequencies, shapes = predicted_modes(blank, model)
-    measured = dataclasses.replace(
-        blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
-    )
-    frequency = 1.0 if first.frequency_std is not None else noise.of(Frequencies.noise.name)
-    shape = 1.0 if first.mode_shape_std is not None else noise.of(Shapes.noise.name)
-    stds = frequency * first.log_frequency_std, shape * _everywhere(measured, shapes)
-    return expected_configuration(blank, frequencies, shapes, *stds)
-
-
-def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
-    """Return the standard deviations of a mode's entries at every floor over its largest entry, shape (m, N)."""
-    std = np.full(shapes.shape, np.nan)
-    std[:, measured.measured_floors - 1] = np.where(measured.measured, measured.entry_std, np.nan)
-    relative = std / np.max(np.abs(shapes), axis=1, keepdims=True)
-    known = np.isfinite(relative)
-    if not known.any():
-        return np.full(shapes.shape, DEFAULT_MODE_SHAPE_STD)
-    overall = float(relative[known].mean())
-    own = [float(row[some].mean()) if some.any() else overall for row, some in zip(relative, known, strict=True)]
-    return np.where(known, relative, np.array(own)[:, None])
-
-
-@dataclass(frozen=True, eq=False)
-class Disagreement:
-    """Two fits in a test that was not made.
-
-    Parameters
-    ----------
-    expected : ExpectedTest
-        Its first column is the difference of the predictions, the others the uncertainty of the fits.
-    """
-
-    expected: ExpectedTest
-
-    def at(self, floors: Ints) -> float:
-        """Count the standard deviations between the fits with sensors at these floors, zero-based."""
-        rows = self.expected.at(floors)
-        return float(np.sqrt(separation(rows[:, :1], rows[:, 1:])[0, 0]))
-
-
-def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
-    """Compare the predictions of two fits for a test.
-
-    Parameters
-    ----------
-    accepted, rival : Estimate
-        Fits of one frame.
-    test : Configuration
-        Test from `imagined`.
-    first : Configuration
-        The configuration that it repeats with other masses.
-
-    Raises
-    ------
-    NoModesError
-        If a model buckles under these masses.
-    """
-    mine, other = (
-        data_rows(test, tested_model(each.experiment, test, each.effects, each.theta)) for each in (accepted, rival)
-    )
-    # An entry that was not measured at an instrumented floor will not be measured there again.
-    seen = np.full(test.mode_shapes.shape, bool(first.measured.any()))
-    seen[:, first.measured_floors - 1] = first.measured
-    columns = [(other.r - mine.r)[:, None], _carried(mine.J, accepted), _carried(other.J, rival)]
-    return Disagreement(ExpectedTest(test, np.hstack(columns), seen, not first.mass_normalized))
-
-
-def _carried(J: Floats, estimate: Estimate) -> Floats:
-    """Return the changes of predictions by the uncertainty of a fit, one standard deviation per column."""
-    values, axes = np.linalg.eigh(estimate.uncertainty.covariance())
-    result: Floats = J @ (axes * np.sqrt(np.maximum(values, 0.0)))
-    return result

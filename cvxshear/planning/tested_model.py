@@ -11,7 +11,7 @@ from scipy import linalg
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
-from cvxshear.fit.separation import separation
+from cvxshear.fit.gaussian import separation
 from cvxshear.planning.chances import Target
 from cvxshear.planning.criteria import Candidates, candidates, free_changes
 from cvxshear.planning.design import UNKNOWN_STD, Design

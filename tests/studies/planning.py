@@ -14,8 +14,8 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import fitted
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.separation import log_evidence
 from cvxshear.io.toml import parse, read_text
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
@@ -223,7 +223,7 @@ def right_verdicts(planned, samples, seed):
                 start = np.append(sizes, target.null + target.size)
                 found = fitted(Misfit(test, (target.placed,)), start, solver)
                 y = information * (found.theta[-1] - target.null) / target.size
-                gain = log_evidence(information, np.array(y), target.mean, target.std, target.side)
+                gain = log_evidence_of_one(information, np.array(y), target.mean, target.std, target.side)
                 evidence.append(float(gain) - found.chi2 / 2 - y**2 / (2 * information))
             right += bool(weigh(evidence)[place + 1] >= SURE)
         result[truth.placed.label] = right / samples
