@@ -14,11 +14,11 @@ from cvxshear.effects.registry import catalogue, named, open_classes, register
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
-from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity
+from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity, Wall
 
 __all__ = [
     "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",
     "JointRelease", "JointRotation", "LoadScale", "MassCoupling", "Parameter", "Place", "Placed", "Scale", "SensorGain",
-    "Spring", "State", "StateMass", "StateStiffness", "StoryChange", "TotalMass", "catalogue", "compose", "named",
+    "Spring", "State", "StateMass", "StateStiffness", "StoryChange", "TotalMass", "Wall", "catalogue", "compose", "named",
     "open_classes", "refuse_faulty", "refuse_repeated", "register",
 ]  # fmt: skip
