@@ -1,6 +1,6 @@
 """The backends: the closed form, the installed solvers of qpsolvers and cvxpy, and "auto".
 
-"auto" asks the solvers in the order of the table of `docs/speed.md` (python -m tests.benchmarks solvers). A scaled
+"auto" asks the solvers in the order of the table of `docs/speed.md` (python -m tests.studies solvers). A scaled
 program has the identity as its Hessian and few active inequalities, for which a dual active-set method needs few steps:
 DAQP takes a half to an eighth of the time of Clarabel for 3 to 100 unknowns. If the data leave a direction open, the
 Hessian is singular, and the interior-point method comes first. Every answer is certified; if one fails, the next solver

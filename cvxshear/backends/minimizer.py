@@ -26,7 +26,7 @@ from scipy.linalg import lapack
 
 from cvxshear.backends.canonical import DEPENDENT, LAPACK_BLOCK, independent_rows
 from cvxshear.programs.certificate import Assembled, Point, length
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 ACTIVE_SETS = 10

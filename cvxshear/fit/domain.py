@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Placed, Scale
+from cvxshear.effects import LocatedEffect, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.measurement.experiment import Experiment
@@ -59,7 +59,7 @@ def spread(
     ]
 
 
-def domain_of(experiment: Experiment, effects: Sequence[Placed], theta: Floats) -> Domain:
+def domain_of(experiment: Experiment, effects: Sequence[LocatedEffect], theta: Floats) -> Domain:
     """Build the domain of the parameters of a fit with these effects."""
     n, size = experiment.stories, len(theta)
     known = experiment.frame.known_total

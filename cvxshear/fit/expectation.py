@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cvxshear.effects import Placed, Scale
+from cvxshear.effects import LocatedEffect, Scale
 from cvxshear.util.typing import Floats
 
 MASS_WIDTH = 1.0
@@ -38,23 +38,23 @@ class EffectPrior:
     """
 
     scale: Scale | None = None
-    stds: dict[Placed, Floats] = field(default_factory=dict)
+    stds: dict[LocatedEffect, Floats] = field(default_factory=dict)
 
-    def of(self, placed: Placed) -> Floats:
+    def of(self, placed: LocatedEffect) -> Floats:
         """Return the standard deviations of an effect's parameters about null, shape (p,); infinite if uniform."""
         assert self.scale is not None, "without a scale an effect has no prior"
         std = self.stds.get(placed)
         return placed.effect.expected_sizes(self.scale) if std is None else std
 
     def residuals(
-        self, theta: Floats, effects: Sequence[Placed], factors: Mapping[str, float]
+        self, theta: Floats, effects: Sequence[LocatedEffect], factors: Mapping[str, float]
     ) -> tuple[Rows, list[str], Rows]:
         """Compute the rows of the effects' parameters and the rows of the frame, with residuals and derivatives.
 
         Parameters
         ----------
         theta : ndarray, shape (P,)
-        effects : sequence of Placed
+        effects : sequence of LocatedEffect
         factors : mapping of str to float
             Factor on the expected size of an effect of one common, unknown size, by the effect's label.
 

@@ -20,7 +20,7 @@ from cvxshear.programs import LeastSquares
 from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
 from cvxshear.util import checks, ranking
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.special import expit
 
 from cvxshear.data import Datum, Deviation, Model, NoiseFactors, NoiseKind, data_of, noise_kinds
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import acting_on, composed, slices
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -125,7 +125,7 @@ class Misfit:
     Parameters
     ----------
     experiment : Experiment
-    effects : sequence of Placed
+    effects : sequence of LocatedEffect
     leave_out : array of bool for each configuration, optional
         Modes of a configuration that do not count, by its name.
     noise : NoiseFactors, optional
@@ -139,7 +139,7 @@ class Misfit:
     def __init__(
         self,
         experiment: Experiment,
-        effects: Sequence[Placed] = (),
+        effects: Sequence[LocatedEffect] = (),
         leave_out: dict[str, Bools] | None = None,
         noise: NoiseFactors | None = None,
         expectation: EffectPrior | None = None,
@@ -157,7 +157,10 @@ class Misfit:
         ]
 
     def replaced(
-        self, effects: Sequence[Placed] | None = None, noise: NoiseFactors | None = None, widened: float | None = None
+        self,
+        effects: Sequence[LocatedEffect] | None = None,
+        noise: NoiseFactors | None = None,
+        widened: float | None = None,
     ) -> Misfit:
         """Return the same data with other effects, another noise, or another noise inflation."""
         return Misfit(
@@ -209,13 +212,13 @@ class Misfit:
         """The undeclared kinds of noise, each with its number of data."""
         return {item.key: item.count for item in self.unknown if item.key in self.noises}
 
-    def rescaled_rows(self, at: Evaluation, placed: Placed) -> Bools:
+    def rescaled_rows(self, at: Evaluation, placed: LocatedEffect) -> Bools:
         """Return the rows of an evaluation whose standard deviation an effect leaves open, shape (d,)."""
         found = np.zeros(len(at.r), dtype=bool)
         found[: sum(at.blocks)] = np.concatenate([self._rescaled(datum, placed) for datum in self.data])
         return found
 
-    def _rescaled(self, datum: Datum, placed: Placed) -> Bools:
+    def _rescaled(self, datum: Datum, placed: LocatedEffect) -> Bools:
         """Return the rows of a datum whose standard deviation an effect leaves open."""
         return placed.effect.rescaled(datum.tested, datum.noise.name, datum.floors, placed.place)
 
@@ -297,7 +300,7 @@ class Misfit:
         return places, unknown, factors
 
     @cached_property
-    def _acting(self) -> list[list[tuple[Placed, slice]]]:
+    def _acting(self) -> list[list[tuple[LocatedEffect, slice]]]:
         """The effects that act on each tested state."""
         return [acting_on(each, self.effects, self.experiment.stories) for each in self.experiment.tested]
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import integrate, optimize, special
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.expectation import EffectPrior, tailed
@@ -114,7 +114,7 @@ def _program(estimate: Estimate) -> LeastSquares:
     return constrained(empty, estimate.domain.statements, estimate.theta)
 
 
-def _log_constant(placed: Placed, expectation: EffectPrior) -> float:
+def _log_constant(placed: LocatedEffect, expectation: EffectPrior) -> float:
     """Return the log constant of an effect's prior, times sqrt(2 pi) per parameter as in Laplace's integral."""
     value = 0.0
     tail, normal = placed.effect.tail, placed.effect.common_size

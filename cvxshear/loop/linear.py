@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import slices
 from cvxshear.fit.domain import domain_of
 from cvxshear.fit.efficient import Estimate
@@ -20,7 +20,7 @@ from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_interval
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 12
@@ -48,11 +48,11 @@ class Linearised:
     Parameters
     ----------
     base : Estimate
-    lacking : sequence of Placed
+    lacking : sequence of LocatedEffect
     expectation : EffectPrior
     """
 
-    def __init__(self, base: Estimate, lacking: Sequence[Placed], expectation: EffectPrior) -> None:
+    def __init__(self, base: Estimate, lacking: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
         self.base = base
         self.lacking = list(lacking)
         self.expectation = expectation
@@ -79,7 +79,7 @@ class Linearised:
                 columns[:, own] += base.fit.at.J[:, : 2 * base.experiment.stories] @ self._shift(placed)
         return columns
 
-    def _shift(self, placed: Placed) -> Floats:
+    def _shift(self, placed: LocatedEffect) -> Floats:
         """Find the least change of the frame, in typical units, that keeps all equalities with the effect."""
         scale, base = self.expectation.scale, self.base
         assert scale is not None
@@ -91,11 +91,11 @@ class Linearised:
         shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, len(base.theta) :])
         return shift
 
-    def columns(self, placed: Placed) -> Floats:
+    def columns(self, placed: LocatedEffect) -> Floats:
         """Return the derivatives of the residuals by an effect's parameters and the frame's change, shape (d, p)."""
         return self._columns[:, self._at[placed]]
 
-    def gain(self, placed: Placed) -> float:
+    def gain(self, placed: LocatedEffect) -> float:
         """Return the gain in log evidence with an effect, from the linearised model."""
         return float(self.gains[self.lacking.index(placed)])
 
@@ -114,7 +114,7 @@ class Linearised:
             found[at] = self._gain_of_several(self.lacking[at], own[:, self._at[self.lacking[at]]], r)
         return found
 
-    def _gain_of_several(self, placed: Placed, own: Floats, r: Floats) -> float:
+    def _gain_of_several(self, placed: LocatedEffect, own: Floats, r: Floats) -> float:
         """Find the gain of an effect with several parameters, with one common size, or on the accuracy of data."""
         effect = placed.effect
         if effect.rescales:
@@ -133,7 +133,7 @@ class Linearised:
         parts = np.where(sign > 0, constants + 0.5 * (quadratic - log_det), -np.inf)
         return float(np.logaddexp.reduce(parts))
 
-    def _likely_sizes(self, placed: Placed) -> Floats:
+    def _likely_sizes(self, placed: LocatedEffect) -> Floats:
         """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
 
         Student's prior is widened by `WIDE`, so that the prediction does not shrink a large effect. A common size gets
@@ -147,7 +147,7 @@ class Linearised:
         found: Floats = stds * np.exp(_best_log_size(b, h, stds, placed.effect.size_width))
         return found
 
-    def forward(self, log_priors: Floats) -> list[Placed]:
+    def forward(self, log_priors: Floats) -> list[LocatedEffect]:
         """List the effects that the linearised model adds in sequence, the most promising first, while it gains.
 
         Parameters
@@ -155,7 +155,7 @@ class Linearised:
         log_priors : ndarray, shape (n,)
             Logarithm of the prior odds of each lacking effect.
         """
-        taken: list[Placed] = []
+        taken: list[LocatedEffect] = []
         open_to = np.array(log_priors)
         own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
         for _ in range(min(len(self.lacking), MOST_TAKEN)):
@@ -179,7 +179,7 @@ class Linearised:
             own, left = own - basis @ (basis.T @ own), left - basis @ (basis.T @ left)
         return taken
 
-    def predicted(self, placed: Sequence[Placed]) -> Floats:
+    def predicted(self, placed: Sequence[LocatedEffect]) -> Floats:
         """Find the minimum of the linearised model with these effects, each within its bounds.
 
         Returns
@@ -206,7 +206,7 @@ class Linearised:
                 theta[: 2 * self.base.experiment.stories] += self._shift(each) @ (values - null)[at]
         return np.concatenate([theta, values])
 
-    def decrease(self, placed: Placed) -> float:
+    def decrease(self, placed: LocatedEffect) -> float:
         """Return the decrease of chi-square with an effect within its bounds, without a prior on the effect."""
         own = self._at[placed]
         if own.start == own.stop:
@@ -217,14 +217,14 @@ class Linearised:
         change = np.clip(-np.linalg.lstsq(h, slope, rcond=None)[0], lower, upper)
         return float(-(2.0 * slope @ change + change @ h @ change))
 
-    def confounders(self, placed: Placed, names: Sequence[str], share: float = 0.1) -> tuple[str, ...]:
+    def confounders(self, placed: LocatedEffect, names: Sequence[str], share: float = 0.1) -> tuple[str, ...]:
         """List the parameters of the fit whose change imitates an effect; largest part first."""
         g = self._columns[:, self._at[placed]].sum(axis=1)
         part = np.abs(self._free @ (self._reached.T @ g)) * np.linalg.norm(self.base.fit.at.J, axis=0)
         order = ranking.order(part)
         return tuple(names[i] for i in order if part[i] > share * part[order[0]])
 
-    def precision_gained(self, placed: Placed) -> float:
+    def precision_gained(self, placed: LocatedEffect) -> float:
         """Return the ratio of the precisions of an effect's first parameter with the data and without."""
         own = self._at[placed]
         if own.start == own.stop:
@@ -251,7 +251,7 @@ class _Singles:
         Precisions of the normal parts of each prior, and the logarithms of their weights with the priors' constants.
     """
 
-    def __init__(self, lacking: Sequence[Placed], expectation: EffectPrior) -> None:
+    def __init__(self, lacking: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
         alone = np.array(
             [len(p.effect.parameters) == 1 and not (p.effect.common_size or p.effect.rescales) for p in lacking],
             dtype=bool,
@@ -281,12 +281,12 @@ class _Singles:
         return found
 
 
-def _parts(placed: Placed) -> tuple[tuple[float, float], ...]:
+def _parts(placed: LocatedEffect) -> tuple[tuple[float, float], ...]:
     """Return the normal distributions that approximate the prior of an effect."""
     return NORMAL if np.isinf(placed.effect.tail) else STUDENT
 
 
-def _limits(effects: Sequence[Placed]) -> tuple[Floats, Floats]:
+def _limits(effects: Sequence[LocatedEffect]) -> tuple[Floats, Floats]:
     """Return the bounds of all parameters of the effects, as distances from null, each of shape (p,)."""
     items = [item for placed in effects for item in placed.effect.parameters]
     lower, upper = np.array([(item.lower - item.null, item.upper - item.null) for item in items]).reshape(-1, 2).T

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.noise import NoiseEstimate
 from cvxshear.fit.quality import Quality
@@ -60,7 +60,7 @@ class AddedEffect(InJson):
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     probability : float
         Probability that the effect is present.
     parameters, std : dict of str to float
@@ -72,7 +72,7 @@ class AddedEffect(InJson):
         Parameters on a physical bound.
     """
 
-    placed: Placed
+    placed: LocatedEffect
     probability: float
     parameters: dict[str, float]
     std: dict[str, float | None]
@@ -89,7 +89,7 @@ class Candidate(InJson):
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     probability : float
         Probability that the effect is present.
     prior : float
@@ -104,7 +104,7 @@ class Candidate(InJson):
         Parameters that the data cannot distinguish from the effect; empty if there are none.
     """
 
-    placed: Placed
+    placed: LocatedEffect
     probability: float
     prior: float
     chi2: float
@@ -121,7 +121,7 @@ class EffectSet:
 
     Parameters
     ----------
-    effects : tuple of Placed
+    effects : tuple of LocatedEffect
     probability : float
     log_evidence : float
     chi2 : float
@@ -130,7 +130,7 @@ class EffectSet:
         Configurations with other mode numbers than the given ones, with these modes.
     """
 
-    effects: tuple[Placed, ...]
+    effects: tuple[LocatedEffect, ...]
     probability: float
     log_evidence: float
     chi2: float
@@ -148,7 +148,7 @@ class EffectSet:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Closure(Shown):
+class LoopResult(Shown):
     """Result of `close_loop`.
 
     Parameters
@@ -167,7 +167,7 @@ class Closure(Shown):
         wide that the residual is probable.
     effects : tuple of AddedEffect
         Most probable first; provisional if the verdict is provisional.
-    assumed : tuple of Placed
+    assumed : tuple of LocatedEffect
     numberings : tuple of NumberingProbability
         Numberings of the measured modes, most probable first; only the given one if no other was considered.
     models : tuple of EffectSet
@@ -196,7 +196,7 @@ class Closure(Shown):
     steps: tuple[Step, ...]
     judged: Estimate
     effects: tuple[AddedEffect, ...]
-    assumed: tuple[Placed, ...]
+    assumed: tuple[LocatedEffect, ...]
     numberings: tuple[NumberingProbability, ...]
     models: tuple[EffectSet, ...]
     averaged: IdentifiedFrame
@@ -282,11 +282,11 @@ class Closure(Shown):
         return super().to_dict() | {"assumed": _with_parameters(self.estimate, self.assumed), "steps": steps}
 
 
-def _with_parameters(estimate: Estimate, effects: Sequence[Placed]) -> list[Json]:
+def _with_parameters(estimate: Estimate, effects: Sequence[LocatedEffect]) -> list[Json]:
     return [{**placed.to_dict(), "parameters": parameters_of(estimate, placed)} for placed in effects]
 
 
-def parameters_of(estimate: Estimate, placed: Placed) -> dict[str, float]:
+def parameters_of(estimate: Estimate, placed: LocatedEffect) -> dict[str, float]:
     """Return the values of an effect's parameters by name."""
     values = estimate.theta[estimate.own(placed)]
     return {item.name: float(value) for item, value in zip(placed.effect.parameters, values, strict=True)}

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.loop.fitter import Fitter, ModelClass
@@ -219,7 +219,7 @@ class Search:
 
         Parameters
         ----------
-        starts : sequence of (frozenset of Placed, ndarray of shape (2N,))
+        starts : sequence of (frozenset of LocatedEffect, ndarray of shape (2N,))
             Sets, each with the floor masses and story stiffnesses of the start. Effects start at null.
         """
         base = self.base.estimate
@@ -275,7 +275,7 @@ class Search:
             self._last = Linearised(model.estimate, self.lacking(model), self.fitter.expectation)
         return self._last
 
-    def twins(self, model: ModelClass, placed: Placed) -> list[Placed]:
+    def twins(self, model: ModelClass, placed: LocatedEffect) -> list[LocatedEffect]:
         """List the twins of an effect in a set whose fit with the twin is equally good."""
         assert model.estimate is not None
         found = []
@@ -328,7 +328,7 @@ class Search:
             better.effects < model.effects and better.score > model.score + TIE for better in self.beam
         )
 
-    def lacking(self, model: ModelClass) -> list[Placed]:
+    def lacking(self, model: ModelClass) -> list[LocatedEffect]:
         """List the effects that a set lacks and that the linearised model at its fit can judge."""
         there = {"", *(placed.effect.name for placed in (*model.effects, *self.fitter.assumed))}
         return [
@@ -417,7 +417,7 @@ class Search:
                     others = [each for each in self.lacking(at) if len(group) > 1 or each.effect.kind != OPEN]
                     best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
-    def _with_one_of(self, effects: Sequence[Placed], model: ModelClass, barred: Set) -> list[ModelClass]:
+    def _with_one_of(self, effects: Sequence[LocatedEffect], model: ModelClass, barred: Set) -> list[ModelClass]:
         """Visit the most promising sets with one of these effects added, except the barred ones."""
         effects = [placed for placed in effects if placed not in barred]
         if model.estimate is None or not effects:
@@ -432,7 +432,7 @@ class Search:
 
     def _prune(self, model: ModelClass) -> None:
         """Visit sets with fewer effects, the weakest removed first: an effect added early may be superfluous."""
-        at, kept = model, set[Placed]()
+        at, kept = model, set[LocatedEffect]()
         while at.estimate is not None and len(kept) < WEAKEST:
             self.pruned.add(at.effects)
             left = [placed for placed in at.effects if placed not in kept]
@@ -471,7 +471,7 @@ class Search:
         return model.estimate is None and model.failure is None
 
 
-def _strength(estimate: Estimate, placed: Placed) -> float:
+def _strength(estimate: Estimate, placed: LocatedEffect) -> float:
     """Return the largest distance of a parameter from null, in standard deviations; zero without parameters."""
     own = estimate.own(placed)
     nulls = [item.null for item in placed.effect.parameters]

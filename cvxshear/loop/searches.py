@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
@@ -57,7 +57,7 @@ class Searches:
     Parameters
     ----------
     backend : Backend
-    there : tuple of Placed
+    there : tuple of LocatedEffect
         Effects that the model holds from the start.
     looked_for : sequence of Hypothesis
     expectation : EffectPrior
@@ -70,7 +70,7 @@ class Searches:
     """
 
     backend: Backend
-    there: tuple[Placed, ...]
+    there: tuple[LocatedEffect, ...]
     looked_for: Sequence[Hypothesis]
     expectation: EffectPrior
     start: Estimate
@@ -168,7 +168,7 @@ class Searches:
         search.visit(effects for effects, _ in self._duals(other))
         return other
 
-    def _duals(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
+    def _duals(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
         """List the duals of the best sets of a search, each with the dual of its fitted frame."""
         n = search.fitter.experiment.stories
         known = [item.placed for item in self.looked_for]
@@ -178,10 +178,10 @@ class Searches:
             if model.estimate is not None and (dual := dual_set(model.effects, known, n)) is not None
         ]
 
-    def _with_duals(self, stories: int) -> list[Placed]:
+    def _with_duals(self, stories: int) -> list[LocatedEffect]:
         return [each.placed for each in self.looked_for if each.placed.effect.dual(each.placed.place, stories)]
 
-    def _pairs(self, search: Search) -> list[frozenset[Placed]]:
+    def _pairs(self, search: Search) -> list[frozenset[LocatedEffect]]:
         """List pairs of changes of one kind in one state: a search for single changes may not find such a pair."""
         n = search.fitter.experiment.stories
         return [
@@ -190,7 +190,7 @@ class Searches:
             if (a.effect.name, a.place.state) == (b.effect.name, b.place.state)
         ]
 
-    def _changes(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
+    def _changes(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
         """List every change of a state that has a dual, with several frames to start from.
 
         These are the frame of each single state and its dual. The shear model of all states lies between their frames,
@@ -226,10 +226,10 @@ def _leader(given: Search, others: Sequence[Search]) -> Search:
 def _near(given: Search, others: Sequence[Search], leader: Search) -> list[Search]:
     """Search the numberings near the best to the end, and the given numbering if it may still win."""
     rest = ranking.ranked(
-            (each for each in (given, *others) if each is not leader),
-            lambda search: search.base.score,
-            same=ranking.SAME_ODDS,
-        )
+        (each for each in (given, *others) if each is not leader),
+        lambda search: search.base.score,
+        same=ranking.SAME_ODDS,
+    )
     kept = {id(given), id(leader)}
     best = leader.best.score
     for search in rest:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import slices
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.evidence import free_basis
@@ -43,7 +43,7 @@ class Invariances:
     estimate : Estimate
     free : ndarray, shape (d, f)
         Derivatives by the directions that the declarations do not fix.
-    owner : tuple of (Placed or None)
+    owner : tuple of (LocatedEffect or None)
         Effect of each direction; None for the frame.
     lacking : dict
         Derivatives by the parameters of each effect that the model lacks, shape (d, p).
@@ -51,10 +51,10 @@ class Invariances:
 
     estimate: Estimate
     free: Floats
-    owner: tuple[Placed | None, ...]
-    lacking: dict[Placed, Floats]
+    owner: tuple[LocatedEffect | None, ...]
+    lacking: dict[LocatedEffect, Floats]
 
-    def twins(self, placed: Placed) -> list[Placed]:
+    def twins(self, placed: LocatedEffect) -> list[LocatedEffect]:
         """List the effects that can replace an effect in the model without any change of the data."""
         own = np.array([owner is placed for owner in self.owner])
         if not own.any():
@@ -70,7 +70,7 @@ class Invariances:
             if 0 < columns.shape[1] <= int(own.sum()) and _beyond(_without(basis, columns), wanted) < EXACT
         ]
 
-    def untold(self, placed: Placed, others: Sequence[Placed]) -> bool:
+    def untold(self, placed: LocatedEffect, others: Sequence[LocatedEffect]) -> bool:
         """Whether an effect of its expected size changes all data together by less than one standard deviation.
 
         Changes that the frame, the effects of the model, or the given others can also make do not count.
@@ -92,7 +92,7 @@ def invariances(linear: Linearised) -> Invariances:
     free_effects = [
         placed for placed, own in slices(estimate.effects, n2) if not placed.fixed for _ in range(own.start, own.stop)
     ]
-    frame: list[Placed | None] = [None] * (basis.shape[1] - len(free_effects))
+    frame: list[LocatedEffect | None] = [None] * (basis.shape[1] - len(free_effects))
     return Invariances(
         estimate,
         estimate.fit.at.J[:measured] @ basis,
@@ -156,13 +156,15 @@ def dual_frame(frame: Floats) -> Floats:
     return dual
 
 
-def dual_set(effects: frozenset[Placed], known: Sequence[Placed], stories: int) -> frozenset[Placed] | None:
+def dual_set(
+    effects: frozenset[LocatedEffect], known: Sequence[LocatedEffect], stories: int
+) -> frozenset[LocatedEffect] | None:
     """Find the effects of the dual frame that give the same frequencies; None if an effect has no dual.
 
     Parameters
     ----------
-    effects : frozenset of Placed
-    known : sequence of Placed
+    effects : frozenset of LocatedEffect
+    known : sequence of LocatedEffect
         All effects that are looked for.
     stories : int
     """

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Place, Placed, Scale, named
+from cvxshear.effects import LocatedEffect, Place, Scale, named
 from cvxshear.fit.separation import log_evidence
-from cvxshear.loop.conclusion import EXPLAINED
 from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.odds import weigh
+from cvxshear.util.quantities import SURE
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -41,13 +42,13 @@ class Target:
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     size : float
         Assumed distance of the parameter from its null value, in the parameter's unit.
     unit : str
     """
 
-    placed: Placed
+    placed: LocatedEffect
     size: float
     unit: str = ""
 
@@ -115,7 +116,7 @@ def target(text: str, frame: Frame, scale: Scale) -> Target:
     except ValueError:
         raise InputError(f"the size in {text!r} must be a number, not {size!r}") from None
     unit = item.unit if frame.story_heights is not None else item.unit_in_stories or item.unit
-    return Target(Placed(effect, place), checks.number(value, f"size of {head.strip()}", above=0.0), unit)
+    return Target(LocatedEffect(effect, place), checks.number(value, f"size of {head.strip()}", above=0.0), unit)
 
 
 def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories: int) -> Place:
@@ -215,8 +216,7 @@ def _right(targets: Sequence[Target], G: Floats) -> list[float]:
         y = noise if truth == 0 else noise + G[:, truth - 1]
         found = [log_evidence(float(G[i, i]), y[:, i], t.mean, t.std, t.side) for i, t in enumerate(targets)]
         evidence = np.stack([np.zeros(DRAWS), *found], axis=1)
-        likely = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-        likely /= likely.sum(axis=1, keepdims=True)
-        right = likely[:, truth] >= EXPLAINED if truth else likely[:, 1:].max(axis=1) < ADDED
+        likely = weigh(evidence)
+        right = likely[:, truth] >= SURE if truth else likely[:, 1:].max(axis=1) < ADDED
         result.append(float(np.mean(right)))
     return result

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 

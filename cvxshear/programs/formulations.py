@@ -17,7 +17,7 @@ from cvxshear.programs.constraints import NamedConstraints, constrained, refuse_
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.programs.pair_rows import mass_rows, normalized, one_shot_rows, stiffness_rows
 from cvxshear.util import checks
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point, certify
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import ask
 from cvxshear.util.typing import Floats

@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.backends import Comparison
 from cvxshear.fit.identification import compare_backends
 from cvxshear.io.inputs import read_bytes
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.measurement.declaration import Heading
 from cvxshear.records import ModalResult
 from cvxshear.report.describe import Sentence, Table, describe
@@ -32,7 +32,7 @@ LARGEST_PHOTOGRAPH = 20_000_000
 
 
 def render(
-    result: Closure,
+    result: LoopResult,
     command: str,
     comparison: Comparison | None = None,
     units: Units = AUTOMATIC,
@@ -43,7 +43,7 @@ def render(
 
     Parameters
     ----------
-    result : Closure
+    result : LoopResult
     command : str
         Command line that writes this report.
     comparison : Comparison, optional
@@ -167,7 +167,7 @@ MovingShape = tuple[str, list[tuple[float, float]]]
 """Label of a mode, and for the ground and each floor the sway (largest value 1) and the height in the drawing."""
 
 
-def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:
+def moving_shapes(result: LoopResult) -> list[tuple[str, list[MovingShape]]]:
     """List the lowest modes of the final model, by configuration."""
     z, _ = elevations(result.experiment)
     heights = (GROUND_HEIGHT - (GROUND_HEIGHT - ROOF_HEIGHT) * np.concatenate([[0.0], z]) / z[-1]).round(2).tolist()

@@ -7,7 +7,7 @@ import numpy as np
 
 from cvxshear.fit.results import Identification
 from cvxshear.io.spreadsheets import Cell, Sheet
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.records import ModalResult
 from cvxshear.report.describe.consequences import MODELS, compared_errors
@@ -34,7 +34,7 @@ def sheets_of_identification(result: Identification) -> list[Sheet]:
     return [Sheet("frame", header, rows), _frequencies(result.experiment, predicted)]
 
 
-def sheets_of_closure(result: Closure) -> list[Sheet]:
+def sheets_of_closure(result: LoopResult) -> list[Sheet]:
     """Tabulate the identified frame, the effects added, the errors of both models, and the modes."""
     said = result.to_dict()
     words = {key: label for key, label, _ in compared_errors("predicted from the rest")}
@@ -113,7 +113,7 @@ def _frequencies(experiment: Experiment, predictions: Sequence[Json]) -> Sheet:
     return Sheet("modes", ("configuration", "mode", "measured, Hz", "model, Hz", "relative error"), rows)
 
 
-def _effects(result: Closure) -> Iterator[tuple[Cell, ...]]:
+def _effects(result: LoopResult) -> Iterator[tuple[Cell, ...]]:
     """List each parameter of each effect with its unit, value and standard deviation."""
     for found in result.effects:
         said = found.to_dict()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvxshear.effects import Placed, catalogue, compose, open_classes
+from cvxshear.effects import LocatedEffect, catalogue, compose, open_classes
 from tests.effects.common import HEIGHTS, MASS, NAMES, STIFFNESS, experiment, placed, theta
 
 TOP = float(HEIGHTS.sum())
@@ -26,6 +26,7 @@ CASES = {
     "soft_feet": (placed("soft_feet"), 0.6),
     "joint_release": (placed("joint_release", floor=2, state="loaded"), (0.6, 0.1)),
     "bracing": (placed("bracing"), 0.2),
+    "wall": (placed("wall"), 0.15),
 }
 SCALES = {
     "gravity": 1.0,
@@ -45,6 +46,7 @@ SCALES = {
     "soft_feet": 1.0,
     "joint_release": 1.0,
     "bracing": 1.0,
+    "wall": 1.0,
 }
 """Scale of each parameter: a small change. The step is a fraction of it."""
 STEP = 1e-4
@@ -161,7 +163,9 @@ def test_beams_of_each_floor_by_themselves(with_others):
     cases = list(CASES.values()) if with_others else [CASES["joint_rotation"]]
     own, scales = flat(cases)
     b = [0.3, -0.2, 0.6, -0.7]
-    assert_derivatives([*(each for each, _ in cases), Placed(effect)], [*own, *b], 1, [*scales, 1.0, 1.0, 1.0, 1.0])
+    assert_derivatives(
+        [*(each for each, _ in cases), LocatedEffect(effect)], [*own, *b], 1, [*scales, 1.0, 1.0, 1.0, 1.0]
+    )
 
 
 def test_derivatives_are_symmetric():

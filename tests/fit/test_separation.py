@@ -7,7 +7,7 @@ import pytest
 
 import cvxshear
 from cvxshear import backends
-from cvxshear.effects import Gravity, Placed
+from cvxshear.effects import Gravity, LocatedEffect
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
@@ -31,7 +31,7 @@ def fits(**keys):
     declared = experiment(MASS, STIFFNESS, tested, frame={"total_mass": 37.0, "story_heights": 0.4})
     declared["prior"] = [{"kind": "nominal", "quantity": "story_stiffness", "values": STIFFNESS, "std": 0.05}]
     of = cvxshear.Experiment.from_dict(declared)
-    return [efficient(of, backends.get("auto"), effects) for effects in ((), (Placed(Gravity()),))]
+    return [efficient(of, backends.get("auto"), effects) for effects in ((), (LocatedEffect(Gravity()),))]
 
 
 def predictions(theta, added, floors, modes, gravity):

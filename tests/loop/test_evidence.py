@@ -8,7 +8,7 @@ import pytest
 from scipy import integrate, special, stats
 
 from cvxshear import Experiment, backends, close_loop
-from cvxshear.effects import Place, Placed, Scale, catalogue, open_classes
+from cvxshear.effects import LocatedEffect, Place, Scale, catalogue, open_classes
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior
 from cvxshear.fit.gauss_newton import Accuracy
@@ -33,7 +33,7 @@ FREEDOM = 5
 
 
 def put(name, **place):
-    return Placed(next(each for each in (*catalogue(), *open_classes()) if each.name == name), Place(**place))
+    return LocatedEffect(next(each for each in (*catalogue(), *open_classes()) if each.name == name), Place(**place))
 
 
 SPRING = put("ground_spring", floor=2)

@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, stats
 
 from cvxshear import Experiment, backends
-from cvxshear.effects import Parameter, Place, Placed, Scale, SensorGain, named
+from cvxshear.effects import LocatedEffect, Parameter, Place, Scale, SensorGain, named
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
@@ -23,7 +23,7 @@ SCALE = Scale(19e3, 30e6, np.ones(5))
 
 
 def put(name, **place):
-    return Placed(named([name])[0], Place(**place))
+    return LocatedEffect(named([name])[0], Place(**place))
 
 
 MASS_3 = put("added_mass", floor=3, state="test 2")
@@ -94,7 +94,7 @@ def test_parameters_that_the_data_cannot_part_promise_nothing():
         for rows in (rng.standard_normal((6, 2)) for _ in range(50))
         if np.linalg.slogdet((columns := np.column_stack([rows, rows.sum(axis=1)])).T @ columns)[0] < 0
     )
-    placed = Placed(Alike(), Place(floor=1))
+    placed = LocatedEffect(Alike(), Place(floor=1))
     # The priors are uniform between the bounds, so they add no curvature.
     linear = SimpleNamespace(expectation=EffectPrior(SCALE, {placed: np.full(3, np.inf)}))
     for r in rng.standard_normal((3, 6)):

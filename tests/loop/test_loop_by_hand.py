@@ -8,7 +8,7 @@ import pytest
 from scipy import special, stats
 
 from cvxshear import Experiment
-from cvxshear.effects import Place, Placed, catalogue, open_classes
+from cvxshear.effects import LocatedEffect, Place, catalogue, open_classes
 from cvxshear.loop import conclusion, held_out, next_test, residual, search, searches
 from cvxshear.loop.conclusion import Posterior
 from cvxshear.loop.evidence import _multipliers
@@ -24,7 +24,7 @@ from tests.frames import configuration, experiment
 
 
 def put(name, **place):
-    return Placed(next(each for each in (*catalogue(), *open_classes()) if each.name == name), Place(**place))
+    return LocatedEffect(next(each for each in (*catalogue(), *open_classes()) if each.name == name), Place(**place))
 
 
 GAIN_1, GAIN_2, GAIN_3 = (put("sensor_gain", floor=floor) for floor in (1, 2, 3))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, backends, close_loop
-from cvxshear.effects import Effect, GroundSpring, Parameter, Place, Placed, SensorGain
+from cvxshear.effects import Effect, GroundSpring, LocatedEffect, Parameter, Place, SensorGain
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.misfit import Misfit
@@ -201,7 +201,7 @@ def loaded_and_held(spring=4000.0, configurations=2, seed=8, noise=(0.001, 0.01)
 def test_an_effect_of_two_parameters_of_different_units_works_everywhere():
     result = close_loop(loaded_and_held(), effects=[HeldAndLoaded(), SensorGain(), Stiffer()])
     (found,) = result.effects
-    assert found.placed == Placed(found.placed.effect, Place(floor=3))
+    assert found.placed == LocatedEffect(found.placed.effect, Place(floor=3))
     assert found.placed.effect.name == "held_and_loaded"
     assert found.parameters["s"] == pytest.approx(4000.0, abs=4 * found.std["s"])
     assert found.parameters["mass"] == pytest.approx(3.0, abs=4 * found.std["mass"])
@@ -221,7 +221,7 @@ def test_the_linearised_model_of_two_parameters_is_that_of_the_fit():
     expectation = EffectPrior(start.scale)
     base = fitted_with(Misfit(of, (), expectation=expectation), start.theta, backends.get("auto"))
     free = type("Free", (HeldAndLoaded,), {"parameters": (Parameter("s", "N/m"), Parameter("mass", "kg"))})()
-    placed = Placed(free, Place(floor=3))
+    placed = LocatedEffect(free, Place(floor=3))
     misfit = Misfit(of, [placed], expectation=expectation)
     fitted = fitted_with(misfit, np.append(base.theta, [0, 0]), backends.get("auto"))
     linear = Linearised(base, [placed], expectation)

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cvxshear.effects import Gravity, GroundSpring, JointRotation, Place, Placed, Scale
+from cvxshear.effects import Gravity, GroundSpring, JointRotation, LocatedEffect, Place, Scale
 from cvxshear.fit.separation import log_evidence
 from cvxshear.measurement.experiment import Frame
 from cvxshear.planning.chances import NONE, Target, chances, target
 from cvxshear.util.errors import InputError
 
-ROTATION = Target(Placed(JointRotation()), 0.05)
-SPRING = Target(Placed(GroundSpring(), Place(floor=3)), 10.0)
-GRAVITY = Target(Placed(Gravity()), 1.1)
+ROTATION = Target(LocatedEffect(JointRotation()), 0.05)
+SPRING = Target(LocatedEffect(GroundSpring(), Place(floor=3)), 10.0)
+GRAVITY = Target(LocatedEffect(Gravity()), 1.1)
 FRAME = Frame(stories=3, story_heights=np.full(3, 0.4))
 SCALE = Scale(10.0, 2000.0, np.full(3, 0.4))
 

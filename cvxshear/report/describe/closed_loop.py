@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.results import AddedEffect, EffectSet
 from cvxshear.report.describe.consequences import before_after, consequences, residual_section, steps_section
@@ -66,7 +66,7 @@ UNMOVED = 2.0
 """Largest ratio of the posterior to the prior probability for an effect that counts as no more probable."""
 
 
-def effects_section(result: Closure) -> Section:
+def effects_section(result: LoopResult) -> Section:
     """List the added effects, the most probable first, each with its rivals."""
     if not result.effects:
         return Section("effects", "Effects added", (Sentence("None was added to the model."),))
@@ -93,7 +93,7 @@ def _with_rivals(item: AddedEffect) -> Iterator[Row]:
         yield Row(("   rivals: none", ""))
 
 
-def effect_sections(result: Closure, units: Units) -> Iterator[Section]:
+def effect_sections(result: LoopResult, units: Units) -> Iterator[Section]:
     """Describe each effect in full: its meaning, formula, parameters and consequences."""
     for place, item in enumerate(result.effects, 1):
         kind = item.placed.effect
@@ -104,7 +104,7 @@ def effect_sections(result: Closure, units: Units) -> Iterator[Section]:
         yield Section(f"effect-{place}", capital(item.placed.label), parts, detail=True, below=True)
 
 
-def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]:
+def _parameters(result: LoopResult, item: AddedEffect) -> Iterator[tuple[str, str]]:
     units = item.placed.units(result.experiment)
     for parameter, unit in zip(item.placed.effect.parameters, units, strict=True):
         name = parameter.name
@@ -112,7 +112,7 @@ def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]
         yield name.replace("_", " "), written(item.parameters[name], item.std[name], unit)
 
 
-def sets_section(result: Closure) -> Section:
+def sets_section(result: LoopResult) -> Section:
     """Tabulate the sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in result.models])
     pairs = zip(result.models, chi2, strict=True)
@@ -122,7 +122,7 @@ def sets_section(result: Closure) -> Section:
     return Section("sets", "Which effects together", (table,) if rows else (), below=True)
 
 
-def _label(item: EffectSet, result: Closure) -> str:
+def _label(item: EffectSet, result: LoopResult) -> str:
     """Name the effects of a set, and its mode numbers if they differ from the verdict's."""
     label = _set_label(item, result.models[0])
     if item.changes == result.numberings[0].changes:
@@ -143,7 +143,7 @@ def _set_label(effects: EffectSet, first: EffectSet) -> str:
     return f"the first, and {come}" if come else f"the first, without {gone}"
 
 
-def candidates_section(result: Closure) -> Section:
+def candidates_section(result: LoopResult) -> Section:
     """Tabulate all candidates with their prior and posterior probabilities."""
     if not result.candidates:
         return Section("candidates", "What was looked for", (), below=True)
@@ -166,7 +166,7 @@ def candidates_section(result: Closure) -> Section:
     return Section("candidates", "What was looked for, and how probable it is", parts, below=True)
 
 
-def _unmoved(result: Closure) -> Iterator[Sentence]:
+def _unmoved(result: LoopResult) -> Iterator[Sentence]:
     """Explain why some effects improve chi-square and are no more probable than before."""
     added = {item.placed for item in result.effects}
     final = result.estimate.chi2
@@ -185,7 +185,7 @@ def _unmoved(result: Closure) -> Iterator[Sentence]:
 
 
 @describe.register
-def _closure(result: Closure, units: Units = AUTOMATIC) -> Document:
+def _closure(result: LoopResult, units: Units = AUTOMATIC) -> Document:
     units = units_for(result.experiment, units)
     effort = f"Backend {result.backend}: {counted(result.fits, 'fit')}, {counted(result.programs, 'step program')}."
     sections = (
@@ -209,14 +209,14 @@ def _closure(result: Closure, units: Units = AUTOMATIC) -> Document:
 
 
 @line.register
-def _line(result: Closure) -> str:
+def _line(result: LoopResult) -> str:
     found = [f"{item.placed.label} ({chance(item.probability)})" for item in result.effects]
     if len(found) > NAMED:
         found[NAMED:] = [f"{len(found) - NAMED} more"]
-    return f"<Closure {result.experiment.name}: {result.verdict}, {listed(found) or 'nothing added'}>"
+    return f"<LoopResult {result.experiment.name}: {result.verdict}, {listed(found) or 'nothing added'}>"
 
 
-def verdict_section(result: Closure) -> Section:
+def verdict_section(result: LoopResult) -> Section:
     """State the meaning of the verdict, its assumptions, and the data that decided it."""
     verdict = verdict_of(result)
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
@@ -229,7 +229,7 @@ def verdict_section(result: Closure) -> Section:
     return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))
 
 
-def frame_section(result: Closure, units: Units) -> Section:
+def frame_section(result: LoopResult, units: Units) -> Section:
     """Tabulate the frame of the verdict's set and the average frame over all sets."""
     title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
     parts: tuple[Block, ...] = (frame_table(result.frame, title, units, averaged=result.averaged),)
@@ -238,7 +238,7 @@ def frame_section(result: Closure, units: Units) -> Section:
     return Section("frame", "The identified frame", parts)
 
 
-def limits_section(result: Closure) -> Section:
+def limits_section(result: LoopResult) -> Section:
     """List the remaining residuals, the undetermined quantities and the effects that were not examined."""
     parts: list[Block] = []
     if result.remains:
@@ -249,25 +249,25 @@ def limits_section(result: Closure) -> Section:
     return Section("limits", "What is left open", tuple(parts))
 
 
-def _limits(result: Closure) -> Iterator[str]:
+def _limits(result: LoopResult) -> Iterator[str]:
     yield from _undetermined(result)
     for name, lacking in result.not_considered.items():
         yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
 
 
-def _undetermined(result: Closure) -> Iterator[str]:
+def _undetermined(result: LoopResult) -> Iterator[str]:
     for names in result.estimate.uncertainty.null_directions:
         yield f"Not determined: {in_words(names)}."
     for text in (*generous_noise(result.estimate.quality), *result.information):
         yield f"{capital(text)}."
 
 
-def open_questions(result: Closure) -> tuple[str, ...]:
+def open_questions(result: LoopResult) -> tuple[str, ...]:
     """List up to `MOST_QUESTIONS` open questions that the headline omits, the most important first.
 
     Parameters
     ----------
-    result : Closure
+    result : LoopResult
     """
     said = []
     # The headline names the rivals if the effects are few.
@@ -283,7 +283,7 @@ def open_questions(result: Closure) -> tuple[str, ...]:
     return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
 
 
-def _next(result: Closure, units: Units) -> str:
+def _next(result: LoopResult, units: Units) -> str:
     """Describe the test that would distinguish the rivals, or give the reason why no test is proposed."""
     test = result.next_test
     if test is not None:
@@ -307,7 +307,7 @@ def _next(result: Closure, units: Units) -> str:
     return verdict.advice
 
 
-def _reference(result: Closure) -> str:
+def _reference(result: LoopResult) -> str:
     """Advise to declare the sound state if causes in several states are rivals."""
     experiment = result.estimate.experiment
     states = {rival.placed.place.state for item in result.effects for rival in item.rivals}
@@ -320,7 +320,7 @@ def _reference(result: Closure) -> str:
     )
 
 
-def _besides(result: Closure) -> str:
+def _besides(result: LoopResult) -> str:
     """Name the candidates that remain possible beside a certain verdict; empty if no candidate remains."""
     added = {item.placed for item in result.effects}
     left = [item for item in result.candidates if item.placed not in added and item.probability > DOUBT]
@@ -336,7 +336,7 @@ def _besides(result: Closure) -> str:
     )
 
 
-def _with_sensors(result: Closure, test: NextTest) -> str:
+def _with_sensors(result: LoopResult, test: NextTest) -> str:
     """Name the additional floors that the next test measures."""
     if test.measured_floors is None:
         return ""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data import Deviation, Frequencies, noise_kinds
-from cvxshear.effects import Placed, compose
+from cvxshear.effects import LocatedEffect, compose
 from cvxshear.effects.state import State
 from cvxshear.fit.efficient import Estimate
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.loop.residual import by_part
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.shear import frame_modes, modes
@@ -58,7 +58,7 @@ def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
     yield "p_value", "p: such a residual by chance", _each(probability)
 
 
-def before_after(result: Closure) -> Section:
+def before_after(result: LoopResult) -> Section:
     """Compare the first and the final model of the loop."""
     first = capital(result.before.action)
     same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
@@ -68,7 +68,7 @@ def before_after(result: Closure) -> Section:
     return Section("before-after", "The shear model and the model with effects", parts)
 
 
-def errors_table(result: Closure) -> Table:
+def errors_table(result: LoopResult) -> Table:
     """Tabulate all errors of both models."""
     before, after = result.before.to_dict(), result.after.to_dict()
     several = len(result.experiment.configurations) > 1
@@ -81,7 +81,7 @@ def errors_table(result: Closure) -> Table:
     return Table("errors", "Errors of the model against the measurement", ("error", *MODELS), tuple(rows))
 
 
-def not_converged(result: Closure) -> Iterator[Sentence]:
+def not_converged(result: LoopResult) -> Iterator[Sentence]:
     """Warn of each shown fit that did not converge."""
     for step in result.steps:
         fit = step.estimate.fit
@@ -91,7 +91,7 @@ def not_converged(result: Closure) -> Iterator[Sentence]:
             )
 
 
-def residual_section(result: Closure) -> Section:
+def residual_section(result: LoopResult) -> Section:
     """Tabulate the residual of every part of the measurement, one table for each kind of data."""
     before, after = by_part(result.before.estimate), by_part(result.estimate)
     pairs = list(zip(before, after, strict=True))
@@ -116,7 +116,7 @@ def _std(item: Deviation) -> str:
     return signed(item.deviations, 1) if item.entries == 1 else f"{item.deviations:.1f}"
 
 
-def steps_section(result: Closure) -> Section:
+def steps_section(result: LoopResult) -> Section:
     """Tabulate each fit of the loop. With fewer than three fits, only the full report shows this table."""
     errors = percents([step.estimate.quality.max_frequency_error for step in result.steps])
     chi2 = significants([step.estimate.chi2 for step in result.steps])
@@ -168,13 +168,13 @@ class Change:
     alone: bool
 
 
-def changes(estimate: Estimate, placed: Placed) -> list[Change]:
+def changes(estimate: Estimate, placed: LocatedEffect) -> list[Change]:
     """Compute the changes that one effect causes in each configuration; all other parameters stay fixed.
 
     Parameters
     ----------
     estimate : Estimate
-    placed : Placed
+    placed : LocatedEffect
         One of its effects.
     """
     own = estimate.own(placed)
@@ -213,13 +213,13 @@ def _sway_stiffness(state: State) -> Floats:
     return np.asarray(1.0 / np.diff(np.linalg.solve(K, force)[:n], prepend=0.0))
 
 
-def consequences(estimate: Estimate, placed: Placed, units: Units = AUTOMATIC) -> list[str]:
+def consequences(estimate: Estimate, placed: LocatedEffect, units: Units = AUTOMATIC) -> list[str]:
     """Write the consequences of an effect of a fit in sentences.
 
     Parameters
     ----------
     estimate : Estimate
-    placed : Placed
+    placed : LocatedEffect
         One of its effects.
     units : Units, optional
         Units of masses and stiffnesses.

@@ -12,7 +12,7 @@ from cvxshear.data import Model, Shapes
 from cvxshear.data.pairing import mac
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
@@ -88,12 +88,12 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
     return np.asarray(factor[:, None] * full)
 
 
-def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
+def mac_tables(result: LoopResult | Identification) -> list[tuple[str, Floats]]:
     """Compute the MAC of measured modes (rows) with modelled ones (columns), by the name of each configuration.
 
     A row is nan if the mode has a shape at fewer than two floors.
     """
-    if isinstance(result, Closure):
+    if isinstance(result, LoopResult):
         found = result.estimate.predictions
         gains = {model.state.tested.name: model.state.gain for model in result.estimate.fit.at.models}
     else:
@@ -126,13 +126,13 @@ HALF_WIDTH = 0.16
 
 @figure(
     "shapes",
-    Closure,
+    LoopResult,
     title="Mode shapes",
     alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
     section="shapes",
     narrow=True,
 )
-def shapes(result: Closure) -> Figure:
+def shapes(result: LoopResult) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
 
     Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is the

@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 
 from cvxshear.data import Deviation
 from cvxshear.effects.open_class import STANDS_OUT
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import Candidate
 from cvxshear.report.figures import style
@@ -39,7 +39,7 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
 
 @figure(
     "ranking",
-    Closure,
+    LoopResult,
     title="Probabilities of the effects",
     alternative="How probable each effect is before and with the data; the numbers are in the table above.",
     section="candidates",
@@ -47,7 +47,7 @@ TICKS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
     needs="effects that were looked for",
     narrow=True,
 )
-def ranking(result: Closure) -> Figure:
+def ranking(result: LoopResult) -> Figure:
     """Draw the probability of each effect before the data and with them, on an axis of log odds.
 
     How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
@@ -130,14 +130,14 @@ Pair = tuple[Deviation, Deviation]
 
 @figure(
     "residual",
-    Closure,
+    LoopResult,
     title="Residuals",
     alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
     "effects; the numbers are in the tables above.",
     section="residual",
     narrow=True,
 )
-def residual(result: Closure) -> Figure:
+def residual(result: LoopResult) -> Figure:
     """How far the model is from each part of the measurement, in standard deviations, before and after.
 
     The residual of every part of the measurement for the shear model (hollow diamonds) and with effects (dots),
@@ -219,7 +219,7 @@ MOST_LEVELS = 9
 
 @figure(
     "springs",
-    Closure,
+    LoopResult,
     title="Springs between levels",
     alternative="Matrix of the springs between all pairs of levels; the largest are named in the table of effects.",
     section="effects",
@@ -227,7 +227,7 @@ MOST_LEVELS = 9
     needs="springs between levels that no story joins",
     narrow=True,
 )
-def springs(result: Closure) -> Figure:
+def springs(result: LoopResult) -> Figure:
     """Fill the matrix of springs between levels of the effect that has them.
 
     Every symmetric stiffness is a network of springs between levels. Shown is what the stories do not have:

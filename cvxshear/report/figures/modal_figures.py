@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from cvxshear.data.pairing import mac as mac_of
 from cvxshear.fit.results import Identification
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.records import ModalResult
 from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
@@ -28,7 +28,7 @@ MAC_ROUNDING = 1e-12
 
 @figure(
     "mac",
-    Closure,
+    LoopResult,
     Identification,
     title="Measured and modelled modes",
     alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
@@ -37,7 +37,7 @@ MAC_ROUNDING = 1e-12
     needs="measured mode shapes",
     narrow=True,
 )
-def mac(result: Closure | Identification) -> Figure:
+def mac(result: LoopResult | Identification) -> Figure:
     """Draw the MAC matrix of each configuration.
 
     The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every
