@@ -25,8 +25,8 @@ class JointRotation(Effect):
 
     Expected size 0.5: with beams and columns of equal stiffness, I_b / L = I_c / h, one bay has r = 12 E I_b / L and k
     h^2 = 24 E I_c / h, so eta = 2; frames tested as shear frames have beams several times stiffer (Chopra, Dynamics of
-    Structures, on the beam-to-column stiffness ratio, 1 / eta for one bay). Bound 10: with a ratio below 0.1 the columns
-    have no inflection in most stories and bend as cantilevers (Blume 1968), and the frame is no shear frame.
+    Structures, on the beam-to-column stiffness ratio, 1 / eta for one bay). Bound 10: with a ratio below 0.1 the
+    columns have no inflection in most stories and bend as cantilevers (Blume 1968), and the frame is no shear frame.
     """
 
     name = "joint_rotation"

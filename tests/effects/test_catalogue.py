@@ -547,6 +547,10 @@ SAID = [
         "attached_mass", {"floor": 4, "state": "after"}, (1.5, 6.0), (0.1, 0.2),
         'a mass of 1.50 ± 0.10 kg swings on floor 4 at 6.00 ± 0.20 Hz of its own in "after"',
     ),
+    (
+        "wall", {}, 0.25, 0.02,
+        "a wall or core bends beside the frame, with EI = 0.250 ± 0.020 times H^2 mean(k h) (lambda H = 2)",
+    ),
     ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
     # If one end of two columns is hinged, each has the stiffness 1 - (rho / 4) / (1 + 2 rho / 3).
     (

@@ -121,8 +121,8 @@ def put(name, **place):
 
 
 def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_documented():
-    """Logarithms of masses have the deviation 1, of stiffnesses 2 about their mean; effects have Student's t; a common size has a normal
-    prior."""
+    """Logarithms of masses have the deviation 1, of stiffnesses 2 about their mean; effects have Student's t; a common
+    size has a normal prior."""
     scale = Scale(10.0, 5e3, np.full(2, 3.0))
     gain, mass = put("sensor_gain", floor=1), put("added_mass", floor=2, state="x")
     (other_gains,) = (each for each in open_classes() if each.name == "other_gains")
