@@ -32,6 +32,7 @@ _PRINTED = tomllib.loads(resources.files("cvxshear.paper").joinpath("printed.tom
 """Tables of figures, with their contents and units."""
 
 
+
 def _by_case(name: str) -> dict[tuple[str, int], Any]:
     """Read a table of Section 5 by method and case."""
     return {(method, int(case)): each for method, cases in _PRINTED[name].items() for case, each in cases.items()}

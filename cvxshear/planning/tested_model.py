@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.effects import LocatedEffect, compose
-from cvxshear.fit.separation import separation
+from cvxshear.fit.gaussian import separation
 from cvxshear.model.shear import Modes, mode_derivatives, modes
 from cvxshear.planning.candidates import Candidates, candidates, free_changes
 from cvxshear.planning.chances import Target

@@ -6,8 +6,8 @@ from scipy import linalg, stats
 
 from cvxshear import Experiment
 from cvxshear.effects import LocatedEffect, Place, Scale, named, open_classes
-from cvxshear.fit.domain import Domain
-from cvxshear.fit.expectation import EffectPrior, tailed
+from cvxshear.fit.domain import Domain, EffectPrior
+from cvxshear.fit.gaussian import tailed
 from cvxshear.fit.uncertainty import uncertainty
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints

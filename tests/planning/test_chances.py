@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from cvxshear.effects import Gravity, GroundSpring, JointRotation, LocatedEffect, Place, Scale
-from cvxshear.fit.separation import log_evidence
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.measurement.experiment import Frame
 from cvxshear.planning.chances import NONE, Target, chances, target
 from cvxshear.util.errors import InputError
@@ -27,7 +27,7 @@ def test_the_evidence_is_the_integral_over_the_effects_values(of, y):
 
     low = 0.0 if of.side else of.mean - 12 * of.std
     integral = quad(likely, low, of.mean + 12 * of.std, limit=200)[0]
-    assert log_evidence(own, np.array(y), of.mean, of.std, of.side) == pytest.approx(np.log(integral), abs=1e-8)
+    assert log_evidence_of_one(own, np.array(y), of.mean, of.std, of.side) == pytest.approx(np.log(integral), abs=1e-8)
 
 
 def test_a_sure_test_gives_the_right_verdict_and_an_empty_one_none():

@@ -16,8 +16,8 @@ from scipy import linalg, special, stats
 
 from cvxshear import Experiment, backends
 from cvxshear.effects import LocatedEffect, Place, Scale, named, open_classes
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import fitted
-from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.evidence import log_evidence

@@ -14,10 +14,9 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.effects import compose
 from cvxshear.fit.efficient import fitted
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.separation import log_evidence
 from cvxshear.io.toml import parse, read_text
-from cvxshear.loop.conclusion import EXPLAINED
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
 from cvxshear.planning.choice import choose, equally_spaced, values_of
@@ -25,6 +24,7 @@ from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.planner import GOALS
 from cvxshear.planning.tested_model import AveragedModel, TestModel
 from cvxshear.priors import Value
+from cvxshear.util.quantities import SURE
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
 MODES = 3
@@ -223,10 +223,10 @@ def right_verdicts(planned, samples, seed):
                 start = np.append(sizes, target.null + target.size)
                 found = fitted(Misfit(test, (target.placed,)), start, solver)
                 y = information * (found.theta[-1] - target.null) / target.size
-                gain = log_evidence(information, np.array(y), target.mean, target.std, target.side)
+                gain = log_evidence_of_one(information, np.array(y), target.mean, target.std, target.side)
                 evidence.append(float(gain) - found.chi2 / 2 - y**2 / (2 * information))
             likely = np.exp(np.array(evidence) - max(evidence))
-            right += bool(likely[place + 1] >= EXPLAINED * likely.sum())
+            right += bool(likely[place + 1] >= SURE * likely.sum())
         result[truth.placed.label] = right / samples
     return result
 

@@ -244,7 +244,9 @@ def _limits(result: Reconstruction) -> Iterator[str]:
         label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
         passed = f"passed in {numbered('story', sure)}" if sure else "passed in no story"
         if np.isnan(chances).any():
-            passed = f"passed in {numbered('story', sure)}, elsewhere that cannot be told" if sure else "cannot be told"
+            passed = (
+                f"passed in {numbered('story', sure)}, elsewhere that cannot be told" if sure else "cannot be told"
+            )
         yield f"limit {label}: {passed}" + (f", possibly in {numbered('story', open_)}" if open_ else "")
 
 
