@@ -17,11 +17,17 @@ from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
-from cvxshear.fit.misfit import Evaluation, Misfit
-from cvxshear.fit.noise import NoiseEstimate, estimated_noise
+from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
-from cvxshear.fit.quality import Quality, quality
-from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions, priced
+from cvxshear.fit.results import (
+    IdentifiedFrame,
+    Prediction,
+    Quality,
+    SingleIdentification,
+    predictions,
+    priced,
+    quality,
+)
 from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment

@@ -69,7 +69,7 @@ class Posterior:
     models : iterable of ModelClass
     hypotheses : sequence of Hypothesis
     twins : mapping of LocatedEffect to sequence of LocatedEffect, optional
-        Twins of each effect of the best set (`loop/twins.py`).
+        Twins of each effect of the best set (`loop/linear.py`).
     """
 
     def __init__(

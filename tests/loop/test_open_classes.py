@@ -12,15 +12,15 @@ from scipy import integrate, stats
 from cvxshear import Experiment, InputError, backends, close_loop
 from cvxshear.effects import LocatedEffect, Place, Scale, catalogue, compose, named, open_classes
 from cvxshear.effects.composition import slices
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import fitted_with
-from cvxshear.fit.expectation import EffectPrior, tailed
+from cvxshear.fit.gaussian import log_tailed_interval, tailed
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import log_tailed_interval
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.neighbors import named_entries
 from cvxshear.loop.numbering import Numbering
-from cvxshear.loop.twins import dual_frame
+from cvxshear.loop.searches import dual_frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.fe.experiments import with_loose_joints, with_turning_joints
 from tests.fe.frame import Building, sway_modes

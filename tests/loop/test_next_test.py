@@ -1,21 +1,25 @@
-"""Compare the distance between fits in a planned test with the explicit formula and numerical derivatives."""
+"""Test the next test: its distances from the explicit formula and numerical derivatives, its sensors and its words."""
 
 import dataclasses
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-import cvxshear
-from cvxshear import backends
+from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Gravity, LocatedEffect
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
-from cvxshear.fit.expectation import EffectPrior
+from cvxshear.fit.gaussian import separation
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.separation import disagreement, imagined, separation
 from cvxshear.loop.hypotheses import chosen, hypotheses
+from cvxshear.loop.next_test import disagreement, imagined
+from tests.fe.experiments import simulated
 from tests.frames import configuration, experiment, modes_of
 
 MASS, STIFFNESS = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
+NOISE, SEED = 3.0, 2
 
 
 @pytest.mark.parametrize("columns", [3, 40])
@@ -30,7 +34,7 @@ def fits(**keys):
     tested = configuration(MASS, STIFFNESS, **keys)
     declared = experiment(MASS, STIFFNESS, tested, frame={"total_mass": 37.0, "story_heights": 0.4})
     declared["prior"] = [{"kind": "nominal", "quantity": "story_stiffness", "values": STIFFNESS, "std": 0.05}]
-    of = cvxshear.Experiment.from_dict(declared)
+    of = Experiment.from_dict(declared)
     return [efficient(of, backends.get("auto"), effects) for effects in ((), (LocatedEffect(Gravity()),))]
 
 
@@ -116,7 +120,7 @@ def test_every_effect_says_something_of_a_test_with_more_sensors_and_no_priors()
     ]
     declared = experiment(MASS, STIFFNESS, *tests, frame={"total_mass": 37.0, "story_heights": 0.4})
     declared["prior"] = [{"kind": "nominal", "quantity": "story_stiffness", "values": STIFFNESS, "std": 0.05}]
-    of = cvxshear.Experiment.from_dict(declared)
+    of = Experiment.from_dict(declared)
     start = efficient(of, backends.get("auto"))
     expectation = EffectPrior(start.scale)
     plain, *others = (
@@ -138,3 +142,59 @@ def test_every_effect_says_something_of_a_test_with_more_sensors_and_no_priors()
     assert apart["other_shapes"] == pytest.approx(0.0, abs=1e-6)
     # If the prior is exact, the fit may move by the rounding difference between the prior and exact data.
     assert apart["wrong_prior"] == pytest.approx(0.0, abs=1e-3)
+
+
+def measured(rng, **keys):
+    """Return a five-story frame whose joints turn, with three times the usual noise, declared correctly."""
+    declared, _ = simulated("joint_rotation", stories=5, rng=rng, noise=NOISE, **keys)
+    for each in declared["configuration"]:
+        each["frequency_std"] = (NOISE * np.asarray(each["frequency_std"])).tolist()
+        each["mode_shape_std"] = (NOISE * np.asarray(each["mode_shape_std"])).tolist()
+    return declared
+
+
+def kept(table, floors):
+    """Return a configuration measured at these floors alone."""
+    shapes = np.asarray(table["mode_shapes"])[:, np.array(floors) - 1]
+    return {**table, "measured_floors": list(floors), "mode_shapes": shapes.tolist()}
+
+
+@pytest.fixture(scope="module")
+def first():
+    return measured(np.random.default_rng(SEED), configurations=1, measured_floors=[1, 5])
+
+
+@pytest.fixture(scope="module")
+def before(first):
+    return close_loop(Experiment.from_dict(first), effects=["joint_rotation", "axial_columns"])
+
+
+def test_two_sensors_in_much_noise_want_a_third(before):
+    proposed = before.next_test
+    assert before.verdict == "ambiguous"
+    assert set(proposed.measured_floors) > {1, 5}
+    assert len(proposed.measured_floors) == 3
+    assert proposed.standard_deviations > 3
+
+
+def test_carrying_it_out_makes_the_verdict_surer(first, before):
+    proposed = before.next_test
+    added = np.zeros((2, 5))
+    added[1, proposed.floor - 1] = proposed.added_mass
+    second = measured(np.random.default_rng(SEED), configurations=2, added_mass=added.tolist())["configuration"][1]
+    both = {**first, "configuration": [*first["configuration"], kept(second, proposed.measured_floors)]}
+    after = close_loop(Experiment.from_dict(both), effects=["joint_rotation", "axial_columns"])
+    was, now = ({item.placed.effect.name: item.probability for item in each.candidates} for each in (before, after))
+    assert after.verdict == "explained"
+    assert was["joint_rotation"] < 0.8
+    assert now["joint_rotation"] > 0.99
+
+
+def test_it_is_said_in_words_and_in_the_documented_json(before):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((Path(__file__).parents[2] / "docs/schema/loop.json").read_text(encoding="utf-8"))
+    said = json.loads(json.dumps(before.to_dict()))
+    jsonschema.Draft202012Validator(schema).validate(said)
+    (third,) = set(before.next_test.measured_floors) - {1, 5}
+    assert said["next_test"]["measured_floors"] == sorted([1, third, 5])
+    assert f"measure again, with a sensor at floor {third} too" in " ".join(str(before).split())
