@@ -14,7 +14,7 @@ from cvxshear.effects.registry import catalogue, named, open_classes, register
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
-from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity
+from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity, Wall
 
 __all__ = [
     "AddedMass",
@@ -40,6 +40,7 @@ __all__ = [
     "StateStiffness",
     "StoryChange",
     "TotalMass",
+    "Wall",
     "catalogue",
     "compose",
     "named",

@@ -25,7 +25,8 @@ class JointRotation(Effect):
 
     Expected size 0.5: with beams and columns of equal stiffness, I_b / L = I_c / h, one bay has r = 12 E I_b / L and k
     h^2 = 24 E I_c / h, so eta = 2; frames tested as shear frames have beams several times stiffer (Chopra, Dynamics of
-    Structures, on the beam-to-column stiffness ratio).
+    Structures, on the beam-to-column stiffness ratio, 1 / eta for one bay). Bound 10: with a ratio below 0.1 the
+    columns have no inflection in most stories and bend as cantilevers (Blume 1968), and the frame is no shear frame.
     """
 
     name = "joint_rotation"
@@ -38,7 +39,7 @@ class JointRotation(Effect):
         "Bernoulli beam element, Przemieniecki, Theory of Matrix Structural Analysis; static condensation, Guyan 1965"
     )
     stage = "joint"
-    parameters = (Parameter("eta", "", lower=0.0, upper=100.0, null=0.0, start=0.05),)
+    parameters = (Parameter("eta", "", lower=0.0, upper=10.0, null=0.0, start=0.05),)
     uses_heights = True
     usual = 0.5
 

@@ -22,7 +22,7 @@ from cvxshear.effects.open_class import (
 from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.springs import GroundSpring, Spring
 from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
-from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity
+from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity, Wall
 from cvxshear.util import checks
 
 _catalogue: dict[str, Effect] = {
@@ -32,6 +32,7 @@ _catalogue: dict[str, Effect] = {
         JointRotation(),
         AxialColumns(),
         BaseRocking(),
+        Wall(),
         GroundSpring(),
         AddedMass(),
         MassCoupling(),
