@@ -17,13 +17,12 @@ from cvxshear.backends import Backend
 from cvxshear.records.motion import DrivenRun
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
-from cvxshear.response.frame_prior import FramePrior
+from cvxshear.response.frame_prior import FramePrior, VariedFrame
 from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
 from cvxshear.response.smoother import Observed, Piece, Smoothed, settled_states, smooth
 from cvxshear.response.state_space import Dynamics, Filter, Noise, Response, Setting, dynamics, response
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
@@ -70,8 +69,6 @@ class ReconstructedRun:
     measured : ndarray, shape (samples, m)
         m/s2; nan for missing samples.
     excitation : ndarray, shape (samples,)
-    missed : ndarray, shape (N,)
-        Rms over time of the story forces that the model missed, relative to the rms story force.
     """
 
     name: str
@@ -81,7 +78,6 @@ class ReconstructedRun:
     base_std: Floats | None
     measured: Floats
     excitation: Floats
-    missed: Floats
 
 
 Sides = tuple[DampedModel, DampedModel, float]
@@ -230,15 +226,8 @@ class FrameMotion:
             found.append(smooth(model, Observed(run.drive, run.measured, envelope, scale), asked))
         return found
 
-    def runs(self, fitted: FittedFrame, wider: float, rough: float) -> list[ReconstructedRun]:
-        """Return every run's motion; widen all deviations by a factor, and add a relative part to some.
-
-        Parameters
-        ----------
-        rough : float
-            Relative standard deviation of drifts, floor displacements and forces that neither the record nor the tests
-            determine.
-        """
+    def runs(self, fitted: FittedFrame, wider: float) -> list[ReconstructedRun]:
+        """Return every run's motion; widen all deviations by a factor."""
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
         rows = fitted.errors.dynamics(fitted.p).outputs
@@ -253,11 +242,9 @@ class FrameMotion:
             np.sqrt(std, out=std)
             std *= wider
             moved = rows.of(found.states, run.drive)
-            acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
-            own = std[:, n : 3 * n]
-            np.hypot(own, rough * np.hstack([displacement, drift]), out=own)
+            acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
             forces = slice(3 * n, 4 * n + (model.heights is not None))
-            std[:, forces] = np.hypot(std[:, forces], np.hypot(fitted.scale_std, rough) * moved[:, forces])
+            std[:, forces] = np.hypot(std[:, forces], fitted.scale_std * moved[:, forces])
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
             motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")
@@ -267,10 +254,7 @@ class FrameMotion:
                 stds["story_drift_ratio"] = stds["story_drift"] / model.heights
                 stds["overturning_moment"] = std[:, 4 * n]
             base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
-            missed = np.sqrt(np.mean(found.states[:, 2 * n : 3 * n] ** 2, axis=0))
-            result.append(
-                ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation, missed)
-            )
+            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
         return result
 
     def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Floats:
