@@ -105,6 +105,11 @@ class FittedFrame:
         """Probability that floor masses changed."""
         return float(np.sum(self.probability("masses")))
 
+    def doubted(self) -> FittedFrame:
+        """Return the frame with the covariance of a frame of which every story may have changed."""
+        stories = [place for place, each in enumerate(self.prior.changes) if each.kind == "story"]
+        return dataclasses.replace(self, covariance=self.prior.gaussian(stories, FORM_STDS[0]).covariance)
+
     @property
     def dashpots(self) -> tuple[Floats, Floats]:
         """Dashpot of each story, and its standard deviation, shapes (N,), N s/m."""

@@ -34,6 +34,10 @@ forces, relative to the rms story force."""
 FURTHEST_STDS = 10.0
 """Bound on each unknown, in standard deviations of its prior."""
 
+MOST_INPUT_NOISE = 0.03
+"""Bound on the noise of the excitation's sensor, relative to its rms. Without the bound, this noise absorbs the effect
+of a yielding story, and the record passes for a linear frame's."""
+
 LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
 smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
@@ -134,6 +138,8 @@ class PredictionErrors:
         lower[self.varied.dashpots] = np.maximum(lower[self.varied.dashpots], -FURTHEST_STDS * NO_DASHPOT_STD)
         force = self.size - 2
         lower[force], upper[force] = np.log(np.array([LEAST_MISSED, MOST_MISSED]) / self.noise.force)
+        if self.setting.base_measured:
+            upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
         return lower, upper
 
     @property

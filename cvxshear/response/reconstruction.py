@@ -518,7 +518,8 @@ def _motion(
         best, evidences = _most_probable(frame, readings, identified, free=False, detrend=detrend)
     except (np.linalg.LinAlgError, NoModesError) as error:
         raise UnsuitableError(f"{readings[0].name}: no motion of this frame comes near the record ({error})") from error
-    return *best, evidences, fallback
+    work, fitted, smoothed = best
+    return work, fitted.doubted() if fallback else fitted, smoothed, evidences, fallback
 
 
 def _implausible(fitted: FittedFrame) -> str:

@@ -4,15 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from cvxshear.effects import StoryChange
-from cvxshear.measurement.declaration import Limits
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.response import DampedModel, frame_prior, reconstruction, response, sources, uncertain
+from cvxshear.response import DampedModel, reconstruction, response, sources, uncertain
 from cvxshear.response import compare as comparing
 from cvxshear.response.compare import Transfer, contradiction, moved_against
-from cvxshear.response.peaks import Peaks, floor_spectra, largest_spectra
+from cvxshear.response.peaks import floor_spectra, largest_spectra
 from cvxshear.response.recording import RecordedRun, Recording, sensor_line
 from cvxshear.response.sensor_checks import _with_delays
 from tests.response.common import damped_frame, matrices
@@ -197,17 +194,6 @@ def test_a_ratio_is_missed_beyond_two_deviations(off, said):
         assert "Rayleigh damping cannot give" in found[0]
 
 
-def test_what_a_file_expects_of_an_effect_is_taken_at_each_of_its_places():
-    usual = StoryChange()
-    item = {"name": "story_change", "story": None, "floor": None, "size": 0.3, "probability": 0.2}
-    for more, size, probability in (({}, 0.3, 0.2), ({"story": 1}, None, None), ({"floor": 2}, None, None),
-                                    ({"name": "sensor_gain"}, None, None)):  # fmt: skip
-        experiment = SimpleNamespace(expected=[SimpleNamespace(**item | more)])
-        found = frame_prior._expected(usual, experiment, 4)
-        assert found[0] == (size or usual.usual)
-        assert (1 - found[1]) ** 4 == pytest.approx(1 - (probability or usual.probability))
-
-
 @pytest.mark.parametrize(
     ("samples", "ratio", "expected"), [(10_000, 0.01, 2000), (10_000, 0.02, 1000), (3001, 0.01, 1200), (30, 0.01, 16)]
 )
@@ -289,27 +275,6 @@ def test_each_unit_is_told_to_a_fifth(factor, said):
     p = np.random.default_rng(3).standard_normal((100, 2))
     for times in (0.8, 1.25):
         assert said in contradiction([p * factor * times], [p], np.array([1, 2]))
-
-
-def drifting(ratios):
-    """Return a response whose drift ratios peak at these values."""
-    others = "acceleration", "displacement", "drift", "story_shear", "base_shear", "overturning_moment"
-    return SimpleNamespace(**dict.fromkeys(others), drift_ratio=np.array([0.0, 1.0, 0.0])[:, None] * ratios)
-
-
-def test_limits_are_passed_with_the_probability_of_a_normal_peak_and_of_yielding_stories_only_for_sure():
-    limits = Limits([0.01, 0.02], ("a", "b"))
-    peaks = Peaks({"story_drift_ratio": np.array([0.012, 0.009])}, {"story_drift_ratio": np.array([0.001, 0.001])})
-    z = np.array([[2.0, -1.0], [-8.0, -11.0]])
-    np.testing.assert_allclose(reconstruction._passed(limits, peaks, None, nonlinear=False), stats.norm.cdf(z))
-    sure = np.array([[stats.norm.cdf(2.0), np.nan], [np.nan, np.nan]])
-    found = reconstruction._passed(limits, peaks, None, nonlinear=True)
-    np.testing.assert_allclose(found, sure)
-    for alone, told in ((0.0101, sure), (0.0099, np.full((2, 2), np.nan))):
-        predicted = [drifting(np.array([alone, 1.0])), drifting(np.array([0.005, 0.0]))]
-        np.testing.assert_allclose(reconstruction._passed(limits, peaks, predicted, nonlinear=True), told)
-    none = Peaks({}, {})
-    assert reconstruction._passed(limits, none, None, nonlinear=False) is None
 
 
 @pytest.mark.parametrize(("alike", "told"), [(0.92, True), (0.935, False)])
