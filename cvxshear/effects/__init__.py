@@ -6,7 +6,7 @@
 from cvxshear.effects.attached_mass import AttachedMass
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.composition import compose
-from cvxshear.effects.guests import refuse_faulty, refuse_repeated
+from cvxshear.effects.custom_effect_checks import refuse_faulty, refuse_repeated
 from cvxshear.effects.joints import JointRelease, JointRotation
 from cvxshear.effects.masses import AddedMass, LoadScale, MassCoupling, StateMass, TotalMass
 from cvxshear.effects.readings import SensorGain

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from cvxshear.effects.attached_mass import AttachedMass, LoadMounting
 from cvxshear.effects.base import Effect
-from cvxshear.effects.guests import refuse_faulty
+from cvxshear.effects.custom_effect_checks import refuse_faulty
 from cvxshear.effects.joints import JointRelease, JointRotation, SoftFeet
 from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCoupling, StateMass, TotalMass
 from cvxshear.effects.open_class import (
