@@ -133,7 +133,6 @@ class Backend(ABC):
             backend="kkt" if accepted.reason else self.name,
             replaced=f"{self.name}: {accepted.reason}" if accepted.reason else None,
             acceptance=accepted.acceptance,
-            errors=accepted.errors,
             status=answer.status,
             iterations=answer.iterations,
         )
