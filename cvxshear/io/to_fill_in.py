@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from cvxshear.io.columns import LIMIT, Columns
+from cvxshear.io.columns import Columns
 from cvxshear.io.csv import preamble_of
-from cvxshear.io.formats import format_of, read_columns, read_modes_of
+from cvxshear.io.formats import LIMIT, format_of, named_after, read_columns, read_modes_of
 from cvxshear.io.guesses import (
     FORCE,
     HIT_FLOOR,
@@ -29,7 +29,6 @@ from cvxshear.io.guesses import (
     said_unit,
     time_column,
 )
-from cvxshear.io.inputs import named_after
 from cvxshear.io.record_file import FREQUENCY_NAMES
 from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks

@@ -236,7 +236,7 @@ def test_verbose_and_quiet(run, tmp_path):
         [sys.executable, "-m", "cvxshear", "-v", "identify", str(EXAMPLES / "three_story.toml"), "--json", "-"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert "cvxshear.io.inputs: read " in found.stderr
+    assert "cvxshear.io.formats: read " in found.stderr
     json.loads(found.stdout)
     assert "give --quiet or --verbose, not both" in run("-q", "-v", "identify", "paper")[2]
 
