@@ -84,7 +84,7 @@ class Backend(ABC):
         Returns
         -------
         Solution
-            It satisfies every constraint, and each unknown is within `Solution.errors` of the exact minimizer.
+            It satisfies every constraint, and each unknown is within `Certificate.errors` of the exact minimizer.
 
         Raises
         ------
