@@ -15,7 +15,7 @@ from cvxshear.io.spreadsheets import Cell, Sheet, workbook
 from cvxshear.io.uff import load_pyuff, universal_file
 from cvxshear.report.describe.consequences import MODELS
 from cvxshear.response import Fitted, Reconstruction, RecordPrediction, Response
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError, printable

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from cvxshear.records.motion import DrivenRecord
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.state_space import Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.results import InJson
@@ -246,7 +246,7 @@ def compared(
             nrmse=rms_error / rms_measured,
             rms_ratio=rms_predicted / rms_measured,
             peak_ratio=top_predicted / top_measured,
-            frf_error=_around_modes(excitations, measured, predicted, (of_record, of_model), motion, natural),
+            frf_error=errors(of_record, of_model, natural),
             shifts=_shifts(of_record, of_model, natural, measured_modes),
             contradiction=contradiction(measured, predicted, floors),
             measured=of_record,
@@ -273,35 +273,6 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_m
         if max(left) < FALLEN:
             sure.append(found[-1].size)
     return tuple(each for each in found if sure and each.size >= AS_MUCH * min(sure))
-
-
-def _around_modes(
-    excitations: Sequence[Floats], measured: Sequence[Floats], predicted: Sequence[Floats],
-    averaged: tuple[Transfer, Transfer], motion: DrivenRecord, natural: Floats,
-) -> Floats:  # fmt: skip
-    """Compute the errors around each mode, from one piece per run if averaged pieces have too few lines."""
-    result = errors(*averaged, natural)
-    lines = np.array([around(averaged[0].frequencies, natural, mode).sum() for mode in range(len(natural))])
-    few = np.flatnonzero(lines < FEWEST_AVERAGED)
-    if not few.size:
-        return result
-    # A single piece has no coherence. This is acceptable, because the response at a resonance exceeds its noise.
-    length = min(len(each) for each in excitations)
-    finer = [
-        transfer([f[:length] for f in excitations], [y[:length] for y in side], motion.sampling_rate, length)
-        for side in (measured, predicted)
-    ]
-    # Some lines of the excitation may be nearly empty. With its power as weight, the error compares response spectra.
-    shaken = np.array([scipy.signal.detrend(f[:length]) * np.hanning(length) for f in excitations])
-    weights = np.sum(np.abs(np.fft.rfft(shaken, axis=1)) ** 2, axis=0)
-    for mode in few:
-        near = around(finer[0].frequencies, natural, int(mode))
-        if near.sum() < 2:
-            continue
-        weight = np.sqrt(weights[near])[:, None]
-        seen, made = (weight * np.abs(each.functions[near]) for each in finer)
-        result[:, mode] = np.sqrt(np.sum((made - seen) ** 2, axis=0) / np.sum(seen**2, axis=0))
-    return result
 
 
 def moved_alike(measured: Floats, predicted: Floats) -> Floats:
@@ -378,6 +349,3 @@ LIKE = 0.5
 
 EXCHANGED = 0.1
 """Least gain in squared correlation for a reported exchange of two channels; neighboring floors move nearly alike."""
-
-FEWEST_AVERAGED = 5
-"""Least number of lines of the averaged spectra around a mode; with fewer, one piece per run gives the error."""

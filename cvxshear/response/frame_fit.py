@@ -18,7 +18,7 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_prior import (
     FORM_STDS,
     GAIN_UNIT,

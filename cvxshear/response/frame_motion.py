@@ -15,10 +15,10 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.records.motion import DrivenRun
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior, VariedFrame
-from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
+from cvxshear.response.innovations import DIFFERENCE, FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
 from cvxshear.response.smoother import Observed, Piece, Smoothed, settled_states, smooth
 from cvxshear.response.state_space import Dynamics, Filter, Noise, Response, Setting, dynamics, response
@@ -42,17 +42,8 @@ MOVED_ALIKE = 1e-3
 PROBED_SAMPLES = 1000
 """Number of samples of the strongest motion that compare the directions of the frame's uncertainty."""
 
-NEAR_STD = 1e-3
-"""Step of the derivatives of the frame's matrices, in standard deviations."""
-
 MOST_DIRECTIONS = 8
-CARRIED_SHARE = 0.995
-"""Largest number of propagated directions of the frame's uncertainty, and the share of the variance that suffices for
-fewer directions. A factor accounts for the rest of the variance."""
-
-
-MOST_SHORTENED = 20
-"""Maximum number of reductions of a step to a frame without modes, each to a quarter: 1e-12 of the step remains."""
+"""Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,15 +282,11 @@ class FrameMotion:
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        near = (_with_modes(partial(model_at, row), NEAR_STD) for row in np.eye(len(own)))
+        near = (_with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(len(own)))
         slopes = np.array([(moved(dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near])
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
-        order = ranking.order(strength)
-        carried = np.cumsum(np.maximum(strength[order], 0.0))
-        if carried[-1] <= 0:
-            return FrameDirections((), np.ones(len(scale)))
-        chosen = order[: min(int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1, most)]
+        chosen = ranking.order(strength)[:most]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
         pairs = (_with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
         sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
@@ -308,12 +295,11 @@ class FrameMotion:
 
 def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
     """Build frames at this distance, or nearer until they have modes; return the distance, too."""
-    for _ in range(MOST_SHORTENED):
+    while True:
         try:
             return at(size), size
         except NoModesError:
             size *= 0.25
-    return at(size), size
 
 
 def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:

@@ -30,7 +30,7 @@ from cvxshear.effects.readings import SensorGain
 from cvxshear.effects.stories import StoryChange
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
@@ -72,9 +72,9 @@ DASHPOT_PROBABILITY = 0.1
 """Probability that a story has an undeclared dashpot. Most owners declare their dampers; a yielding story acts like a
 damper."""
 
-DASHPOT_STD, NO_DASHPOT_STD = 1.0, 1e-3
-"""Standard deviations of a present and of an absent dashpot. The unit is the dashpot that gives a mode its measured
-ratio without other damping."""
+NO_DASHPOT_STD = 1e-3
+"""Standard deviation of an absent dashpot, in units of the deviation of a present one: the dashpot that gives a mode
+its measured ratio without other damping."""
 
 NOISE_STD = 1.0
 """Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
@@ -446,7 +446,7 @@ class FramePrior:
             FrameChange(kind, place, std * unit[:, [at]], float(np.log(p / (1.0 - p))))
             for kind, places, std, p in (
                 ("story", range(experiment.stories), story, changed),
-                ("dashpot", _range(varied.dashpots), DASHPOT_STD, damped),
+                ("dashpot", _range(varied.dashpots), 1.0, damped),
                 ("gain", _range(varied.sensor_gains), gain / GAIN_UNIT, off),
             )
             for place, at in enumerate(places)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
 from cvxshear.response.state_space import ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
 from cvxshear.util.typing import Bools, Floats

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import signal
 
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.state_space import Response
 from cvxshear.util import ranking
 from cvxshear.util.quantities import column_name

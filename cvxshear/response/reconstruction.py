@@ -20,8 +20,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel
-from cvxshear.response.dashpots import HIGH
+from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
@@ -41,9 +40,6 @@ if TYPE_CHECKING:
 
 SIGN_KNOWN = 1.645
 """Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
-
-GAIN_OFF = 3.0, 0.005
-"""Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
 
 LARGEST_ODDS = 1000.0
 """Largest odds that are printed as a number; model errors make larger odds meaningless."""
@@ -202,12 +198,10 @@ class Reconstruction(Shown):
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
         names += [f"the sensor of the {DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
-        deviations, least = GAIN_OFF
-        return tuple(
-            (name, float(value), float(std))
-            for name, value, std in zip(names, *self.frame.gains, strict=True)
-            if self.frame_fitted and not self.undetermined and abs(value) > max(deviations * std, least)
-        )
+        if not self.names_changes:
+            return ()
+        found = zip(self.frame.probability("gain"), names, *self.frame.gains, strict=True)
+        return tuple((name, float(value), float(std)) for p, name, value, std in found if p >= SURE)
 
     @property
     def change_probability(self) -> Floats | None:

@@ -11,7 +11,7 @@ from scipy import special
 
 from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Segment

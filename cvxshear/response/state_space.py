@@ -26,7 +26,7 @@ from scipy import linalg
 
 from cvxshear.model.shear import transformation
 from cvxshear.records.motion import DrivenRun
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints

@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
-from cvxshear.response.frame_motion import MOST_DIRECTIONS, PROBED_SAMPLES, FrameMotion, readings_of
+from cvxshear.response.frame_motion import FrameMotion, readings_of
 from cvxshear.response.frame_prior import VariedFrame
 from cvxshear.response.innovations import Directions, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
@@ -395,31 +394,6 @@ def test_a_deviation_that_leads_to_no_frame_is_followed_less_far(softened):
     assert any(further > 1 for _, _, further in directions.sides)
     for there, back, _ in directions.sides:
         assert min(there.modes.eigenvalues[0], back.modes.eigenvalues[0]) > 0
-
-
-def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
-    """Compare variances of all outputs, relative to their mean squares, along these directions and along all."""
-    fitted, recording, backend = softened[-1].frame, softened[-1].recording, backends.get("auto")
-    frame = UncertainFrame.of(softened[0].after, softened[-1].configuration, None, backend)
-    work = FrameMotion.around(frame, recording, backend, free=True)
-    # A tenth of a standard deviation approximates the derivative well enough.
-    narrow = dataclasses.replace(fitted, covariance=0.01 * fitted.covariance)
-    found = work.directions(narrow, most=len(fitted.covariance))
-    noise, run = fitted.errors.noise_at(fitted.p), max(fitted.errors.stretches, key=lambda each: np.mean(each.y**2))
-    part, filtered = run.strongest(PROBED_SAMPLES), Filter.settled(fitted.errors.dynamics(fitted.p))
-    start = filtered.predicted(run.excitation, run.y, run.start)[0][part.start]
-    probed = SimpleNamespace(completed=run.y[part], states=start[None])
-    driven = RecordedRun(run.y[part], run.excitation[part, 1], "", between=run.excitation[part, 0])
-    along = np.array([work.moved_by(sides, noise, driven, probed) for sides in found.sides])
-    system = dynamics(fitted.model, noise, work.setting)
-    states = settled_states(system, run.excitation[part], run.y[part], start, work.pieces(driven))
-    outputs = system.outputs.of(states, run.excitation[part])
-    variance = np.sum(along**2, axis=1) / np.mean(outputs**2, axis=0)
-    share = np.cumsum(variance.sum(axis=1)) / np.sum(found.allowance * variance.sum(axis=0))
-    assert np.all(np.diff(variance.sum(axis=1)) < 0.0)
-    assert MOST_DIRECTIONS < len(share) < len(fitted.covariance)
-    assert share[-1] >= 0.995 > share[-2]
-    assert len(work.directions(narrow).sides) == MOST_DIRECTIONS
 
 
 def test_frames_a_hundredth_as_far_apart_move_a_hundredth_as_differently(softened):
