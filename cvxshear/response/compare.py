@@ -183,7 +183,7 @@ class RecordComparison(InJson):
     shifts : tuple of Shift
     measured, predicted : Transfer
     contradiction : str
-        Contradictions that one factor, a sign or an exchange of channels would explain; empty without contradiction.
+        Contradictions that one factor or a sign would explain; empty without contradiction.
     """
 
     floors: Ints
@@ -291,13 +291,12 @@ def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bo
 
 
 def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
-    """Report contradictions that one factor, a sign or an exchange of two channels explains; empty without any."""
+    """Report contradictions that one factor or a sign explains; empty without any."""
     y, p = np.concatenate(measured), np.concatenate(predicted)
     size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
     if not np.all(size_y > 0) or not np.all(size_p > 0):
         return ""
-    alike = (y.T @ p) / len(y) / np.outer(size_y, size_p)
-    own = np.diag(alike)
+    own = moved_alike(y, p)
     said = []
     ratios = size_y / size_p
     factor = float(np.exp(np.mean(np.log(ratios))))
@@ -315,17 +314,6 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
         )
     elif against.size:
         said.append("every floor moved against the prediction: is the excitation's sign reversed?")
-    for i in range(len(floors)):
-        for j in range(i + 1, len(floors)):
-            crossed = alike[i, j] ** 2 + alike[j, i] ** 2
-            sizes = abs(np.log(size_y[i] / size_p[j])) + abs(np.log(size_y[j] / size_p[i]))
-            straight = abs(np.log(ratios[i])) + abs(np.log(ratios[j]))
-            if (
-                min(alike[i, j], alike[j, i]) > LIKE
-                and crossed > own[i] ** 2 + own[j] ** 2 + EXCHANGED
-                and sizes < straight
-            ):
-                said.append(f"floors {floors[i]} and {floors[j]} fit each other's prediction: are they exchanged?")
     return "; ".join(said)
 
 
@@ -346,6 +334,3 @@ larger error, and all factors differ by more."""
 
 LIKE = 0.5
 """Least correlation in time of two motions that belong together; floors of one frame in step have 0.8."""
-
-EXCHANGED = 0.1
-"""Least gain in squared correlation for a reported exchange of two channels; neighboring floors move nearly alike."""

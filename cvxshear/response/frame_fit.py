@@ -44,12 +44,8 @@ LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
 """Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
 with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
 
-MOST_FIT_STEPS = 12
-"""Maximum number of Gauss-Newton steps; four to six are usual."""
-
-FITTED, FIRST_FITTED = 0.1, 1.0
-"""Tolerances of the last and the first fit: largest change of a combined residual, in standard deviations of one
-parameter."""
+FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=12), Accuracy(step=1.0, most_steps=12)
+"""Accuracy of the last and of the first fit; four to six steps are usual."""
 
 MOST_DECISIONS = 3
 """Maximum number of selections of the changes; the second usually repeats the first."""
@@ -252,12 +248,12 @@ class _Posterior:
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> _Point:
         return _Point(self, theta)
 
-    def maximum(self, p: Floats, backend: Backend, steps: int, near: float = FITTED) -> tuple[_Point, bool]:
-        """Find the most probable point from p on, and whether the search converged within `steps` steps."""
+    def maximum(self, p: Floats, backend: Backend, accuracy: Accuracy = FITTED) -> tuple[_Point, bool]:
+        """Find the most probable point from p on, and whether the search converged."""
         lower, upper = self.errors.bounds(self.prior)
         bounds = NamedConstraints("bounds", Constraints(lower=lower, upper=upper))
         domain = Domain([bounds], np.ones(len(p)), np.full(len(p), np.inf))
-        found = gauss_newton(self, np.clip(p, lower, upper), domain, backend, Accuracy(near, steps))
+        found = gauss_newton(self, np.clip(p, lower, upper), domain, backend, accuracy)
         return found.at, found.converged
 
 
@@ -280,7 +276,7 @@ def fit_frame(
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as identified; its possible changes since the tests are part of the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
-        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend, MOST_FIT_STEPS)
+        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend)
         answer = Answer((), FORM_STDS[0], 1.0)
         covariance = prior.gaussian(*answer.prior).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
@@ -288,7 +284,7 @@ def fit_frame(
     if start is None:
         along = informative(errors, prior, p, FIRST_INFORMATION)
         rough = _Posterior(errors.shortened(FIRST_SAMPLES, p), along, prior.widest)
-        p = rough.maximum(p, backend, MOST_FIT_STEPS, FIRST_FITTED)[0].p
+        p = rough.maximum(p, backend, FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
     # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
     # story, and rarely return, because base motion does not determine this scale.
@@ -296,7 +292,7 @@ def fit_frame(
     answer = possible_answers(likelihood, prior, p)[0]
     p = _nearer(errors, likelihood, prior.gaussian(*answer.prior), p)
     for _ in range(MOST_DECISIONS):
-        at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend, MOST_FIT_STEPS)
+        at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
         if answer.prior == before.prior:
@@ -322,25 +318,30 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
-def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
+def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, *, free: bool) -> FittedFrame:
     """Fit the frame again without one sensor, with the same possible answers.
+
+    One Gauss-Newton step is enough: the fit starts from the result with all sensors, and mainly needs the new
+    covariance.
 
     Parameters
     ----------
     gone : int
         Index of the unknown of the sensor's noise.
-    steps : int
-        Maximum number of steps; with zero steps the frame stays unchanged.
+    free : bool
+        Whether the frame is fitted; otherwise it stays unchanged.
     """
     changes = [dataclasses.replace(each, columns=np.delete(each.columns, gone, axis=0)) for each in frame.prior.changes]
     prior = dataclasses.replace(frame.prior, others=frame.prior.others - 1, changes=tuple(changes))
     start = np.delete(frame.p, gone)
-    if not steps:
+    if not free:
         covariance = np.delete(np.delete(frame.covariance, gone, axis=0), gone, axis=1)
         return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along, frame.log_evidence)
     along = frame.along.without(gone)
     best = frame.answers[0]
-    at, converged = _Posterior(errors, along, prior.gaussian(*best.prior)).maximum(start, backend, steps)
+    at, converged = _Posterior(errors, along, prior.gaussian(*best.prior)).maximum(
+        start, backend, dataclasses.replace(FITTED, most_steps=1)
+    )
     return _mixed(errors, prior, at, frame.answers, converged)
 
 

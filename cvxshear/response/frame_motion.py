@@ -20,8 +20,20 @@ from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior, VariedFrame
 from cvxshear.response.innovations import DIFFERENCE, FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
-from cvxshear.response.smoother import Observed, Piece, Smoothed, settled_states, smooth
-from cvxshear.response.state_space import Dynamics, Filter, Noise, Response, Setting, dynamics, response
+from cvxshear.response.state_space import (
+    Dynamics,
+    Filter,
+    Noise,
+    Observed,
+    Piece,
+    Response,
+    Setting,
+    Smoothed,
+    dynamics,
+    response,
+    settled_states,
+    smooth,
+)
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property

@@ -26,8 +26,8 @@ from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predic
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
-from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
+from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
 
 SIGN_KNOWN = 1.645
 """Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
-
-LARGEST_ODDS = 1000.0
-"""Largest odds that are printed as a number; model errors make larger odds meaningless."""
 
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
@@ -289,19 +286,12 @@ class Reconstruction(Shown):
         return super().to_dict() | more
 
 
-def reading_remark(excitation: str, straight: float, band_limited: float, *, sound: bool) -> str:
-    """Report the assumed excitation between the samples, and the evidence for it if the model is sound."""
-    taken, other = "band-limited", "straight lines"
-    if straight >= band_limited:
-        taken, other = other, taken
-    odds = abs(straight - band_limited)
-    shown = f"above {LARGEST_ODDS:g}" if odds > np.log(LARGEST_ODDS) else f"{np.exp(odds):.0f} to 1"
-    speaks = f"that makes what the floors did more probable than {other} would (odds {shown})"
-    if not sound:
-        speaks = f"so the model fits the floors better, but it fails a check, and {other} may be as right"
-    elif odds < np.log(10):
-        speaks = f"the floors hardly tell that from {other}; a record at a higher rate would"
-    return f"between its samples the {excitation} is taken as {taken}: {speaks}"
+def _reading_remark(excitation: str, straight: float, band_limited: float) -> str:
+    """Report the assumed excitation between the samples: the one with the larger log evidence."""
+    taken, other = (
+        ("straight lines", "band-limited") if straight >= band_limited else ("band-limited", "straight lines")
+    )
+    return f"between its samples the {excitation} is taken as {taken}: the floors fit that better than {other}"
 
 
 def _warnings(found: Reconstruction) -> list[str]:
@@ -464,8 +454,7 @@ def reconstruct(
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
     if len(evidences) > 1:
-        sound = found.names_changes and not found.coloured
-        said.append(reading_remark(DRIVING[recording.input], *evidences, sound=sound))
+        said.append(_reading_remark(DRIVING[recording.input], *evidences))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 

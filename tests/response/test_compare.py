@@ -6,30 +6,13 @@ import numpy as np
 import pytest
 
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.response import DampedModel, reconstruction, response, sources, uncertain
+from cvxshear.response import DampedModel, response, sources, uncertain
 from cvxshear.response import compare as comparing
 from cvxshear.response.compare import Transfer, contradiction, moved_against
 from cvxshear.response.peaks import floor_spectra, largest_spectra
 from cvxshear.response.recording import RecordedRun, Recording, sensor_line
 from cvxshear.response.sensor_checks import _with_delays
 from tests.response.common import damped_frame, matrices
-
-
-@pytest.mark.parametrize(
-    ("straight", "other", "told", "expected"),
-    [
-        (0.0, np.log(11.0), True, "taken as band-limited: that makes what the floors did more probable than straight "
-         "lines would (odds 11 to 1)"),
-        (np.log(11.0), 0.0, True, "taken as straight lines: that makes what the floors did more probable than "
-         "band-limited would (odds 11 to 1)"),
-        (0.0, np.log(9.0), True, "taken as band-limited: the floors hardly tell that from straight lines"),
-        (0.0, np.log(1001.0), True, "(odds above 1000)"), (0.0, np.log(998.6), True, "(odds 999 to 1)"),
-        (0.0, 9.0, False, "taken as band-limited: so the model fits the floors better, but it fails a check"),
-    ],
-)  # fmt: skip
-def test_what_speaks_for_a_reading_is_said_with_its_odds(straight, other, told, expected):
-    assert expected in reconstruction.reading_remark("base motion", straight, other, sound=told)
-
 
 LINES = np.arange(0.0, 10.0, 0.1)
 
@@ -85,17 +68,6 @@ def test_one_factor_on_all_floors_is_a_unit_within_a_quarter_of_its_logarithm():
     assert said(-np.ones(3)) == "every floor moved against the prediction: is the excitation's sign reversed?"
     assert said(np.array([1.0, -1.0, 1.0])).startswith("floor 2 moved against the prediction (correlation -1.00)")
     assert said(np.array([1.0, 0.0, 1.0])) == ""
-
-
-def test_two_channels_are_exchanged_where_each_is_nearer_to_the_other():
-    rng = np.random.default_rng(4)
-    p = np.cumsum(rng.standard_normal((500, 3)), axis=1) * [1.0, 2.0, 3.0]
-    floors = np.array([1, 2, 5])
-    said = contradiction([p[:, [0, 2, 1]]], [p], floors)
-    assert said == "floors 2 and 5 fit each other's prediction: are they exchanged?"
-    # The sizes agree before and after the exchange. They cannot reveal it.
-    sizes = np.sqrt(np.mean(p**2, axis=0))
-    assert contradiction([p[:, [0, 2, 1]] / sizes[[0, 2, 1]] * sizes], [p], floors) == ""
 
 
 def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_prediction():
@@ -275,18 +247,6 @@ def test_each_unit_is_told_to_a_fifth(factor, said):
     p = np.random.default_rng(3).standard_normal((100, 2))
     for times in (0.8, 1.25):
         assert said in contradiction([p * factor * times], [p], np.array([1, 2]))
-
-
-@pytest.mark.parametrize(("alike", "told"), [(0.92, True), (0.935, False)])
-def test_an_exchange_must_bring_a_tenth_of_squared_correlation(alike, told):
-    """A record has correlation 0.6 with the other's prediction; `alike` is the correlation of both predictions."""
-    e = np.linalg.qr(np.random.default_rng(0).standard_normal((60, 4)))[0].T
-    p = np.column_stack([e[0], 2 * (alike * e[0] + np.sqrt(1 - alike**2) * e[1])])
-    y = np.column_stack([0.6 * p[:, 1] + 2 * 0.8 * e[2], 0.6 * p[:, 0] + 0.8 * e[3]])
-    assert bool(contradiction([y], [p], np.array([1, 2]))) is told
-    # Each record must resemble the other's prediction.
-    y[:, 1] = 0.49 * p[:, 0] + np.sqrt(1 - 0.49**2) * e[3]
-    assert contradiction([y], [p], np.array([1, 2])) == ""
 
 
 @pytest.mark.parametrize(("late", "kept"), [(0.0, False), (0.03, True)])

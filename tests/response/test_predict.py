@@ -294,7 +294,7 @@ def test_a_record_of_another_frame(frame):
     ("change", "said"),
     [
         (lambda y: 9.81 * y, "9.81 times as large as predicted"),
-        (lambda y: y[:, [2, 1, 0]], "floors 1 and 3 fit each other's prediction"),
+        (lambda y: y[:, [2, 1, 0]], "swapped"),
         (lambda y: y, None),
     ],
 )

@@ -22,8 +22,17 @@ from cvxshear.response.frame_prior import VariedFrame
 from cvxshear.response.innovations import Directions, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
 from cvxshear.response.sensor_checks import as_predicted
-from cvxshear.response.smoother import Observed, settled_states, smooth
-from cvxshear.response.state_space import Filter, Noise, Setting, doubled, dynamics, recursion
+from cvxshear.response.state_space import (
+    Filter,
+    Noise,
+    Observed,
+    Setting,
+    doubled,
+    dynamics,
+    recursion,
+    settled_states,
+    smooth,
+)
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import chain
