@@ -28,9 +28,8 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
-from cvxshear.loop.neighbors import holds_open
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
-from cvxshear.loop.search import REACH, Search
+from cvxshear.loop.search import Search, holds_open
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoSolutionError
@@ -41,6 +40,9 @@ PROBED = 4
 
 CARRIED_OVER = 3
 """Number of best sets of the leading numbering that are tried with every other tried numbering."""
+
+REACH = 20.0
+"""Largest log probability ratio between the best numbering and one that is searched to the end."""
 
 FAR_BEHIND = 100.0
 """Largest log probability ratio between the best numbering and one that stays in the search, after the best one

@@ -202,8 +202,7 @@ def _rivals(
     others = tuple(LocatedEffect(changed, place) for place in changed.places(given) if place.state in experiment.states)
     try:
         with_effect, without = begun(given, others), begun(freed, others)
-        # Before any set that explains the data: beside one fewer of a mass's starts are followed.
-        with_effect.add_motions()
+        with_effect.add_motions(with_effect.base)
         with_effect.probe()
     except CvxshearError:
         return None
