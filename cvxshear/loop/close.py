@@ -13,9 +13,10 @@ from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate, efficient
+from cvxshear.loop.comparison import verdict_fits
 from cvxshear.loop.conclusion import conclude
-from cvxshear.loop.hypotheses import Hypothesis, able_to_take_part, assumed, chosen, hypotheses
-from cvxshear.loop.numbering import Numbering
+from cvxshear.loop.hypotheses import Hypothesis, Numbering, able_to_take_part, assumed, chosen, hypotheses
+from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.results import LoopResult
 from cvxshear.loop.search import Search
 from cvxshear.loop.searches import Searches
@@ -49,11 +50,11 @@ def search_for_effects(
     there = _declared(experiment, solver, assumed(experiment, assume))
     declared = searches = _prepared(experiment, solver, wanted, there, jobs)
     found = searches.run(experiment)
-    said = (
+    messages = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
         *(f"an effect was left out: {message}" for message in left_out),
     )
-    result = conclude(found, declared.looked_for, wanted, said=said)
+    result = _concluded(found, found, wanted, messages)
     for _ in range(MOST_WIDENINGS):
         if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
             break
@@ -64,8 +65,30 @@ def search_for_effects(
         # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
         new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
         found += [declared.begun(each) for changes, each in new.items() if changes not in numbered]
-        result = conclude(found, declared.looked_for, wanted, said=said, widened=again)
+        result = _concluded(found, again, wanted, messages)
     return result
+
+
+def _concluded(
+    found: Sequence[Search], judging: Sequence[Search], wanted: Sequence[Effect], messages: Sequence[str]
+) -> LoopResult:
+    """Weigh the visited sets of some searches, make the fits of their verdict, and conclude.
+
+    Parameters
+    ----------
+    found : sequence of Search
+        First the search with the modes numbered as given, then those with other numberings.
+    judging : sequence of Search
+        The same, or searches under noise so wide that the residual is probable.
+    wanted : sequence of Effect
+    messages : sequence of str
+    """
+    models = [model for each in judging for model in (*each.visited.values(), *each.other_optima)]
+    posterior = Posterior(models, found[0].fitter.hypotheses)
+    fits = verdict_fits(judging, posterior.within(posterior.numberings[0].changes), found[0].fitter)
+    fitters = list(dict.fromkeys(each.fitter for each in (*found, *judging)))
+    effort = sum(each.fits for each in fitters), sum(each.programs for each in fitters)
+    return conclude(fits, posterior, wanted, messages=messages, effort=effort)
 
 
 def begun(experiment: Experiment, there: tuple[LocatedEffect, ...] = ()) -> Search:

@@ -35,6 +35,11 @@ WITHIN = 7.0
 """Largest distance from the best set, in log probability, of a set that is followed up: a thousandth of the best
 probability."""
 
+TIE = 2.0
+"""Largest difference in log probability of two sets that are equally good. Further effects are tried beside both of
+them. Tried beside one only, they would count for that set alone, and the probabilities of its effects would be wrong:
+without this rule, an effect that no datum concerns loses its prior probability."""
+
 A_PILE = 3
 """Number of effects that a simple explanation does not reach: two simultaneous causes are rare, three are very rare."""
 
@@ -137,12 +142,11 @@ class Search:
         near = [model for model in self.beam if model.score >= self.best.score - WITHIN]
         if self.best.improbable:
             return near
-        return [
-            model
-            for at, model in enumerate(near)
-            if model is self.best
-            or not (holds_open(model.effects) or any(better.effects < model.effects for better in near[:at]))
-        ]
+
+        def adds_only(model: ModelClass) -> bool:
+            return any(each.effects < model.effects and each.score > model.score + TIE for each in near)
+
+        return [each for each in near if each is self.best or not (holds_open(each.effects) or adds_only(each))]
 
     @property
     def _unsatisfied(self) -> bool:
@@ -296,10 +300,25 @@ class Search:
             return
         linear = self.linearised(model)
         behind = self.best.score - model.score if behind is None else behind
-        further = [each for each in promising(model, linear, self.fitter, behind, barred) if each not in self.visited]
-        self._visit(model.estimate, linear, further)
+        further = promising(model, linear, self.fitter, behind, barred)
+        new = [each for each in further if each not in self.visited and not self._hopeless(each)]
+        self._visit(model.estimate, linear, new)
         named = [each for each in named_entries(model, self.fitter) if self.fitter.set_of(each) not in self.visited]
         self._record(self.fitter.models(named))
+
+    def _hopeless(self, effects: Set) -> bool:
+        """Whether a set holds an open class that was tried in vain.
+
+        Such a class is far less probable than the best set, which explains the data without the class.
+        """
+        if self.best.improbable:
+            return False
+        for placed in effects:
+            if placed.effect.kind == OPEN and placed not in self.best.effects:
+                tried = [model.score for each, model in self.visited.items() if placed in each]
+                if tried and max(tried) < self.best.score - WITHIN:
+                    return True
+        return False
 
     def _visit(self, base: Estimate, linear: Linearised, sets: Iterable[Set], accuracy: Accuracy = ROUGH) -> None:
         """Fit these sets; each holds the effects of a fit and some that the fit lacks."""

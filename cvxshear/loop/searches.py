@@ -27,8 +27,7 @@ from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.fitter import Fitter, ModelClass
-from cvxshear.loop.hypotheses import Hypothesis
-from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
+from cvxshear.loop.hypotheses import Hypothesis, Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.loop.search import Search, holds_open
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking

@@ -10,7 +10,7 @@ from cvxshear.effects import LocatedEffect, compose
 from cvxshear.effects.state import State
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import LoopResult
-from cvxshear.loop.residual import by_part
+from cvxshear.loop.results import by_part
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.model.shear import frame_modes, modes
 from cvxshear.report.describe.headline import noise_facts

@@ -13,8 +13,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from cvxshear.data import Deviation
 from cvxshear.effects.open_class import STANDS_OUT
 from cvxshear.loop import LoopResult
-from cvxshear.loop.residual import by_part
-from cvxshear.loop.results import Candidate
+from cvxshear.loop.results import Candidate, by_part
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import networks
 from cvxshear.report.figures.figure_table import figure
