@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cvxshear.fit.identification import compare_backends, identify
     from cvxshear.fit.results import Identification
     from cvxshear.io.toml import load
-    from cvxshear.loop import Closure
+    from cvxshear.loop import LoopResult
     from cvxshear.measurement.experiment import Configuration, Experiment, Frame
     from cvxshear.planning import plan
     from cvxshear.priors import Prior
@@ -40,16 +40,38 @@ name_module("read", "cvxshear.io.modes")
 name_module("solve", "cvxshear.backends.installed")
 
 __all__ = [
-    "Closure", "Comparison", "Configuration", "CvxshearError", "Experiment", "FaultyEffectError", "Frame",
-    "Identification", "InfeasibleError", "InputError", "LostProcessError", "NoModesError", "NoSolutionError", "Prior",
-    "UnsuitableError", "backends", "close_loop", "compare_backends", "effects", "identify", "load", "plan", "predict",
-    "priors", "programs", "reconstruct",
+    "Comparison",
+    "Configuration",
+    "CvxshearError",
+    "Experiment",
+    "FaultyEffectError",
+    "Frame",
+    "Identification",
+    "InfeasibleError",
+    "InputError",
+    "LoopResult",
+    "LostProcessError",
+    "NoModesError",
+    "NoSolutionError",
+    "Prior",
+    "UnsuitableError",
+    "backends",
+    "close_loop",
+    "compare_backends",
+    "effects",
+    "identify",
+    "load",
+    "plan",
+    "predict",
+    "priors",
+    "programs",
+    "reconstruct",
 ]  # fmt: skip
 
 _HOMES = {
     name: home
     for home, names in {
-        "cvxshear.loop": "Closure",
+        "cvxshear.loop": "LoopResult",
         "cvxshear.backends": "Comparison",
         "cvxshear.measurement.experiment": "Configuration Experiment Frame",
         "cvxshear.fit.identification": "compare_backends identify",

@@ -450,7 +450,7 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("--mutants", type=int, default=30, help="how many changes")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--module", action="append", default=[], help="a room or a module, such as fit/noise.py; again")
+    parser.add_argument("--module", action="append", default=[], help="a room or a module, such as fit/start.py; again")
     parser.add_argument("--seconds", type=int, default=40, help="of computing, after which no further test is begun")
     parser.add_argument("--limit", type=int, default=120, help="seconds of computing for the tests of one change")
     given = parser.parse_args()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.effects import Effect, Parameter, Place, Placed
+from cvxshear.effects import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.composition import compose
 from cvxshear.records import from_arrays
 from cvxshear.records.motion import DrivenRecord, DrivenRun
@@ -120,7 +120,7 @@ def test_an_effect_whose_matrix_is_not_finite_is_named():
 def test_an_effect_that_is_not_finite_where_it_was_not_tried_is_named():
     """The check at registration uses the first and the last place only."""
     of = cvxshear.Experiment.from_dict(three_stories())
-    placed = [Placed(Broken(), Place(floor=2))]
+    placed = [LocatedEffect(Broken(), Place(floor=2))]
     with pytest.raises(cvxshear.FaultyEffectError, match=r"broken at floor 2: .* is not finite"):
         compose(of, of.tested[0], placed, np.array([*MASS, *STIFFNESS, 1.0]))
 

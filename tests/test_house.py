@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 import cvxshear
-from tests.benchmarks.size import CAPABILITIES
+from tests.studies.size import CAPABILITIES
 
 ROOT = Path(cvxshear.__file__).parent
 

@@ -81,6 +81,6 @@ def test_importing_cvxshear_changes_no_numpy_setting():
     assert modules.stdout.strip() == "True"
 
 
-def test_the_benchmarks_import():
+def test_the_studies_import():
     for part in ("starting", "scaling", "many", "peers", "solvers", "planning"):
-        assert callable(import_module(f"tests.benchmarks.{part}").main)
+        assert callable(import_module(f"tests.studies.{part}").main)

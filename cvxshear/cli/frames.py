@@ -141,7 +141,7 @@ def loop(
     strict
         Status 3 where the verdict is not one to rely on, such as ambiguous.
     """
-    from cvxshear import Closure
+    from cvxshear import LoopResult
     from cvxshear.loop.verdicts import VERDICTS
     from cvxshear.report import terminal
     from cvxshear.report.handover import sheets_of
@@ -152,7 +152,7 @@ def loop(
     if effects == LIST:
         show(_catalogued())
         raise typer.Exit
-    pictures, tables, display = Pictures(figure, Closure), Spreadsheets(csv, xlsx), Units.parse(units)
+    pictures, tables, display = Pictures(figure, LoopResult), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import photograph_of, render
     said_of_it = heading_of(report, title=title, client=client, author=author, date=date, photograph=photograph)

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cvxshear.cli.options import used
-from cvxshear.util.errors import InputError
-from cvxshear.util.text import json_text, printable, shell_line
-from cvxshear.util.writing import write_file
+from cvxshear.util.errors import InputError, printable
+from cvxshear.util.writing import json_text, shell_line, write_file
 from cvxshear.version import __version__
 
 if TYPE_CHECKING:

@@ -56,7 +56,7 @@ class Pictures:
     asked : sequence of str, optional
         Requests as typed; "list" alone prints the available figures and ends the command.
     result : type
-        Type of the result, such as `Closure`.
+        Type of the result, such as `LoopResult`.
 
     Raises
     ------

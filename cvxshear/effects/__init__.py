@@ -4,7 +4,7 @@
 """
 
 from cvxshear.effects.attached_mass import AttachedMass
-from cvxshear.effects.base import Effect, Parameter, Place, Placed
+from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.composition import compose
 from cvxshear.effects.guests import refuse_faulty, refuse_repeated
 from cvxshear.effects.joints import JointRelease, JointRotation
@@ -17,8 +17,34 @@ from cvxshear.effects.stories import Bracing, StateStiffness, StoryChange
 from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity
 
 __all__ = [
-    "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",
-    "JointRelease", "JointRotation", "LoadScale", "MassCoupling", "Parameter", "Place", "Placed", "Scale", "SensorGain",
-    "Spring", "State", "StateMass", "StateStiffness", "StoryChange", "TotalMass", "catalogue", "compose", "named",
-    "open_classes", "refuse_faulty", "refuse_repeated", "register",
+    "AddedMass",
+    "AttachedMass",
+    "AxialColumns",
+    "BaseRocking",
+    "Bracing",
+    "Effect",
+    "Gravity",
+    "GroundSpring",
+    "JointRelease",
+    "JointRotation",
+    "LoadScale",
+    "LocatedEffect",
+    "MassCoupling",
+    "Parameter",
+    "Place",
+    "Scale",
+    "SensorGain",
+    "Spring",
+    "State",
+    "StateMass",
+    "StateStiffness",
+    "StoryChange",
+    "TotalMass",
+    "catalogue",
+    "compose",
+    "named",
+    "open_classes",
+    "refuse_faulty",
+    "refuse_repeated",
+    "register",
 ]  # fmt: skip

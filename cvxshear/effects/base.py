@@ -374,7 +374,7 @@ def shown_states(experiment: Experiment) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Placed(InJson):
+class LocatedEffect(InJson):
     """Effect at a place.
 
     Parameters

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cvxshear.effects.base import Placed
+from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.model.observation import FloorObservation
@@ -20,7 +20,7 @@ MOST_BYTES = 1e9
 
 
 def compose(
-    experiment: Experiment, tested: Tested, effects: Sequence[Placed], theta: Floats, *, derivatives: bool = True
+    experiment: Experiment, tested: Tested, effects: Sequence[LocatedEffect], theta: Floats, *, derivatives: bool = True
 ) -> State:
     """Return matrices and observation of one tested state, with derivatives by every parameter.
 
@@ -28,7 +28,7 @@ def compose(
     ----------
     experiment : Experiment
     tested : Tested
-    effects : sequence of Placed
+    effects : sequence of LocatedEffect
     theta : ndarray, shape (P,)
         Floor masses without added mass (N), story stiffnesses (N), then the effects' parameters in order.
     derivatives : bool, optional
@@ -42,14 +42,19 @@ def compose(
     return composed(experiment, tested, acting, theta, derivatives=derivatives or bool(effects))
 
 
-def acting_on(tested: Tested, effects: Sequence[Placed], stories: int) -> list[tuple[Placed, slice]]:
+def acting_on(tested: Tested, effects: Sequence[LocatedEffect], stories: int) -> list[tuple[LocatedEffect, slice]]:
     """List the effects that act on a tested state, and the places of their parameters, in the order of their stages."""
     acting = [(placed, own) for placed, own in slices(effects, 2 * stories) if placed.acts_on(tested)]
     return sorted(acting, key=lambda item: STAGES.index(item[0].effect.stage))
 
 
 def composed(
-    experiment: Experiment, tested: Tested, acting: list[tuple[Placed, slice]], theta: Floats, *, derivatives: bool
+    experiment: Experiment,
+    tested: Tested,
+    acting: list[tuple[LocatedEffect, slice]],
+    theta: Floats,
+    *,
+    derivatives: bool,
 ) -> State:
     """Return the result of `compose` from the effects that act on this state (`acting_on`)."""
     n, size = experiment.stories, len(theta)
@@ -88,7 +93,7 @@ def composed(
     return state
 
 
-def _applied(placed: Placed, state: State, theta: Floats, own: slice) -> State:
+def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> State:
     """Apply one effect; name the effect in an exception that its code raises."""
     try:
         return placed.effect.apply(state, placed.place, theta[own], own)
@@ -98,7 +103,7 @@ def _applied(placed: Placed, state: State, theta: Floats, own: slice) -> State:
         raise FaultyEffectError(f"{placed.label}: apply() raised {type(error).__name__}: {error}") from error
 
 
-def _refuse_not_finite(system: System, effects: Sequence[Placed]) -> None:
+def _refuse_not_finite(system: System, effects: Sequence[LocatedEffect]) -> None:
     """Raise an error if effects made a matrix or a derivative that is not finite."""
     for name in ("M", "K", "dM", "dK"):
         if not np.isfinite(np.sum(getattr(system, name))):
@@ -177,7 +182,7 @@ def _stories(heights: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
     return sway[:, :, None] * sway[:, None, :], ut, tt
 
 
-def slices(effects: Sequence[Placed], first: int) -> list[tuple[Placed, slice]]:
+def slices(effects: Sequence[LocatedEffect], first: int) -> list[tuple[LocatedEffect, slice]]:
     """List each effect with the places of its parameters, counted from `first`."""
     result = []
     for placed in effects:

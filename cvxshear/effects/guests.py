@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, Placed
+from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.composition import compose
 from cvxshear.effects.state import STAGES, Scale, State, heights_of
 from cvxshear.measurement.experiment import Experiment, Tested
@@ -201,7 +201,7 @@ class _Check:
 
     def _matrices(self, here: Effect, place: Place, sizes: Floats) -> None:
         """Check the changes of a frame by the effect, and their derivatives."""
-        placed = Placed(here, place)
+        placed = LocatedEffect(here, place)
         tested = next(each for each in self.experiment.tested if placed.acts_on(each))
         nulls = np.array([item.null for item in here.parameters])
         lower = np.array([item.lower for item in here.parameters])
@@ -212,7 +212,7 @@ class _Check:
             steps = QUOTIENT_STEP * np.concatenate([self._frame, np.where(even, upper - lower, sizes)])
         at = np.concatenate([self._frame, own])
         self._untouched(here, place, tested, at)
-        plain = self._composed(tested, Placed(_Idle(here.parameters)), at)
+        plain = self._composed(tested, LocatedEffect(_Idle(here.parameters)), at)
         there = self._composed(tested, placed, at)
         n, size = self.experiment.stories, len(at)
         motions = len(there.system.K)
@@ -238,7 +238,7 @@ class _Check:
                 )
         self._slopes(placed, tested, at, steps)
 
-    def _slopes(self, placed: Placed, tested: Tested, at: Floats, steps: Floats) -> None:
+    def _slopes(self, placed: LocatedEffect, tested: Tested, at: Floats, steps: Floats) -> None:
         """Check derivatives in a random direction of the effect's own parameters, and in one of the frame's."""
         rng = np.random.default_rng(20)
         n2 = len(self._frame)
@@ -267,7 +267,7 @@ class _Check:
 
     def _untouched(self, here: Effect, place: Place, tested: Tested, at: Floats) -> None:
         """Check that `apply` does not change the arrays that it receives, including its own earlier result."""
-        state = self._composed(tested, Placed(_Idle(here.parameters)), at)
+        state = self._composed(tested, LocatedEffect(_Idle(here.parameters)), at)
         own = slice(len(self._frame), len(at))
         values = at[own].copy()
         before = {name: array.copy() for name, array in _arrays(state)}
@@ -279,7 +279,7 @@ class _Check:
         self._that(found.system.M.dtype == np.float64, "M is no array of real numbers after apply()")
         self._that(found.system.K.dtype == np.float64, "K is no array of real numbers after apply()")
 
-    def _composed(self, tested: Tested, placed: Placed, at: Floats) -> State:
+    def _composed(self, tested: Tested, placed: LocatedEffect, at: Floats) -> State:
         return self._call("apply", lambda: compose(self.experiment, tested, [placed], at), State)
 
     @property

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, Placed, off_by
+from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place, off_by
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
@@ -59,7 +59,7 @@ class AddedMass(Effect):
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         at = place.floor_index
-        declared = [each.added_mass[at] for each in experiment.tested if Placed(self, place).acts_on(each)]
+        declared = [each.added_mass[at] for each in experiment.tested if LocatedEffect(self, place).acts_on(each)]
         row = np.zeros(2 * experiment.stories + 1)
         row[at] = row[-1] = -1.0
         return Constraints(G=row[None], h=np.array([min(declared, default=0.0)]))

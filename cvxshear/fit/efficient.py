@@ -12,22 +12,28 @@ from scipy import special
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.data import NoiseFactors
-from cvxshear.effects import Placed, Scale
+from cvxshear.effects import LocatedEffect, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
-from cvxshear.fit.misfit import Evaluation, Misfit
-from cvxshear.fit.noise import NoiseEstimate, estimated_noise
+from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
-from cvxshear.fit.quality import Quality, quality
-from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions, priced
+from cvxshear.fit.results import (
+    IdentifiedFrame,
+    Prediction,
+    Quality,
+    SingleIdentification,
+    predictions,
+    priced,
+    quality,
+)
 from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.programs.constraints import refuse_contradicting
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -95,7 +101,7 @@ class Estimate:
         return self.misfit.experiment
 
     @property
-    def effects(self) -> tuple[Placed, ...]:
+    def effects(self) -> tuple[LocatedEffect, ...]:
         """The effects in the model."""
         return self.misfit.effects
 
@@ -187,7 +193,7 @@ class Estimate:
         mass, mass_std = self._corrected(values[:n], std)
         return IdentifiedFrame(mass, values[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
 
-    def own(self, placed: Placed) -> slice:
+    def own(self, placed: LocatedEffect) -> slice:
         """Return the places of an effect's parameters in theta."""
         return next(at for item, at in slices(self.effects, 2 * self.experiment.stories) if item is placed)
 
@@ -247,7 +253,7 @@ class Estimate:
         return priced(here.program.replace(names=parameter_names(self.experiment, self.effects)).active_at(here.point))
 
 
-def parameter_names(experiment: Experiment, effects: Sequence[Placed]) -> tuple[str, ...]:
+def parameter_names(experiment: Experiment, effects: Sequence[LocatedEffect]) -> tuple[str, ...]:
     """Names of the parameters of a fit, in order."""
     stories = range(1, experiment.stories + 1)
     return (
@@ -337,7 +343,7 @@ def fitted_with(
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 
 
-def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed] = ()) -> Estimate:
+def efficient(experiment: Experiment, backend: Backend, effects: Sequence[LocatedEffect] = ()) -> Estimate:
     """Fit floor masses, story stiffnesses and effects to all configurations together.
 
     The starting points are tried in the order of their misfit until a fit is good; the best fit is kept.
@@ -346,7 +352,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Placed
     ----------
     experiment : Experiment
     backend : Backend
-    effects : sequence of Placed, optional
+    effects : sequence of LocatedEffect, optional
 
     Returns
     -------

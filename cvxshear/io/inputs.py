@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 
-from cvxshear.util.errors import InputError
-from cvxshear.util.text import printable
+from cvxshear.util.errors import InputError, printable
 
 logger = logging.getLogger(__name__)
 

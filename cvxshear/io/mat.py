@@ -13,8 +13,7 @@ from scipy.io import loadmat
 
 from cvxshear.io.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.io.inputs import MEGABYTE, read_bytes
-from cvxshear.util.errors import InputError, optional
-from cvxshear.util.text import printable
+from cvxshear.util.errors import InputError, optional, printable
 
 Array = np.ndarray[Any, Any]
 

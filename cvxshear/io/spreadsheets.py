@@ -13,9 +13,8 @@ from typing import Any
 from cvxshear.io.columns import TOO_LARGE, Columns
 from cvxshear.io.csv import columns_of
 from cvxshear.io.inputs import MEGABYTE, read_bytes
-from cvxshear.util.errors import InputError, optional
-from cvxshear.util.text import cell_text, printable
-from cvxshear.util.writing import write_file
+from cvxshear.util.errors import InputError, optional, printable
+from cvxshear.util.writing import cell_text, write_file
 
 Cell = str | float | int | None
 

@@ -34,10 +34,10 @@ from cvxshear.io.record_file import FREQUENCY_NAMES
 from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, printable
 from cvxshear.util.quantities import CHANNEL_UNITS, counted
-from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
+from cvxshear.util.writing import escaped
 
 MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
 """Floor mass (kg) and story stiffness (N/m) of the example frame, and a pull at its top (N)."""

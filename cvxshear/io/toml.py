@@ -19,11 +19,10 @@ from cvxshear.io.formats import FORMATS, format_of, naming_keys, refuse_data
 from cvxshear.io.inputs import named_after, read_bytes
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
-from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.checks import shown
-from cvxshear.util.errors import InputError
-from cvxshear.util.text import Inserted, escaped, printable
-from cvxshear.util.writing import write_file
+from cvxshear.util.decorators import usual_arithmetic
+from cvxshear.util.errors import InputError, printable
+from cvxshear.util.writing import Inserted, escaped, write_file
 
 LARGEST_FILE = 5_000_000
 """Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""

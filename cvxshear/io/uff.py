@@ -17,8 +17,7 @@ import numpy as np
 
 from cvxshear.io.columns import LIMIT, TOO_LARGE, Columns
 from cvxshear.io.inputs import read_bytes
-from cvxshear.util.errors import InputError, optional
-from cvxshear.util.text import printable
+from cvxshear.util.errors import InputError, optional, printable
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 from cvxshear.util.writing import write_file
 

@@ -1,6 +1,6 @@
 """Closing the loop between measurement and model."""
 
-from cvxshear.loop.results import Closure
+from cvxshear.loop.results import LoopResult
 from cvxshear.loop.verdicts import VERDICTS
 
-__all__ = ["VERDICTS", "Closure"]
+__all__ = ["VERDICTS", "LoopResult"]

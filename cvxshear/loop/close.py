@@ -9,14 +9,14 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.effects import Effect, Placed, Scale
+from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.effects.state import heights_of
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate, efficient
-from cvxshear.fit.expectation import EffectPrior
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.hypotheses import Hypothesis, able_to_take_part, assumed, chosen, hypotheses
 from cvxshear.loop.numbering import Numbering
-from cvxshear.loop.results import Closure
+from cvxshear.loop.results import LoopResult
 from cvxshear.loop.search import Search
 from cvxshear.loop.searches import Searches
 from cvxshear.loop.verdicts import VERDICTS
@@ -33,12 +33,12 @@ MOST_WIDENINGS = 3
 def search_for_effects(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
-    assume: Sequence[str | Placed] = (),
+    assume: Sequence[str | LocatedEffect] = (),
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
     *,
     jobs: int = 1,
-) -> Closure:
+) -> LoopResult:
     """Find the effects that the shear model lacks, without screening the measurement first.
 
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
@@ -68,13 +68,13 @@ def search_for_effects(
     return result
 
 
-def begun(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
+def begun(experiment: Experiment, there: tuple[LocatedEffect, ...] = ()) -> Search:
     """Begin a search over the whole catalogue with the fit of the shear model; no effect is tried.
 
     Parameters
     ----------
     experiment : Experiment
-    there : tuple of Placed, optional
+    there : tuple of LocatedEffect, optional
         Effects that the model holds from the start.
 
     Raises
@@ -86,7 +86,7 @@ def begun(experiment: Experiment, there: tuple[Placed, ...] = ()) -> Search:
 
 
 def _prepared(
-    experiment: Experiment, solver: Backend, wanted: Sequence[Effect], there: tuple[Placed, ...], jobs: int = 1
+    experiment: Experiment, solver: Backend, wanted: Sequence[Effect], there: tuple[LocatedEffect, ...], jobs: int = 1
 ) -> Searches:
     """Fit the shear model, and collect the settings that all searches share."""
     looked_for = hypotheses(experiment, wanted, there)
@@ -94,13 +94,13 @@ def _prepared(
     return Searches(solver, there, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
 
 
-def _excess(result: Closure) -> float | None:
+def _excess(result: LoopResult) -> float | None:
     """Return the factor on the noise that makes the residual probable; None if the residual is probable already."""
     judged = result.judged
     return float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1))) if judged.improbable else None
 
 
-def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> Estimate:
+def _first(experiment: Experiment, backend: Backend, there: tuple[LocatedEffect, ...]) -> Estimate:
     """Make the first fit on the requested backend, so that a failing backend is found at once.
 
     Another backend replaces it only if the requested one does not accept such programs (active inequalities).
@@ -113,14 +113,14 @@ def _first(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) 
         return efficient(experiment, backends.get("auto"), there)
 
 
-def _declared(experiment: Experiment, backend: Backend, there: tuple[Placed, ...]) -> tuple[Placed, ...]:
+def _declared(experiment: Experiment, backend: Backend, there: tuple[LocatedEffect, ...]) -> tuple[LocatedEffect, ...]:
     """Return the assumed effects; an effect that these data do not determine is held at its starting value."""
     if not there:
         return there
     found = _first(experiment, backend, there)
     known = found.uncertainty.determined
     return tuple(
-        placed if np.all(known[found.own(placed)]) else Placed(placed.effect, placed.place, placed.start)
+        placed if np.all(known[found.own(placed)]) else LocatedEffect(placed.effect, placed.place, placed.start)
         for placed in there
     )
 

@@ -12,7 +12,7 @@ from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.effects import Effect, Placed
+from cvxshear.effects import Effect, LocatedEffect
 from cvxshear.effects.masses import LoadScale
 from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
 from cvxshear.fit.gauss_newton import ROUGH
@@ -24,16 +24,13 @@ from cvxshear.loop.next_test import next_test
 from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
-from cvxshear.loop.results import AddedEffect, Candidate, Closure, EffectSet, Step
+from cvxshear.loop.results import AddedEffect, Candidate, EffectSet, LoopResult, Step
 from cvxshear.loop.search import Search, fits_alike
-from cvxshear.loop.twins import dual_fits_as_well, dual_set
+from cvxshear.loop.searches import dual_fits_as_well, dual_set
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError, NoSolutionError
-from cvxshear.util.quantities import listed, significant
-
-EXPLAINED = 0.95
-"""Smallest probability of each added effect, at its place, if the data are called explained."""
+from cvxshear.util.quantities import SURE, listed, significant
 
 NUMBERED = 1.0 - 2.0 * OVERLOOKED
 """Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
@@ -56,7 +53,7 @@ def conclude(
     *,
     said: Sequence[str] = (),
     widened: Sequence[Search] = (),
-) -> Closure:
+) -> LoopResult:
     """Reach the verdict on the visited sets.
 
     Parameters
@@ -93,7 +90,7 @@ def conclude(
     negligible = significant and _negligible(final)
     fits = {model.effects: model.estimate for model in reversed(here.models)}
     rivals = [estimate for rival in _rival_sets(here, added) if (estimate := fits[rival]) is not None]
-    return Closure(
+    return LoopResult(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
         verdict=_verdict(added, here, numbering, final, unexplained=significant and not negligible),
@@ -134,7 +131,7 @@ def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[S
     return best, best.visited[wanted]
 
 
-def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Placed, list[Placed]]:
+def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[LocatedEffect, list[LocatedEffect]]:
     """List the twins of each effect of a set: exact twins, and the dual if only frequencies were measured."""
     experiment = search.fitter.experiment
     twins = {placed: search.twins(found, placed) for placed in found.effects}
@@ -149,7 +146,7 @@ def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Plac
     return twins
 
 
-def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[Placed]:
+def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[LocatedEffect]:
     return posterior.ranked(placed for placed in final.effects if placed not in fitter.assumed)
 
 
@@ -166,7 +163,7 @@ def _verdict(
     if not added and not numbering.changes:
         answered = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
         return "adequate" if answered else "ambiguous"
-    sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
+    sure = min([numbering.probability, *(item.probability for item in added)]) >= SURE
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:
         return "ambiguous"
@@ -203,7 +200,7 @@ def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitt
     )
 
 
-def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> Estimate:
+def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitter) -> Estimate:
     """Fit the model with only some of the effects, in the final model's noise.
 
     Start at the final parameters. If the model has no real modes there, or the modes are numbered otherwise, start at
@@ -234,7 +231,7 @@ def _in_noise_of(final: Estimate, effects: Sequence[Placed], fitter: Fitter) -> 
         return fitted_with(misfit, proposals[1].starts[0], backends.get("auto"), ROUGH)
 
 
-def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect:
+def _added(posterior: Posterior, final: Estimate, placed: LocatedEffect) -> AddedEffect:
     values, errors = final.theta[final.own(placed)], posterior.deviations_about(final, placed)
     names = [item.name for item in placed.effect.parameters]
     parameters = dict(zip(names, values.tolist(), strict=True))
@@ -255,7 +252,7 @@ def _added(posterior: Posterior, final: Estimate, placed: Placed) -> AddedEffect
     )
 
 
-def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
+def _remarks(final: Estimate, placed: LocatedEffect) -> Iterator[str]:
     """List the parameters that lie on a physical bound."""
     stds = final.misfit.expectation.of(placed)
     for item, value, std in zip(placed.effect.parameters, final.theta[final.own(placed)], stds, strict=True):
@@ -265,7 +262,7 @@ def _remarks(final: Estimate, placed: Placed) -> Iterator[str]:
                 yield f"{item.name} is at the {word} end of what is physical"
 
 
-def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[Placed]]:
+def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[LocatedEffect]]:
     """List the sets that hold a rival in place of an added effect, twins first."""
     effects = frozenset(item.placed for item in added)
     twins = [(effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin]
@@ -310,7 +307,7 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
         if placed in there:
             kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
             gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
-        elif placed not in linear.lacking:
+        elif placed not in linear.candidates:
             # The derivatives at the null value carry no information on the effect here.
             gain, chi2, dof = 0.0, final.chi2, final.dof - count
         else:
@@ -327,14 +324,14 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
     return sorted(found, key=lambda each: (order.index(each.placed) if each.probability else len(order), each.chi2))
 
 
-def _unseen(linear: Linearised, fitter: Fitter, judged: ModelClass) -> dict[Placed, float]:
+def _unseen(linear: Linearised, fitter: Fitter, judged: ModelClass) -> dict[LocatedEffect, float]:
     """Find the probability of each further effect beside a set, from the model linearised at the set.
 
     The search fits only promising effects. An effect with too small an influence to detect keeps its prior probability;
     an effect that was not fitted never gets a larger one.
     """
-    log_odds = fitter.log_priors(linear.lacking, judged.effects) + np.minimum(linear.gains, 0.0)
-    return dict(zip(linear.lacking, special.expit(log_odds).tolist(), strict=True))
+    log_odds = fitter.log_priors(linear.candidates, judged.effects) + np.minimum(linear.gains, 0.0)
+    return dict(zip(linear.candidates, special.expit(log_odds).tolist(), strict=True))
 
 
 def _quoted(names: Sequence[str]) -> str:
@@ -361,16 +358,16 @@ def _rests_on(final: Estimate) -> Iterator[str]:
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     """Yield the assumptions of the verdict that the data hardly test: sentences of effects that are not in the set."""
     states = {placed.place.state for placed in found.effects} | {None}
-    said = [each for each in search.lacking(found) if each.effect.granted and each.place.state in states]
+    said = [each for each in search.candidates(found) if each.effect.granted and each.place.state in states]
     if not said:
         return
-    invariances = search.invariances(found)
+    linear = search.linearised(found)
     untold = defaultdict[str, list[str]](list)
     for placed in said:
         # Only effects with such sentences count as alternatives. Changes of single stories or floors do not, because
         # their sum is the effect itself.
         alike = [other for other in said if other.place.state == placed.place.state]
-        if invariances.untold(placed, alike):
+        if linear.undetermined(placed, alike):
             said_of = placed.effect.granted.replace("{prior}", str(placed.place.prior))
             untold[said_of].append(str(placed.place.state))
     for statement, names in untold.items():

@@ -9,10 +9,10 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import slices
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate, fitted
-from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
@@ -34,7 +34,7 @@ class ModelClass:
 
     Parameters
     ----------
-    effects : frozenset of Placed
+    effects : frozenset of LocatedEffect
         Effects in addition to the assumed ones.
     estimate : Estimate or None
         None if no fit was found.
@@ -47,7 +47,7 @@ class ModelClass:
         Configurations with other mode numbers than the given ones (`Numbering.changes`).
     """
 
-    effects: frozenset[Placed]
+    effects: frozenset[LocatedEffect]
     estimate: Estimate | None
     log_evidence: float
     log_prior: float
@@ -81,7 +81,7 @@ class FitProposal:
 
     Parameters
     ----------
-    effects : tuple of Placed
+    effects : tuple of LocatedEffect
         Effects in the order of their parameters, with the assumed ones.
     starts : tuple of ndarray, shape (P,)
         Starting points: the first one that fits better than the last one is used.
@@ -91,7 +91,7 @@ class FitProposal:
         Objective of the fit that the proposal started from.
     """
 
-    effects: tuple[Placed, ...]
+    effects: tuple[LocatedEffect, ...]
     starts: tuple[Floats, ...]
     misfit: Misfit
     objective: float
@@ -107,7 +107,7 @@ class Fitter:
         Experiment under one numbering of its modes.
     backend : Backend
     hypotheses : sequence of Hypothesis
-    assumed : tuple of Placed
+    assumed : tuple of LocatedEffect
         Effects that every set holds.
     expectation : EffectPrior
     jobs : int
@@ -123,14 +123,14 @@ class Fitter:
     numbering: Numbering
     backend: Backend
     hypotheses: Sequence[Hypothesis]
-    assumed: tuple[Placed, ...]
+    assumed: tuple[LocatedEffect, ...]
     expectation: EffectPrior
     jobs: int = 1
     fits: int = 0
     programs: int = 0
     stand_ins: int = 0
     base: Estimate | None = None
-    _log_odds: dict[Placed, float] = field(init=False)
+    _log_odds: dict[LocatedEffect, float] = field(init=False)
 
     def __post_init__(self) -> None:
         self._log_odds = {item.placed: item.log_odds for item in self.hypotheses}
@@ -140,7 +140,7 @@ class Fitter:
         """Experiment that the sets are fitted to."""
         return self.numbering.experiment
 
-    def log_prior(self, effects: Collection[Placed]) -> float:
+    def log_prior(self, effects: Collection[LocatedEffect]) -> float:
         """Return the sum of the log prior odds of the effects, each given its companion if the set holds it."""
         there = {(each.effect.name, each.place) for each in (*effects, *self.assumed)}
         return sum(
@@ -150,12 +150,12 @@ class Fitter:
             for placed in effects
         )
 
-    def log_priors(self, further: Sequence[Placed], effects: frozenset[Placed]) -> Floats:
+    def log_priors(self, further: Sequence[LocatedEffect], effects: frozenset[LocatedEffect]) -> Floats:
         """Return the logarithms of the prior odds of further effects beside a set, shape (n,)."""
         own = self.log_prior(effects)
         return np.array([self.log_prior(effects | {placed}) - own for placed in further])
 
-    def proposal(self, start: Estimate, effects: Sequence[Placed], more: Sequence[Floats] = ()) -> FitProposal:
+    def proposal(self, start: Estimate, effects: Sequence[LocatedEffect], more: Sequence[Floats] = ()) -> FitProposal:
         """Propose a fit of these effects, started from a fit that shares some of them."""
         n2 = 2 * self.experiment.stories
         values = {placed: start.theta[own] for placed, own in slices(start.effects, n2)}
@@ -185,7 +185,7 @@ class Fitter:
         self.stand_ins += sum(stood_in for _, stood_in in found)
         return [self._model(proposal, item) for proposal, (item, _) in zip(proposals, found, strict=True)]
 
-    def set_of(self, proposal: FitProposal) -> frozenset[Placed]:
+    def set_of(self, proposal: FitProposal) -> frozenset[LocatedEffect]:
         """Return the set of a proposal, without the assumed effects."""
         return frozenset(proposal.effects) - frozenset(self.assumed)
 

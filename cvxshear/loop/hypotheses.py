@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Effect, Place, Placed, catalogue, open_classes
+from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, open_classes
 from cvxshear.effects.guests import refuse_faulty, refuse_repeated
 from cvxshear.measurement.experiment import ExpectedEffect, Experiment
 from cvxshear.util import checks
@@ -25,14 +25,14 @@ class Hypothesis:
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     probability : float
         Prior probability that the effect is present.
     size : float or None
         Standard deviation of the first parameter, if the experiment declares one in place of the effect's default.
     """
 
-    placed: Placed
+    placed: LocatedEffect
     probability: float
     size: float | None = None
 
@@ -47,7 +47,9 @@ def log_odds(probability: float) -> float:
     return float(np.log(probability) - np.log1p(-probability))
 
 
-def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequence[Placed] = ()) -> list[Hypothesis]:
+def hypotheses(
+    experiment: Experiment, effects: Sequence[Effect], there: Sequence[LocatedEffect] = ()
+) -> list[Hypothesis]:
     """List all hypotheses.
 
     An effect's probability p is spread over its places by their weights. A place with the share s of all weights has
@@ -61,7 +63,7 @@ def hypotheses(experiment: Experiment, effects: Sequence[Effect], there: Sequenc
     experiment : Experiment
         Experiment with its priors of effects.
     effects : sequence of Effect
-    there : sequence of Placed, optional
+    there : sequence of LocatedEffect, optional
         Effects that the model holds already.
 
     Raises
@@ -94,7 +96,7 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
 
     return [
         Hypothesis(
-            Placed(effect.bound_at(experiment, place), place),
+            LocatedEffect(effect.bound_at(experiment, place), place),
             _last(
                 [
                     _spread(each.probability, share(place, [other for other in places if each in said[other]]))
@@ -146,9 +148,7 @@ def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
     )
 
 
-def able_to_take_part(
-    wanted: Sequence[Effect], experiment: Experiment
-) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+def able_to_take_part(wanted: Sequence[Effect], experiment: Experiment) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
     """List the usable effects, and messages that explain why user-defined effects are unusable.
 
     Raises
@@ -172,7 +172,7 @@ def able_to_take_part(
     return tuple(sound), tuple(messages)
 
 
-def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Placed, ...]:
+def assumed(experiment: Experiment, assume: Sequence[str | LocatedEffect]) -> tuple[LocatedEffect, ...]:
     """List the effects that are declared from the start; an effect given by name alone must have only one place.
 
     Raises
@@ -182,7 +182,7 @@ def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Pla
     """
     result = []
     for each in assume:
-        if isinstance(each, Placed):
+        if isinstance(each, LocatedEffect):
             result.append(each)
             continue
         effect = chosen([each])[0].bound(experiment)
@@ -194,7 +194,7 @@ def assumed(experiment: Experiment, assume: Sequence[str | Placed]) -> tuple[Pla
         if len(places) > 1:
             raise InputError(
                 f"effect {each} can sit at {len(places)} places; which one is said in Python: "
-                "close_loop(assume=[Placed(effect, Place(...))])"
+                "close_loop(assume=[LocatedEffect(effect, Place(...))])"
             )
-        result.append(Placed(effect, places[0]))
+        result.append(LocatedEffect(effect, places[0]))
     return tuple(result)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import HOPELESS
@@ -43,7 +43,7 @@ LEAST_FURTHER = 1
 RESCALING = 3
 """Most and least further effects, and effects on the accuracy of data, that are fitted when a set is expanded."""
 
-Set = frozenset[Placed]
+Set = frozenset[LocatedEffect]
 
 
 def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: float) -> list[Set]:
@@ -58,16 +58,16 @@ def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: flo
     behind : float
         Distance of the set from the best in log probability; the added effects must close this distance.
     """
-    odds = fitter.log_priors(linear.lacking, model.effects)
+    odds = fitter.log_priors(linear.candidates, model.effects)
     gains = linear.gains + odds
     order = ranking.order(gains)
     floor = max(float(gains[order[0]]), 0.0, behind) - WITHIN
     # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
     least = MOST_FURTHER if _far_off(model) else LEAST_FURTHER
-    single = [linear.lacking[i] for at, i in enumerate(order[:MOST_FURTHER]) if at < least or gains[i] > floor]
+    single = [linear.candidates[i] for at, i in enumerate(order[:MOST_FURTHER]) if at < least or gains[i] > floor]
     if model.improbable:
         # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.
-        by_gain = [linear.lacking[i] for i in ranking.order(linear.gains)]
+        by_gain = [linear.candidates[i] for i in ranking.order(linear.gains)]
         single += [placed for placed in by_gain if placed.effect.rescales][:RESCALING]
     several = model.effects.union(linear.forward(odds))
     return [*(model.effects | {placed} for placed in single), several]
@@ -149,7 +149,9 @@ def with_companions(base: Estimate, fitter: Fitter, best: ModelClass) -> list[Fi
     return _from_starts(proposals, base, np.inf)
 
 
-def _from_starts(proposals: Sequence[tuple[FitProposal, Placed]], base: Estimate, most: float) -> list[FitProposal]:
+def _from_starts(
+    proposals: Sequence[tuple[FitProposal, LocatedEffect]], base: Estimate, most: float
+) -> list[FitProposal]:
     """Start each proposal from the frame of the base and from every start of its last effect.
 
     Derivatives at zero mass carry no information on the effect, so one step from each start selects the starts to
@@ -172,7 +174,7 @@ def from_frames(starts: Sequence[tuple[Set, Floats]], base: Estimate, fitter: Fi
 
     Parameters
     ----------
-    starts : sequence of (frozenset of Placed, ndarray of shape (2N,))
+    starts : sequence of (frozenset of LocatedEffect, ndarray of shape (2N,))
     base : Estimate
         Estimate that provides the data and the noise.
     fitter : Fitter
@@ -198,7 +200,7 @@ def _after_a_step(proposal: FitProposal) -> float:
 
 def groups(effects: Set, *, open_too: bool) -> list[Set]:
     """List groups of at least two effects: by state, by name, and all; if wanted, also each open class alone."""
-    by_state, by_name = defaultdict[str | None, set[Placed]](set), defaultdict[str, set[Placed]](set)
+    by_state, by_name = defaultdict[str | None, set[LocatedEffect]](set), defaultdict[str, set[LocatedEffect]](set)
     for placed in effects:
         by_name[placed.effect.name].add(placed)
         if placed.place.state is not None:

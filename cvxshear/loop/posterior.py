@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, log_odds
 from cvxshear.loop.numbering import Changes, NumberingProbability
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -47,14 +47,14 @@ class Rival(InJson):
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     probability : float
         Probability that the rival is present instead.
     twin : bool
         Whether the data cannot distinguish the two.
     """
 
-    placed: Placed
+    placed: LocatedEffect
     probability: float
     twin: bool
 
@@ -68,15 +68,15 @@ class Posterior:
     ----------
     models : iterable of ModelClass
     hypotheses : sequence of Hypothesis
-    twins : mapping of Placed to sequence of Placed, optional
-        Twins of each effect of the best set (`loop/twins.py`).
+    twins : mapping of LocatedEffect to sequence of LocatedEffect, optional
+        Twins of each effect of the best set (`loop/linear.py`).
     """
 
     def __init__(
         self,
         models: Iterable[ModelClass],
         hypotheses: Sequence[Hypothesis],
-        twins: Mapping[Placed, Sequence[Placed]] | None = None,
+        twins: Mapping[LocatedEffect, Sequence[LocatedEffect]] | None = None,
     ) -> None:
         self._twins = twins or {}
         fitted = [model for model in models if model.estimate is not None and np.isfinite(model.score)]
@@ -100,13 +100,13 @@ class Posterior:
         return self.probabilities * least
 
     @cached_property
-    def of_effects(self) -> dict[Placed, float]:
+    def of_effects(self) -> dict[LocatedEffect, float]:
         """Probability of each effect: the sum over the sets that hold it, with the penalty for many causes."""
         factor = self.many_causes_penalty
         return {placed: probability * factor.get(placed, 1.0) for placed, probability in self._in_sets.items()}
 
     @cached_property
-    def _in_sets(self) -> dict[Placed, float]:
+    def _in_sets(self) -> dict[LocatedEffect, float]:
         """Probability of the sets that hold each effect, before the penalty for many causes."""
         return {placed: min(self._any([placed]), 1.0) for placed in self._prior}
 
@@ -123,19 +123,19 @@ class Posterior:
         """Return the probabilities under one known numbering of the modes."""
         return Posterior([model for model in self.models if model.changes == changes], self._hypotheses, self._twins)
 
-    def with_twins(self, twins: Mapping[Placed, Sequence[Placed]]) -> Posterior:
+    def with_twins(self, twins: Mapping[LocatedEffect, Sequence[LocatedEffect]]) -> Posterior:
         """Return a copy that knows the twins."""
         return Posterior(self.models, self._hypotheses, twins)
 
     @cached_property
-    def many_causes_penalty(self) -> dict[Placed, float]:
+    def many_causes_penalty(self) -> dict[LocatedEffect, float]:
         """Factor on the probability of each effect of the verdict: many kinds against one unknown cause.
 
         Let P be the prior probability of the kinds of effects in one state, or in the frame, and u the probability of
         an unknown cause that imitates them. The factor is P / (P + u). With fewer than `MANY_CAUSES` kinds the factor
         is 1.
         """
-        factors: dict[Placed, float] = {}
+        factors: dict[LocatedEffect, float] = {}
         present = self.verdict_set()
         for state in {placed.place.state for placed in present}:
             together = [placed for placed in present if placed.place.state == state]
@@ -151,11 +151,13 @@ class Posterior:
         places = [item for item in self._hypotheses if item.placed.effect.name == name]
         return 1.0 - float(np.prod([1.0 - item.probability for item in places if item.placed.place.state == state]))
 
-    def ranked(self, effects: Iterable[Placed], probability: Mapping[Placed, float] | None = None) -> list[Placed]:
+    def ranked(
+        self, effects: Iterable[LocatedEffect], probability: Mapping[LocatedEffect, float] | None = None
+    ) -> list[LocatedEffect]:
         """Sort effects by probability; among equally probable effects, changes between states come first."""
         chance = self._in_sets if probability is None else probability
         position = {placed: at for at, placed in enumerate(self._prior)}
-        groups: list[list[Placed]] = []
+        groups: list[list[LocatedEffect]] = []
         for placed in ranking.ranked(effects, chance.__getitem__):
             if groups and chance[placed] >= (1.0 - AS_PROBABLE) * chance[groups[-1][0]]:
                 groups[-1].append(placed)
@@ -167,7 +169,7 @@ class Posterior:
             for placed in sorted(group, key=lambda each: (each.place.state is None, position[each]))
         ]
 
-    def verdict_set(self) -> frozenset[Placed]:
+    def verdict_set(self) -> frozenset[LocatedEffect]:
         """Choose the added effects.
 
         For each effect of the best set: if the effect or one of its rivals is present with sufficient probability, add
@@ -180,7 +182,7 @@ class Posterior:
             placed: [placed, *(each for each in own if own[each] >= max(r.get(each, 0.0) for r in rivals.values()))]
             for placed, own in rivals.items()
         }
-        chosen: list[Placed] = []
+        chosen: list[LocatedEffect] = []
         for alternatives in alternatives_of.values():
             if self._enough(alternatives):
                 free = [each for each in alternatives if each not in chosen]
@@ -190,28 +192,28 @@ class Posterior:
         more = [placed for placed in self._prior if placed not in passed and self._enough([placed])]
         return frozenset((*chosen, *more))
 
-    def _enough(self, alternatives: Sequence[Placed]) -> bool:
+    def _enough(self, alternatives: Sequence[LocatedEffect]) -> bool:
         """Whether one of these effects is present with at least even odds, and the data raised these odds."""
         return self._any(alternatives) >= ADDED and self._raised(alternatives) >= RAISED
 
-    def _raised(self, alternatives: Sequence[Placed]) -> float:
+    def _raised(self, alternatives: Sequence[LocatedEffect]) -> float:
         """Return the factor by which the data raised the odds that one of these effects is present."""
         probability = self._any(alternatives)
         prior = 1.0 - float(np.prod([1.0 - self._prior[placed] for placed in alternatives]))
         return probability / max(1.0 - probability, 1e-300) * (1.0 - prior) / prior
 
-    def _any(self, alternatives: Sequence[Placed]) -> float:
+    def _any(self, alternatives: Sequence[LocatedEffect]) -> float:
         """Return the probability that one of these effects is present."""
         including = [not model.effects.isdisjoint(alternatives) for model in self.models]
         return float(self.probabilities[including].sum())
 
     @cached_property
-    def _kept_odds(self) -> frozenset[Placed]:
+    def _kept_odds(self) -> frozenset[LocatedEffect]:
         """Effects with odds that the data hardly changed."""
         return frozenset(placed for placed in self._prior if 1.0 / RAISED < self._raised([placed]) < RAISED)
 
     @cached_property
-    def _indifferent(self) -> frozenset[Placed]:
+    def _indifferent(self) -> frozenset[LocatedEffect]:
         """Effects with unchanged odds that replace no other effect: no probable set improves with one of them.
 
         An effect that occurs only as a substitute may also keep its odds. Sets without the other effect need the
@@ -227,7 +229,7 @@ class Posterior:
         }
         return self._kept_odds - missed
 
-    def _log_odds(self, placed: Placed) -> float:
+    def _log_odds(self, placed: LocatedEffect) -> float:
         """Return the logarithm of an effect's prior odds."""
         return log_odds(self._prior[placed])
 
@@ -235,11 +237,11 @@ class Posterior:
         """Return the probability that any effect is present, among the effects that the data made more probable."""
         return self._any([placed for placed in self._prior if self._raised([placed]) >= RAISED])
 
-    def keeps_odds(self, placed: Placed) -> bool:
+    def keeps_odds(self, placed: LocatedEffect) -> bool:
         """Return whether the data hardly changed an effect's odds."""
         return placed in self._kept_odds
 
-    def untold(self) -> list[Placed]:
+    def untold(self) -> list[LocatedEffect]:
         """List effects with odds that the data hardly changed, if the prior or posterior odds are at least even."""
         return [
             placed
@@ -247,7 +249,7 @@ class Posterior:
             if max(probability, self._prior[placed]) >= ADDED and placed in self._kept_odds
         ]
 
-    def rivals(self, placed: Placed) -> list[Rival]:
+    def rivals(self, placed: LocatedEffect) -> list[Rival]:
         """List the possible substitutes of an effect, most probable first.
 
         These are the effects that replace it in sets with at least a twentieth of the best probability, and its twins,
@@ -260,13 +262,13 @@ class Posterior:
         order = self.ranked(found, found)
         return [Rival(each, min(found[each], 1.0), each in twins) for each in order]
 
-    def _holding(self, placed: Placed) -> ModelClass:
+    def _holding(self, placed: LocatedEffect) -> ModelClass:
         """Find the most probable set that holds an effect; the best set of all if none does."""
         return next((model for model in self.models if placed in model.effects), self.best)
 
-    def _in_place_of(self, placed: Placed, best: ModelClass) -> dict[Placed, float]:
+    def _in_place_of(self, placed: LocatedEffect, best: ModelClass) -> dict[LocatedEffect, float]:
         """Find the effects that replace an effect of the best set in other sets, with their probability there."""
-        found: dict[Placed, float] = {}
+        found: dict[LocatedEffect, float] = {}
         for model, probability in zip(self.models, self.probabilities, strict=True):
             if probability < RIVAL * self.probabilities[0]:
                 break
@@ -278,7 +280,7 @@ class Posterior:
                 found[other] = found.get(other, 0.0) + float(probability)
         return found
 
-    def deviations_about(self, estimate: Estimate, placed: Placed) -> Floats:
+    def deviations_about(self, estimate: Estimate, placed: LocatedEffect) -> Floats:
         """Find the standard deviations of an effect's parameters about their values in one fit, shape (p,), or nan.
 
         They include the scatter between the sets that hold the effect and are probable enough to be rivals. Next to an
@@ -314,7 +316,7 @@ class Posterior:
 
 def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
     """Leave out fits of a set at the same optimum, which several searches may have found."""
-    found = defaultdict[tuple[frozenset[Placed], Changes], list[ModelClass]](list)
+    found = defaultdict[tuple[frozenset[LocatedEffect], Changes], list[ModelClass]](list)
     kept = []
     for model in models:
         others = found[model.effects, model.changes]
@@ -324,7 +326,9 @@ def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
     return kept
 
 
-def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]) -> Placed | None:
+def replacement(
+    placed: LocatedEffect, gone: frozenset[LocatedEffect], come: frozenset[LocatedEffect]
+) -> LocatedEffect | None:
     """Find the new effect that replaces a removed one: an effect of the same state, of the same kind, or the only one.
 
     Return None if no effect was added, or if the new effect replaces another one.
@@ -332,7 +336,7 @@ def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]
     if not come:
         return None
 
-    def likeness(a: Placed, b: Placed) -> int:
+    def likeness(a: LocatedEffect, b: LocatedEffect) -> int:
         return 2 * (a.place.state == b.place.state) + (a.effect.name == b.effect.name)
 
     # Sets have no order of their own: equally good effects are sorted by label, so that every run gives the same
@@ -340,7 +344,7 @@ def replacement(placed: Placed, gone: frozenset[Placed], come: frozenset[Placed]
     pairs = sorted(
         ((likeness(a, b), a, b) for a in gone for b in come), key=lambda item: (-item[0], item[1].label, item[2].label)
     )
-    taken: dict[Placed, Placed] = {}
+    taken: dict[LocatedEffect, LocatedEffect] = {}
     for _, a, b in pairs:
         if a not in taken and b not in taken.values():
             taken[a] = b

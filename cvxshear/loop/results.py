@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.noise import NoiseEstimate
-from cvxshear.fit.quality import Quality
-from cvxshear.fit.results import IdentifiedFrame
+from cvxshear.fit.misfit import NoiseEstimate
+from cvxshear.fit.results import IdentifiedFrame, Quality
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.numbering import Changes, NumberingProbability, changes_to_dict
 from cvxshear.loop.posterior import Rival
@@ -57,7 +56,7 @@ class AddedEffect(InJson):
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     probability : float
         Probability that the effect is present.
     parameters, std : dict of str to float
@@ -69,7 +68,7 @@ class AddedEffect(InJson):
         Parameters on a physical bound.
     """
 
-    placed: Placed
+    placed: LocatedEffect
     probability: float
     parameters: dict[str, float]
     std: dict[str, float | None]
@@ -86,7 +85,7 @@ class Candidate(InJson):
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     probability : float
         Probability that the effect is present.
     prior : float
@@ -101,7 +100,7 @@ class Candidate(InJson):
         Parameters that the data cannot distinguish from the effect; empty if there are none.
     """
 
-    placed: Placed
+    placed: LocatedEffect
     probability: float
     prior: float
     chi2: float
@@ -118,7 +117,7 @@ class EffectSet:
 
     Parameters
     ----------
-    effects : tuple of Placed
+    effects : tuple of LocatedEffect
     probability : float
     log_evidence : float
     chi2 : float
@@ -127,7 +126,7 @@ class EffectSet:
         Configurations with other mode numbers than the given ones, with these modes.
     """
 
-    effects: tuple[Placed, ...]
+    effects: tuple[LocatedEffect, ...]
     probability: float
     log_evidence: float
     chi2: float
@@ -145,7 +144,7 @@ class EffectSet:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Closure(Shown):
+class LoopResult(Shown):
     """Result of `close_loop`.
 
     Parameters
@@ -164,7 +163,7 @@ class Closure(Shown):
         wide that the residual is probable.
     effects : tuple of AddedEffect
         Most probable first; provisional if the verdict is provisional.
-    assumed : tuple of Placed
+    assumed : tuple of LocatedEffect
     numberings : tuple of NumberingProbability
         Numberings of the measured modes, most probable first; only the given one if no other was considered.
     models : tuple of EffectSet
@@ -193,7 +192,7 @@ class Closure(Shown):
     steps: tuple[Step, ...]
     judged: Estimate
     effects: tuple[AddedEffect, ...]
-    assumed: tuple[Placed, ...]
+    assumed: tuple[LocatedEffect, ...]
     numberings: tuple[NumberingProbability, ...]
     models: tuple[EffectSet, ...]
     averaged: IdentifiedFrame
@@ -261,11 +260,11 @@ class Closure(Shown):
         return super().to_dict() | {"assumed": _with_parameters(self.estimate, self.assumed), "steps": steps}
 
 
-def _with_parameters(estimate: Estimate, effects: Sequence[Placed]) -> list[Json]:
+def _with_parameters(estimate: Estimate, effects: Sequence[LocatedEffect]) -> list[Json]:
     return [{**placed.to_dict(), "parameters": parameters_of(estimate, placed)} for placed in effects]
 
 
-def parameters_of(estimate: Estimate, placed: Placed) -> dict[str, float]:
+def parameters_of(estimate: Estimate, placed: LocatedEffect) -> dict[str, float]:
     """Return the values of an effect's parameters by name."""
     values = estimate.theta[estimate.own(placed)]
     return {item.name: float(value) for item, value in zip(placed.effect.parameters, values, strict=True)}

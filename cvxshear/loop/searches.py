@@ -2,8 +2,13 @@
 
 Effects cannot correct a wrong mode number, and a search that tries this is long. So the shear model is fitted under
 every numbering first. The most promising numberings then receive the effects that their linearised models predict. Only
-numberings near the best are searched to the end. If frequencies alone admit a second frame (`loop/twins.py`), sets of
-effects are also visited from this frame.
+numberings near the best are searched to the end.
+
+Frequencies alone also admit a second frame. A chain of N stories k_i and floors m_i has the eigenvalues of the chain
+with stories 1 / m_(N+1-i) and floors 1 / k_(N+1-i), up to scale. So every set of effects has a dual that fits equally
+well, in which a loss in story j is a mass on floor N+1-j (`Effect.dual`). With added mass in some tests the dual fits
+worse or better, and lies near its own minimum. No fit from the first frame reaches this minimum, so sets of effects are
+also visited from this frame.
 """
 
 from __future__ import annotations
@@ -15,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
@@ -26,7 +31,6 @@ from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.neighbors import holds_open
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.loop.search import REACH, Search
-from cvxshear.loop.twins import dual_fits_as_well, dual_frame, dual_set, few_floors_seen
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoSolutionError
@@ -57,7 +61,7 @@ class Searches:
     Parameters
     ----------
     backend : Backend
-    there : tuple of Placed
+    there : tuple of LocatedEffect
         Effects that the model holds from the start.
     looked_for : sequence of Hypothesis
     expectation : EffectPrior
@@ -70,7 +74,7 @@ class Searches:
     """
 
     backend: Backend
-    there: tuple[Placed, ...]
+    there: tuple[LocatedEffect, ...]
     looked_for: Sequence[Hypothesis]
     expectation: EffectPrior
     start: Estimate
@@ -168,7 +172,7 @@ class Searches:
         search.visit(effects for effects, _ in self._duals(other))
         return other
 
-    def _duals(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
+    def _duals(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
         """List the duals of the best sets of a search, each with the dual of its fitted frame."""
         n = search.fitter.experiment.stories
         known = [item.placed for item in self.looked_for]
@@ -178,10 +182,10 @@ class Searches:
             if model.estimate is not None and (dual := dual_set(model.effects, known, n)) is not None
         ]
 
-    def _with_duals(self, stories: int) -> list[Placed]:
+    def _with_duals(self, stories: int) -> list[LocatedEffect]:
         return [each.placed for each in self.looked_for if each.placed.effect.dual(each.placed.place, stories)]
 
-    def _pairs(self, search: Search) -> list[frozenset[Placed]]:
+    def _pairs(self, search: Search) -> list[frozenset[LocatedEffect]]:
         """List pairs of changes of one kind in one state: a search for single changes may not find such a pair."""
         n = search.fitter.experiment.stories
         return [
@@ -190,7 +194,7 @@ class Searches:
             if (a.effect.name, a.place.state) == (b.effect.name, b.place.state)
         ]
 
-    def _changes(self, search: Search) -> list[tuple[frozenset[Placed], Floats]]:
+    def _changes(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
         """List every change of a state that has a dual, with several frames to start from.
 
         These are the frame of each single state and its dual. The shear model of all states lies between their frames,
@@ -226,10 +230,10 @@ def _leader(given: Search, others: Sequence[Search]) -> Search:
 def _near(given: Search, others: Sequence[Search], leader: Search) -> list[Search]:
     """Search the numberings near the best to the end, and the given numbering if it may still win."""
     rest = ranking.ranked(
-            (each for each in (given, *others) if each is not leader),
-            lambda search: search.base.score,
-            same=ranking.SAME_ODDS,
-        )
+        (each for each in (given, *others) if each is not leader),
+        lambda search: search.base.score,
+        same=ranking.SAME_ODDS,
+    )
     kept = {id(given), id(leader)}
     best = leader.best.score
     for search in rest:
@@ -250,3 +254,50 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     assert a.estimate is not None, "the shear model was fitted"
     assert b.estimate is not None, "the shear model was fitted"
     return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))
+
+
+def few_floors_seen(experiment: Experiment) -> bool:
+    """Whether no test measured more than half of the floors: very different frames may fit such data equally well."""
+    return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
+
+
+def dual_fits_as_well(experiment: Experiment) -> bool:
+    """Whether only frequencies were measured, without added mass.
+
+    Such data do not distinguish a frame from its dual.
+    """
+    return not experiment.static and not any(
+        each.measured.any() or np.any(each.added_mass) for each in experiment.configurations
+    )
+
+
+def dual_frame(frame: Floats) -> Floats:
+    """Return the masses and stiffnesses of the dual frame of the same total mass, shape (2N,).
+
+    Parameters
+    ----------
+    frame : ndarray, shape (2N,)
+        Floor masses and story stiffnesses, kg and N/m.
+    """
+    floor_mass, story_stiffness = np.split(frame, 2)
+    scale = floor_mass.sum() / np.sum(1.0 / story_stiffness)
+    dual: Floats = scale * np.concatenate([1.0 / story_stiffness[::-1], 1.0 / floor_mass[::-1]])
+    return dual
+
+
+def dual_set(
+    effects: frozenset[LocatedEffect], known: Sequence[LocatedEffect], stories: int
+) -> frozenset[LocatedEffect] | None:
+    """Find the effects of the dual frame that give the same frequencies; None if an effect has no dual.
+
+    Parameters
+    ----------
+    effects : frozenset of LocatedEffect
+    known : sequence of LocatedEffect
+        All effects that are looked for.
+    stories : int
+    """
+    by_place = {(placed.effect.name, placed.place): placed for placed in known}
+    found = [placed.effect.dual(placed.place, stories) for placed in effects]
+    duals = [by_place.get(each) if each is not None else None for each in found]
+    return frozenset(each for each in duals if each is not None) if None not in duals else None

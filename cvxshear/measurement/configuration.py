@@ -12,8 +12,8 @@ import numpy as np
 from cvxshear.measurement.declaration import InTable, named_in
 from cvxshear.measurement.measured_modes import OtherModes, copied_rows, other_modes, proportional_rows
 from cvxshear.util import checks
-from cvxshear.util.cached import cached_property
 from cvxshear.util.checks import MOST_STORIES
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 

@@ -15,7 +15,7 @@ from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
 from cvxshear.paper.setups import three_story
 from cvxshear.paper.tables import KILO, PaperRow, PaperSection
 from cvxshear.programs.formulations import complete_test
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats
 
 FIGURE_6_SAMPLES = 2000

@@ -2,7 +2,7 @@
 
 In a linear model with Gaussian noise, the data determine the effects by y = G x + e. Here x are the effects' values
 relative to their expected sizes, G is the information about the effects with the frame's masses and stiffnesses
-marginalized, and cov(e) = G (`fit/separation.py`). The evidence of each single effect and even prior odds give the
+marginalized, and cov(e) = G (`fit/gaussian.py`). The evidence of each single effect and even prior odds give the
 probability of each effect. If an effect is present, the verdict is right if this effect has a probability of 95 %. If
 no effect is present, the verdict is right if all effects stay below 50 %, the limit for adding an effect.
 """
@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Place, Placed, Scale, named
-from cvxshear.fit.separation import log_evidence
-from cvxshear.loop.conclusion import EXPLAINED
+from cvxshear.effects import LocatedEffect, Place, Scale, named
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.odds import weigh
+from cvxshear.util.quantities import SURE
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -41,13 +42,13 @@ class Target:
 
     Parameters
     ----------
-    placed : Placed
+    placed : LocatedEffect
     size : float
         Assumed distance of the parameter from its null value, in the parameter's unit.
     unit : str
     """
 
-    placed: Placed
+    placed: LocatedEffect
     size: float
     unit: str = ""
 
@@ -115,7 +116,7 @@ def target(text: str, frame: Frame, scale: Scale) -> Target:
     except ValueError:
         raise InputError(f"the size in {text!r} must be a number, not {size!r}") from None
     unit = item.unit if frame.story_heights is not None else item.unit_in_stories or item.unit
-    return Target(Placed(effect, place), checks.number(value, f"size of {head.strip()}", above=0.0), unit)
+    return Target(LocatedEffect(effect, place), checks.number(value, f"size of {head.strip()}", above=0.0), unit)
 
 
 def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories: int) -> Place:
@@ -213,10 +214,9 @@ def _right(targets: Sequence[Target], G: Floats) -> list[float]:
     result = []
     for truth in range(len(targets) + 1):
         y = noise if truth == 0 else noise + G[:, truth - 1]
-        found = [log_evidence(float(G[i, i]), y[:, i], t.mean, t.std, t.side) for i, t in enumerate(targets)]
+        found = [log_evidence_of_one(float(G[i, i]), y[:, i], t.mean, t.std, t.side) for i, t in enumerate(targets)]
         evidence = np.stack([np.zeros(DRAWS), *found], axis=1)
-        likely = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-        likely /= likely.sum(axis=1, keepdims=True)
-        right = likely[:, truth] >= EXPLAINED if truth else likely[:, 1:].max(axis=1) < ADDED
+        likely = weigh(evidence)
+        right = likely[:, truth] >= SURE if truth else likely[:, 1:].max(axis=1) < ADDED
         result.append(float(np.mean(right)))
     return result

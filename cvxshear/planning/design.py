@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.effects import Place, Placed, Scale, catalogue, compose
+from cvxshear.effects import LocatedEffect, Place, Scale, catalogue, compose
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.io.toml import is_built_in, load, read_result, read_tables
@@ -72,7 +72,7 @@ class Design:
     declared : tuple of Configuration
         Configurations of the file that gave the values.
     name : str
-    effects : tuple of Placed
+    effects : tuple of LocatedEffect
         Effects that an earlier loop found in the frame; they act in the planned tests, too.
     values, value_std : ndarray, shape (e,)
         Parameters of the effects in their units, and their standard deviations if no measurement counts.
@@ -87,7 +87,7 @@ class Design:
     measured: Experiment | None = None
     declared: tuple[Configuration, ...] = ()
     name: str = "design"
-    effects: tuple[Placed, ...] = ()
+    effects: tuple[LocatedEffect, ...] = ()
     values: Floats = field(default_factory=lambda: np.zeros(0))
     value_std: Floats = field(default_factory=lambda: np.zeros(0))
     state: str | None = None
@@ -171,14 +171,14 @@ class Design:
         share: Floats = np.concatenate([self.floor_mass, np.zeros(self.stories)])[None] / self.floor_mass.sum()
         return share
 
-    def known(self, more: Sequence[Placed] = (), nulls: Sequence[float] = ()) -> Floats:
+    def known(self, more: Sequence[LocatedEffect] = (), nulls: Sequence[float] = ()) -> Floats:
         """Return the prior information, rows in standard deviations, shape (k, 2N + e + m).
 
         Derivatives are relative to `units`.
 
         Parameters
         ----------
-        more : sequence of Placed
+        more : sequence of LocatedEffect
             Possible effects with one parameter, besides the effects found; derivatives by these m parameters are in
             the parameters' own units.
         nulls : sequence of float
@@ -326,7 +326,7 @@ def _nominal(priors: Sequence[Prior], quantity: str, stories: int) -> Floats | N
     return next((each for each in values if each is not None and each.size and not np.any(np.isnan(each))), None)
 
 
-def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Floats]:
+def _effects(result: Mapping[str, Any]) -> tuple[tuple[LocatedEffect, ...], Floats, Floats]:
     """Read the effects that a loop's result has in every state, their parameters and standard deviations.
 
     Raises
@@ -345,7 +345,7 @@ def _effects(result: Mapping[str, Any]) -> tuple[tuple[Placed, ...], Floats, Flo
                     "the measurement file itself, with the option loop"
                 )
             parts = {each.name: item.get(each.name) for each in dataclasses.fields(Place) if each.name != "state"}
-            found.append(Placed(effect, Place(**parts)))
+            found.append(LocatedEffect(effect, Place(**parts)))
             values += [float(value) for value in item["parameters"].values()]
             std += [float(item.get("std", {}).get(name) or np.nan) for name in item["parameters"]]
     return tuple(found), np.array(values), np.array(std)

@@ -22,7 +22,7 @@ from cvxshear.planning.expected_noise import Declared, TestNoise
 from cvxshear.planning.results import ExpectedAccuracy, Plan
 from cvxshear.planning.tested_model import AveragedModel, Test, TestModel
 from cvxshear.util import checks
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 

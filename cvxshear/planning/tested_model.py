@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects import Placed, compose
-from cvxshear.fit.separation import separation
+from cvxshear.effects import LocatedEffect, compose
+from cvxshear.fit.gaussian import separation
 from cvxshear.model.shear import Modes, mode_derivatives, modes
 from cvxshear.planning.candidates import Candidates, candidates, free_changes
 from cvxshear.planning.chances import Target
 from cvxshear.planning.design import UNKNOWN_STD, Design
 from cvxshear.planning.expected_noise import TestNoise
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRM = 0.1
@@ -27,7 +27,7 @@ larger than at the design values, and twice as large in some stories. The differ
 MOST_PAIRS, FEWEST_PAIRS = 16, 4
 """Largest and smallest number of pairs of frames around uncertain design values over which a plan is averaged. With 16
 pairs and stiffnesses known to 30 %, expected deviations are on average within 2 % of the mean over 200 frames
-(`python -m tests.benchmarks.planning vague`)."""
+(`python -m tests.studies planning vague`)."""
 
 STORIES_DRAWN = 160
 """Number of stories in all pairs together. Tall frames get fewer pairs, because each pair takes longer and draws more
@@ -114,7 +114,7 @@ class TestModel:
         return self.which + 1
 
     @property
-    def effects(self) -> tuple[Placed, ...]:
+    def effects(self) -> tuple[LocatedEffect, ...]:
         """Effects of the model: the effects found before, then the targets."""
         return (*self.design.effects, *(each.placed for each in self.targets))
 

@@ -7,11 +7,11 @@ residual is a difference of terms and is divided by their sizes; the quotient ha
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -131,30 +131,6 @@ class Point:
     w: Floats
 
 
-class HasArrays(Protocol):
-    """The arrays of a program that certificates need."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of each unknown, or an empty tuple."""
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns n."""
-
-    @property
-    def weighted(self) -> tuple[Floats, Floats]:
-        """W R and W s."""
-
-    @property
-    def equalities(self) -> tuple[Floats, Floats]:
-        """A and b."""
-
-    @property
-    def inequalities(self) -> tuple[Floats, Floats]:
-        """G and h, the finite bounds among the rows."""
-
-
 class Assembled:
     """A program's arrays, bounds among the inequalities, with the lengths of its columns.
 
@@ -174,8 +150,8 @@ class Assembled:
         Name of each unknown in messages.
     """
 
-    def __init__(self, program: HasArrays) -> None:
-        self.program: Any = program
+    def __init__(self, program: Any) -> None:
+        self.program = program
         self.R, self.s = program.weighted
         self.A, self.b = program.equalities
         self.G, self.h = program.inequalities

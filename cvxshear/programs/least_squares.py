@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point, certify
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import ask
 from cvxshear.util.typing import Floats
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
 RANK_TOLERANCE = 1e-12
-"""Smallest singular value, relative to the largest, of scaled rows of full rank: a few thousand roundings."""
+"""Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
+shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from cvxshear.records.result import ModalResult
 from cvxshear.records.signals import in_step, scaled
 from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.quantities import SURE
 

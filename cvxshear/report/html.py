@@ -16,18 +16,18 @@ from markupsafe import Markup
 from cvxshear.backends import Comparison
 from cvxshear.fit.identification import compare_backends
 from cvxshear.io.inputs import read_bytes
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.measurement.declaration import Heading
 from cvxshear.records import ModalResult
 from cvxshear.report.describe import PAGE_COLUMNS, Sentence, Table, describe
 from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
 from cvxshear.response import Reconstruction, RecordPrediction
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, printable
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
 from cvxshear.util.results import as_json
-from cvxshear.util.text import json_text, printable
 from cvxshear.util.typing import Json
+from cvxshear.util.writing import json_text
 from cvxshear.version import __version__
 
 PACKAGES = (
@@ -101,7 +101,7 @@ LARGEST_PHOTOGRAPH = 20_000_000
 
 
 def render(
-    result: Closure,
+    result: LoopResult,
     command: str,
     comparison: Comparison | None = None,
     units: Units = AUTOMATIC,
@@ -112,7 +112,7 @@ def render(
 
     Parameters
     ----------
-    result : Closure
+    result : LoopResult
     command : str
         Command line that writes this report.
     comparison : Comparison, optional
@@ -229,7 +229,7 @@ MovingShape = tuple[str, list[tuple[float, float]]]
 """Label of a mode, and for the ground and each floor the sway (largest value 1) and the height (roof 1)."""
 
 
-def moving_shapes(result: Closure) -> list[tuple[str, list[MovingShape]]]:
+def moving_shapes(result: LoopResult) -> list[tuple[str, list[MovingShape]]]:
     """List the lowest modes of the final model, by configuration."""
     declared = result.experiment.frame.elevations
     z = np.arange(1.0, result.experiment.stories + 1) if declared is None else declared

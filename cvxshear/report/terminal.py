@@ -15,10 +15,9 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from cvxshear.report.describe import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
-from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.quantities import AUTOMATIC, Units, column_name
 from cvxshear.util.results import data_frame
-from cvxshear.util.text import printable
 
 if TYPE_CHECKING:
     import pandas as pd

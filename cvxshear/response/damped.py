@@ -22,7 +22,7 @@ import scipy
 
 from cvxshear.model.shear import Modes, modes
 from cvxshear.records.motion import DrivenRun
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Complexes, Floats
 

@@ -27,7 +27,7 @@ from scipy import linalg
 
 from cvxshear.model.shear import transformation
 from cvxshear.response.damped import DampedModel
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 SETTLED_RICCATI = 1e-13

@@ -34,7 +34,7 @@ from cvxshear.response.smoother import (
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, T
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
@@ -32,8 +32,7 @@ from cvxshear.response.sources import (
     state_remarks,
 )
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
-from cvxshear.util.arithmetic import usual_arithmetic
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
@@ -134,14 +133,14 @@ def predict(
     *,
     damping: str | None = None,
     configuration: str | None = None,
-    assume: Sequence[str | Placed] = (),
+    assume: Sequence[str | LocatedEffect] = (),
     detrend: bool = True,
 ) -> RecordPrediction:
     """Predict the response of every floor to a record, and compare it with the measured motion.
 
     Parameters
     ----------
-    source : str, Path, Experiment, Closure, Estimate or Models
+    source : str, Path, Experiment, LoopResult, Estimate or Models
         Source of the model. A file is a measurement file, a record file, or the JSON of `loop`. If the loop is not
         closed yet, it is closed here.
     record : str, Path, TimeRecord or DrivenRecord
@@ -151,7 +150,7 @@ def predict(
         "modal", "story" or "rayleigh"; by default, the damping that the experiment declares.
     configuration : str, optional
         Configuration of the frame; by default, the one with the record's added mass.
-    assume : sequence of str or Placed, optional
+    assume : sequence of str or LocatedEffect, optional
         Effects that are in the model from the start of a loop that is closed here.
     detrend : bool, optional
         Whether the straight line through each acceleration of the record is removed as a fault of the sensor.

@@ -16,7 +16,7 @@ from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damped import DampedModel, Response
 from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
@@ -28,8 +28,7 @@ from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
-from cvxshear.util.arithmetic import usual_arithmetic
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
@@ -68,7 +67,7 @@ without a quieter part, the line changes peaks by up to four standard deviations
 ROUGH_DRIFT = 0.1
 """Relative standard deviation of drifts if the record does not fit a linear frame, the fit does not converge, or the
 tests do not determine the frame. The drift of a yielding story is 3 to 17 % too low, and of its neighbors up to 9 % too
-high (``tests.benchmarks.reconstruction``)."""
+high (``tests.studies.reconstruction``)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -397,7 +396,7 @@ def reconstruct(
     *,
     damping: str | None = None,
     configuration: str | None = None,
-    assume: Sequence[str | Placed] = (),
+    assume: Sequence[str | LocatedEffect] = (),
     detrend: bool = True,
     fit: bool = True,
     leave_out: bool = True,
@@ -407,7 +406,7 @@ def reconstruct(
 
     Parameters
     ----------
-    source : str, Path, Experiment, Closure, Estimate or Models
+    source : str, Path, Experiment, LoopResult, Estimate or Models
         Source of the model, as for `predict`.
     record : str, Path, TimeRecord or DrivenRecord
         Accelerations of some floors, with nan in gaps, and the excitation; with input = "none" the base acceleration
@@ -418,7 +417,7 @@ def reconstruct(
         "modal", "story" or "rayleigh"; by default, the damping that the experiment declares.
     configuration : str, optional
         Configuration of the frame during the record.
-    assume : sequence of str or Placed, optional
+    assume : sequence of str or LocatedEffect, optional
         Effects that are in the model from the start of a loop that is closed here.
     detrend : bool, optional
         Whether the straight line through each acceleration is removed as a fault of the sensor.

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.effects import Place, Placed, catalogue, open_classes
+from cvxshear.effects import LocatedEffect, Place, catalogue, open_classes
 from cvxshear.effects.readings import WrongPrior
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.io.modes import experiment_from_file
 from cvxshear.io.record_file import read_motion
 from cvxshear.io.toml import is_record_file, load, read_result, read_tables, with_modes_read
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import Record
 from cvxshear.records.motion import DrivenRecord
@@ -29,7 +29,7 @@ from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.recording import Recording
 from cvxshear.screening import close_loop
 from cvxshear.util import checks
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.quantities import listed, percent
 from cvxshear.util.results import InJson, as_json
@@ -49,7 +49,7 @@ class Fitted(InJson):
     Parameters
     ----------
     experiment : Experiment
-    effects : tuple of Placed
+    effects : tuple of LocatedEffect
     theta : ndarray, shape (P,)
         Floor masses (N), story stiffnesses (N), parameters of the effects.
     covariance : ndarray, shape (P, P), optional
@@ -63,7 +63,7 @@ class Fitted(InJson):
     """
 
     experiment: Experiment
-    effects: tuple[Placed, ...]
+    effects: tuple[LocatedEffect, ...]
     theta: Floats
     covariance: Floats | None
     undetermined: tuple[tuple[str, ...], ...] = ()
@@ -158,7 +158,7 @@ def _misfit(estimate: Estimate) -> tuple[float, float]:
     return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 
 
-def _placed(item: object, where: str, experiment: Experiment) -> Placed:
+def _placed(item: object, where: str, experiment: Experiment) -> LocatedEffect:
     """Read an effect and its place; at this place the effect gets its parameters."""
     table = checks.keys(item, ["name", "fixed", "floor", "to", "story", "configuration", "prior"], ["name"], where)
     known = {effect.name: effect for effect in (*catalogue(), *open_classes())}
@@ -172,7 +172,7 @@ def _placed(item: object, where: str, experiment: Experiment) -> Placed:
             f"{where}: prior must be a statement of the experiment that has a standard deviation "
             f"({'; '.join(statements) or 'there is none'}), not {checks.shown(place.prior)}"
         )
-    return Placed(effect.bound_at(experiment, place), place, tuple(table.get("fixed", ())))
+    return LocatedEffect(effect.bound_at(experiment, place), place, tuple(table.get("fixed", ())))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,19 +220,19 @@ def _with_nan(value: object) -> object:
 DRIVING = {"base": "base motion", "force": "force"}
 """Kinds of measured excitation, in words."""
 
-ModelSource = str | Path | Experiment | Closure | Estimate | Models
+ModelSource = str | Path | Experiment | LoopResult | Estimate | Models
 MotionSource = str | Path | Record | DrivenRecord
 
 
-def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Placed] = ()) -> Models:
+def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | LocatedEffect] = ()) -> Models:
     """Return the models before and after closing the loop; close the loop first if the source is not a loop's result.
 
     Parameters
     ----------
-    source : str, Path, Experiment, Closure, Estimate or Models
+    source : str, Path, Experiment, LoopResult, Estimate or Models
         A file is a measurement file, a record file, or the output of `loop --json`.
     backend : Backend
-    assume : sequence of str or Placed, optional
+    assume : sequence of str or LocatedEffect, optional
         Effects that are in the model from the start of a loop that is closed here.
 
     Raises
@@ -245,7 +245,7 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Plac
     match source:
         case Models():
             found = source
-        case Closure():
+        case LoopResult():
             found = models_of_loop(source)
         case Estimate():
             found = Models(None, Fitted.of(source))
@@ -255,13 +255,13 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Plac
             found = _of_file(source, backend, assume)
         case _:
             raise InputError(
-                "the model of a prediction is a file, an Experiment, a Closure, an Estimate or Models, not "
+                "the model of a prediction is a file, an Experiment, a LoopResult, an Estimate or Models, not "
                 + checks.shown(source)
             )
     return found
 
 
-def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Placed]) -> Models:
+def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | LocatedEffect]) -> Models:
     """Read the models of a measurement file, a record file, or the output of `loop --json`."""
     if Path(source).suffix.lower() == ".json":
         return _of_json(Path(source))
@@ -287,7 +287,7 @@ def load_unscaled(path: str | Path) -> Experiment:
         return Experiment.from_dict(declared, name=path.stem)
 
 
-def models_of_loop(closure: Closure) -> Models:
+def models_of_loop(closure: LoopResult) -> Models:
     """Return the models that a closed loop began and ended with."""
     return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate))
 

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.effects import Effect, Placed
-from cvxshear.loop import Closure
+from cvxshear.effects import Effect, LocatedEffect
+from cvxshear.loop import LoopResult
 from cvxshear.loop.close import search_for_effects
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Configuration, Measurement, opened
@@ -36,7 +36,7 @@ from cvxshear.screening.repairs import Repair
 from cvxshear.screening.shear_fit import ROUGH_STEPS, TALLEST_FITTED, NearestFrame
 from cvxshear.screening.wrong_frequency import wrong_frequency
 from cvxshear.util import ranking
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
 
@@ -156,13 +156,13 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
 def close_loop(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
-    assume: Sequence[str | Placed] = (),
+    assume: Sequence[str | LocatedEffect] = (),
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
     *,
     jobs: int = 1,
     weighed: Collection[str] = (),
-) -> Closure:
+) -> LoopResult:
     """Find the physical effects that the shear model lacks.
 
     The measurement is screened first. A mistake is an error; doubts are `warnings` of the result.
@@ -173,7 +173,7 @@ def close_loop(
     effects : sequence of str or Effect, optional
         The effects to look for, as names or as objects of your own; the whole catalogue if None. An object brings its
         own probability and expected size (`Effect.expecting`).
-    assume : sequence of str or Placed, optional
+    assume : sequence of str or LocatedEffect, optional
         Effects that are in the model from the start.
     backend : str or Backend, optional
     priors : sequence of Prior, optional
@@ -186,7 +186,7 @@ def close_loop(
 
     Returns
     -------
-    Closure
+    LoopResult
 
     Raises
     ------

@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 from scipy import special
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.stories import StoryChange
 from cvxshear.loop.close import begun
 from cvxshear.loop.fitter import ModelClass
@@ -33,6 +33,7 @@ from cvxshear.screening.repairs import LEFT_TO_GIVEN, RIVAL_COST, SUSPICIOUS, pr
 from cvxshear.screening.shear_fit import TALLEST_FITTED, NearestFrame, ShearFrames
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError
+from cvxshear.util.odds import weigh
 from cvxshear.util.quantities import SURE, significant
 from cvxshear.util.typing import Floats
 
@@ -198,7 +199,7 @@ def _rivals(
     freed = dataclasses.replace(given, configurations=tuple(less_sure))
     # Changes of stories in the other states belong to those states.
     changed = StoryChange()
-    others = tuple(Placed(changed, place) for place in changed.places(given) if place.state in experiment.states)
+    others = tuple(LocatedEffect(changed, place) for place in changed.places(given) if place.state in experiment.states)
     try:
         with_effect, without = begun(given, others), begun(freed, others)
         # Before any set that explains the data: beside one fewer of a mass's starts are followed.
@@ -217,7 +218,7 @@ def _beside_a_mass(found: FileFinding, test: str, rivals: Sequence[tuple[ModelCl
     assert model.estimate is not None, "a set that was weighed has a fit"
     (placed,) = model.effects
     mass, frequency = (significant(value, 2) for value in model.estimate.theta[-2:].tolist())
-    share = float(special.expit(special.logsumexp([odds for _, odds in rivals])))
+    share = 1.0 - float(weigh([0.0, *(odds for _, odds in rivals)])[0])
     said, change = in_words(
         "frequency/attached", floor=placed.place.floor, mass=mass, frequency=frequency, percent=100 * share,
         where="" if placed.place.state is None else f' of "{test}"',

@@ -21,9 +21,8 @@ from cvxshear.cli import main
 from cvxshear.fit.identification import identify
 from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.errors import InputError, LostProcessError
+from cvxshear.util.errors import InputError, LostProcessError, printable
 from cvxshear.util.parallel import each
-from cvxshear.util.text import printable
 from tests.fuzz import files
 
 COMMAND = [sys.executable, "-W", "error", "-m", "cvxshear"]

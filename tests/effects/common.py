@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.effects import Placed, State, compose
+from cvxshear.effects import LocatedEffect, State, compose
 from cvxshear.effects import named as effects_named
 from cvxshear.effects.base import Place
 from cvxshear.measurement.experiment import Experiment
@@ -45,10 +45,10 @@ def building(number: int = 0) -> Building:
     return Building(HEIGHTS, STIFFNESS, MASS + ADDED[number])
 
 
-def placed(name: str, **place: Any) -> Placed:
+def placed(name: str, **place: Any) -> LocatedEffect:
     """Return an effect of the catalogue at a place."""
     (effect,) = effects_named([name])
-    return Placed(effect, Place(**place))
+    return LocatedEffect(effect, Place(**place))
 
 
 def theta(*own: float | tuple[float, ...], mass: Floats = MASS, stiffness: Floats = STIFFNESS) -> Floats:
@@ -57,14 +57,14 @@ def theta(*own: float | tuple[float, ...], mass: Floats = MASS, stiffness: Float
 
 
 def composed(
-    effects: list[Placed], *own: float | tuple[float, ...], number: int = 0, stiffness: Floats = STIFFNESS
+    effects: list[LocatedEffect], *own: float | tuple[float, ...], number: int = 0, stiffness: Floats = STIFFNESS
 ) -> State:
     """One configuration of the frame with these effects of this size."""
     tested = experiment()
     return compose(tested, tested.configurations[number], effects, theta(*own, stiffness=stiffness))
 
 
-def modes_with(effects: list[Placed], *own: float, number: int = 0, stiffness: Floats = STIFFNESS) -> Modes:
+def modes_with(effects: list[LocatedEffect], *own: float, number: int = 0, stiffness: Floats = STIFFNESS) -> Modes:
     """Return the modes of that configuration, as the sensors measure them."""
     state = composed(effects, *own, number=number, stiffness=stiffness)
     found = modes(state.system.M, state.system.K)

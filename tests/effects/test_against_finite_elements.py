@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import eigh
 
 from cvxshear.data.pairing import numbered
-from cvxshear.effects import Placed, open_classes
+from cvxshear.effects import LocatedEffect, open_classes
 from cvxshear.effects.attached_mass import LEAST_MASS
 from cvxshear.model.shear import frame_modes, modes
 from tests.effects.common import (
@@ -96,7 +96,7 @@ def test_beams_of_each_floor_by_themselves(size):
     frame = fe.with_turning_joints(building(), eta)
     frame = replace(frame, beam_bending=frame.beam_bending / (1.0 + b))
     (other_beams,) = (each for each in open_classes() if each.name == "other_beams")
-    effects = [Placed(other_beams.bound(experiment())), placed("joint_rotation")]
+    effects = [LocatedEffect(other_beams.bound(experiment())), placed("joint_rotation")]
     assert_same(modes_with(effects, tuple(b), eta), sway_modes(frame))
 
 

@@ -6,7 +6,18 @@ import math
 import numpy as np
 import pytest
 
-from cvxshear.effects import Effect, Parameter, Place, Placed, Scale, catalogue, compose, named, open_classes, register
+from cvxshear.effects import (
+    Effect,
+    LocatedEffect,
+    Parameter,
+    Place,
+    Scale,
+    catalogue,
+    compose,
+    named,
+    open_classes,
+    register,
+)
 from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.loop.hypotheses import hypotheses
@@ -364,7 +375,7 @@ def test_an_effect_of_ones_own():
     assert effect.places(experiment()) == [Place()]
     assert effect.lacks(experiment(configurations=1, heights=False)) == ""
     spring = placed("ground_spring", floor=4)
-    state = composed([spring, Placed(effect, Place())], 100.0, 2.0, 300.0)
+    state = composed([spring, LocatedEffect(effect, Place())], 100.0, 2.0, 300.0)
     assert state.system.M[-1, -1] == pytest.approx(MASS[-1] + 2.0)
     assert state.system.K[-1, -1] == pytest.approx(STIFFNESS[-1] + 400.0)
     assert [state.system.dK[p, -1, -1] for p in (8, 9, 10)] == [1.0, 0.0, 1.0]
@@ -643,7 +654,7 @@ def test_an_entry_of_an_open_class_is_the_cause_that_it_names():
     causes = 0
     for effect in (each.bound(of) for each in open_classes()):
         place = effect.places(of)[-1]
-        of_class = Placed(effect.bound_at(of, place), place)
+        of_class = LocatedEffect(effect.bound_at(of, place), place)
         assert [item.name for item in of_class.effect.parameters] == OPEN_ENTRIES[effect.name]
         for entry, item in enumerate(of_class.effect.parameters):
             named_cause = effect.cause_at(entry, place, of)
@@ -651,7 +662,7 @@ def test_an_entry_of_an_open_class_is_the_cause_that_it_names():
             if named_cause is None:
                 continue
             name, where = named_cause
-            cause = Placed(known[name].bound(of).bound_at(of, where), where)
+            cause = LocatedEffect(known[name].bound(of).bound_at(of, where), where)
             size = {"N/m": 300.0, "kg": 0.7, "": 0.2}[item.unit]
             values = size * np.eye(len(of_class.effect.parameters))[entry]
             for test in of.configurations:

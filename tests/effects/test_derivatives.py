@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cvxshear.effects import Placed, catalogue, compose, open_classes
+from cvxshear.effects import LocatedEffect, catalogue, compose, open_classes
 from tests.effects.common import HEIGHTS, MASS, NAMES, STIFFNESS, experiment, placed, theta
 
 TOP = float(HEIGHTS.sum())
@@ -161,7 +161,9 @@ def test_beams_of_each_floor_by_themselves(with_others):
     cases = list(CASES.values()) if with_others else [CASES["joint_rotation"]]
     own, scales = flat(cases)
     b = [0.3, -0.2, 0.6, -0.7]
-    assert_derivatives([*(each for each, _ in cases), Placed(effect)], [*own, *b], 1, [*scales, 1.0, 1.0, 1.0, 1.0])
+    assert_derivatives(
+        [*(each for each, _ in cases), LocatedEffect(effect)], [*own, *b], 1, [*scales, 1.0, 1.0, 1.0, 1.0]
+    )
 
 
 def test_derivatives_are_symmetric():

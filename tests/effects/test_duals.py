@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from cvxshear.effects import Place, Placed, catalogue, compose, named
-from cvxshear.loop.twins import dual_fits_as_well
+from cvxshear.effects import LocatedEffect, Place, catalogue, compose, named
+from cvxshear.loop.searches import dual_fits_as_well
 from cvxshear.measurement.experiment import Experiment
 
 STORIES = 4
@@ -47,7 +47,7 @@ def test_the_dual_has_the_same_frequencies(effect, place):
         kilograms = placed.effect.parameters[0].unit == "kg"
         return change * floors[placed.place.floor - 1] if kilograms else change
 
-    here, mirrored = Placed(effect, place), Placed(other, there)
+    here, mirrored = LocatedEffect(effect, place), LocatedEffect(other, there)
     np.testing.assert_allclose(
         eigenvalues(dual_mass, dual_stiffness, mirrored, own(mirrored, dual_mass, inverse)),
         eigenvalues(mass, stiffness, here, own(here, mass, CHANGE)),
@@ -78,11 +78,7 @@ def test_an_effect_without_anything_to_bind_is_itself():
 
 @pytest.mark.parametrize(
     ("more", "as_well"),
-    [
-        ({}, True),
-        ({"added_mass": [0.0, 0.0, 1.0, 0.0]}, False),
-        ({"mode_shapes": [[0.3, 0.6, 0.8, 1.0]]}, False),
-    ],
+    [({}, True), ({"added_mass": [0.0, 0.0, 1.0, 0.0]}, False), ({"mode_shapes": [[0.3, 0.6, 0.8, 1.0]]}, False)],
 )
 def test_shapes_or_a_load_tell_a_frame_from_its_dual(more, as_well):
     table = {"name": "before", "frequencies": [1.0], **more}

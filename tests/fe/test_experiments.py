@@ -4,7 +4,7 @@ noise."""
 import numpy as np
 import pytest
 
-from cvxshear.effects import Place, Placed, compose, named
+from cvxshear.effects import LocatedEffect, Place, compose, named
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.model.shear import modes
 from tests.fe.experiments import CHANGES, FREQUENCY_STD, MODE_SHAPE_STD, OF_MASSES, measured, simulated
@@ -116,7 +116,7 @@ def place_of(truth):
 def assert_explained(declared, truth, within=EXACT):
     """Assert that the composed model of the truth is within these standard deviations of every datum."""
     tested = Experiment.from_dict(declared)
-    effects = [Placed(named([truth["effect"]])[0], place_of(truth))] if truth["effect"] else []
+    effects = [LocatedEffect(named([truth["effect"]])[0], place_of(truth))] if truth["effect"] else []
     # Further parameters of an effect (the grip of a clamp) are at their null values.
     own = [truth["size"], *(item.null for item in effects[0].effect.parameters[1:])] if effects else []
     theta = np.concatenate([truth["floor_mass"], truth["story_stiffness"], own])

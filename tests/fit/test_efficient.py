@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, backends, identify
-from cvxshear.effects import Gravity, Placed
+from cvxshear.effects import Gravity, LocatedEffect
 from cvxshear.fit.domain import Domain, domain_of
 from cvxshear.fit.efficient import efficient
 from cvxshear.fit.gauss_newton import gauss_newton
@@ -276,7 +276,7 @@ def test_modes_that_changed_places_stay_paired():
 
 def test_null_directions_are_named_in_words():
     of = of6(configuration(MASS6, STIFFNESS6), frame={"total_mass": float(MASS6.sum()), "story_heights": 3.0})
-    effects = (Placed(Gravity()),)
+    effects = (LocatedEffect(Gravity()),)
     theta = np.concatenate([THETA6, [1.1]])
     at = Misfit(of, effects).evaluate(theta)
     names = [f"m{i}" for i in range(1, 7)] + [f"k{i}" for i in range(1, 7)] + ["gravity"]

@@ -5,9 +5,9 @@ import pytest
 from scipy import linalg, stats
 
 from cvxshear import Experiment
-from cvxshear.effects import Place, Placed, Scale, named, open_classes
-from cvxshear.fit.domain import Domain
-from cvxshear.fit.expectation import EffectPrior, tailed
+from cvxshear.effects import LocatedEffect, Place, Scale, named, open_classes
+from cvxshear.fit.domain import Domain, EffectPrior
+from cvxshear.fit.gaussian import tailed
 from cvxshear.fit.uncertainty import uncertainty
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
@@ -117,7 +117,7 @@ def test_the_residual_of_students_distribution_is_its_log_density(tail):
 
 
 def put(name, **place):
-    return Placed(named([name])[0], Place(**place))
+    return LocatedEffect(named([name])[0], Place(**place))
 
 
 def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_documented():
@@ -127,7 +127,7 @@ def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_docu
     gain, mass = put("sensor_gain", floor=1), put("added_mass", floor=2, state="x")
     (other_gains,) = (each for each in open_classes() if each.name == "other_gains")
     tested = Experiment.from_dict(experiment(np.array([10.0, 10.0]), np.array([5e3, 5e3])))
-    open_class = Placed(other_gains.bound(tested), Place())
+    open_class = LocatedEffect(other_gains.bound(tested), Place())
     effects = [gain, mass, open_class]
     theta = np.array([8.0, 13.0, 4e3, 9e3, 0.12, 0.7, 0.01, -0.02])
     sizes = {mass: np.array([0.5])}

@@ -8,19 +8,13 @@ import pytest
 from scipy import integrate, special, stats
 
 from cvxshear import Experiment, backends, close_loop
-from cvxshear.effects import Place, Placed, Scale, catalogue, open_classes
+from cvxshear.effects import LocatedEffect, Place, Scale, catalogue, open_classes
+from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior
 from cvxshear.fit.efficient import fitted
-from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior
 from cvxshear.fit.gauss_newton import Accuracy
+from cvxshear.fit.gaussian import log_interval, log_normal_between
 from cvxshear.fit.misfit import WIDTH, Misfit
-from cvxshear.loop.evidence import (
-    _log_constant,
-    _tailed_priors,
-    free_basis,
-    log_evidence,
-    log_interval,
-    log_normal_between,
-)
+from cvxshear.loop.evidence import _log_constant, _tailed_priors, free_basis, log_evidence
 from tests.frames import chain, configuration, experiment
 
 MASS, STIFFNESS = np.array([11.0, 9.0]), np.array([24e3, 20e3])
@@ -33,7 +27,7 @@ FREEDOM = 5
 
 
 def put(name, **place):
-    return Placed(next(each for each in (*catalogue(), *open_classes()) if each.name == name), Place(**place))
+    return LocatedEffect(next(each for each in (*catalogue(), *open_classes()) if each.name == name), Place(**place))
 
 
 SPRING = put("ground_spring", floor=2)

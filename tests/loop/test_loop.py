@@ -9,12 +9,12 @@ from scipy import linalg
 
 import cvxshear
 from cvxshear import Experiment, InputError, close_loop
-from cvxshear.effects import Effect, Parameter, Place, Placed, catalogue, named
+from cvxshear.effects import Effect, LocatedEffect, Parameter, Place, catalogue, named
 from cvxshear.priors import Ratio
 from tests import closed
-from tests.calibration import HIDDEN, Trial, experiment_of, place
 from tests.fe.experiments import simulated, simulated_attachment
 from tests.frames import chain, configuration, experiment, modes_of, shared
+from tests.studies.calibration import HIDDEN, Trial, experiment_of, place
 
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])
@@ -227,7 +227,7 @@ def test_an_assumed_effect_that_the_data_do_not_determine_is_known_to_lie_in_its
 def test_an_assumed_effect_of_many_places_must_say_where():
     with pytest.raises(InputError, match="ground_spring can sit at 4 places"):
         close_loop(Experiment.from_dict(shear()), assume=["ground_spring"])
-    placed = Placed(catalogue()[4], Place(floor=3))
+    placed = LocatedEffect(catalogue()[4], Place(floor=3))
     assert close_loop(Experiment.from_dict(shear()), assume=[placed]).assumed == (placed,)
 
 
@@ -356,7 +356,7 @@ def test_held_out_errors_before_and_after_are_of_the_same_data():
     assert [item.placed.place.state for item in result.effects] == ["test 3"]
     rest = {**declared, "configuration": declared["configuration"][1:]}
     first = declared["configuration"][0]
-    change = Placed(named(["story_change"])[0], result.effects[0].placed.place)
+    change = LocatedEffect(named(["story_change"])[0], result.effects[0].placed.place)
     of = Experiment.from_dict(rest)
     assert result.before.held_out is not None
     assert result.after.held_out is not None

@@ -10,21 +10,21 @@ import tomli_w
 from scipy import integrate, stats
 
 from cvxshear import Experiment, InputError, backends, close_loop
-from cvxshear.effects import Place, Placed, Scale, catalogue, compose, named, open_classes
+from cvxshear.effects import LocatedEffect, Place, Scale, catalogue, compose, named, open_classes
 from cvxshear.effects.composition import slices
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import fitted_with
-from cvxshear.fit.expectation import EffectPrior, tailed
+from cvxshear.fit.gaussian import log_tailed_interval, tailed
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import log_tailed_interval
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.neighbors import named_entries
 from cvxshear.loop.numbering import Numbering
-from cvxshear.loop.twins import dual_frame
+from cvxshear.loop.searches import dual_frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.fe.experiments import with_loose_joints, with_turning_joints
 from tests.fe.frame import Building, sway_modes
-from tests.outside import simulated
+from tests.studies.outside import simulated
 
 N = 5
 SEEDS = (25, 27, 30)
@@ -91,7 +91,7 @@ def test_the_derivatives_of_an_open_class(effect):
         ],
     })  # fmt: skip
     bound = effect.bound(given)
-    placed = Placed(bound, bound.places(given)[0])
+    placed = LocatedEffect(bound, bound.places(given)[0])
     own = 1e-3 * rng.standard_normal(len(bound.parameters)) * bound.sizes(SCALE) * 30
     misfit = Misfit(given, (placed,))
     theta = np.concatenate([mass, stiffness, own])
@@ -114,7 +114,7 @@ def test_every_symmetric_stiffness_matrix_is_a_network_of_springs():
     bound = next(effect for effect in open_classes() if effect.name == "other_stiffness").bound(given)
     assert len(bound.parameters) == N * (N - 1) // 2
     theta = np.concatenate([mass, stiffness, np.zeros(len(bound.parameters))])
-    dK = compose(given, given.configurations[0], (Placed(bound, Place()),), theta).system.dK[N:]
+    dK = compose(given, given.configurations[0], (LocatedEffect(bound, Place()),), theta).system.dK[N:]
     assert np.linalg.matrix_rank(dK.reshape(len(dK), -1)) == N * (N + 1) // 2
 
 
@@ -326,7 +326,7 @@ def test_entries_that_stand_out_of_a_class_are_proposed_by_their_names(gains):
     given = Experiment.from_dict({"frame": {"total_mass": float(mass.sum())}, "configuration": tables})
     (effect,) = (each.bound(given) for each in open_classes() if each.name == "other_gains")
     opened, *causes = (
-        Placed(each, place) for each in (effect, *named(["sensor_gain"])) for place in each.places(given)
+        LocatedEffect(each, place) for each in (effect, *named(["sensor_gain"])) for place in each.places(given)
     )
     backend, expected = backends.get("auto"), EffectPrior(SCALE)
     fitter = Fitter(Numbering(given), backend, [Hypothesis(each, 0.1) for each in (opened, *causes)], (), expected)
@@ -502,7 +502,7 @@ def test_residuals_by_a_factor_on_readings_or_masses(cause):
     declared = {"configuration": tables, "frame": {"floor_masses": mass.tolist()}}
     experiment = Experiment.from_dict(declared | {"static": [pulled(mass, stiffness, rng, 1.0)]})
     (effect,) = named([cause])
-    misfit = Misfit(experiment, [Placed(effect.bound(experiment), Place())])
+    misfit = Misfit(experiment, [LocatedEffect(effect.bound(experiment), Place())])
     theta = np.concatenate([mass, stiffness, [0.1]])
     step = 1e-5 * np.eye(len(theta))[-1]
     apart = misfit.evaluate(theta + step).r - misfit.evaluate(theta - step).r
@@ -573,7 +573,7 @@ def test_a_load_that_was_written_down_wrongly_is_found_in_its_test(lay, off, sta
 
 
 def test_a_neighbor_on_the_ground_is_found_by_both_of_its_parts():
-    """The neighbor is tied to a floor by 0.15 of a story. One part of it alone does not fit (`tests.outside`)."""
+    """The neighbor is tied to a floor by 0.15 of a story. One part of it alone does not fit."""
     declared, true = simulated("neighbor on the ground", 1000)
     found = close_loop(Experiment.from_dict(declared))
     assert found.verdict == "explained"

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cvxshear.effects import Place, Placed, named
+from cvxshear.effects import LocatedEffect, Place, named
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
@@ -14,7 +14,7 @@ from cvxshear.util.errors import NoSolutionError
 
 
 def put(name, **place):
-    return Placed(named([name])[0], Place(**place))
+    return LocatedEffect(named([name])[0], Place(**place))
 
 
 A, B, C, D = (put("sensor_gain", floor=floor) for floor in (1, 2, 3, 4))

@@ -8,7 +8,7 @@ import pytest
 
 import cvxshear
 from cvxshear import Experiment, InputError, backends, close_loop
-from cvxshear.effects import Place, Placed, named
+from cvxshear.effects import LocatedEffect, Place, named
 from cvxshear.fit.efficient import efficient
 from cvxshear.loop.close import search_for_effects
 from cvxshear.loop.fitter import with_stand_in
@@ -23,7 +23,7 @@ COUNTERWEIGHTS = ([0.0, 0.0, 0.0, 0.0], [0.0, 3.0, 0.0, 5.0])
 
 
 def put(name, **place):
-    return Placed(named([name])[0], Place(**place))
+    return LocatedEffect(named([name])[0], Place(**place))
 
 
 def damaged(seed=0, *, reference=None, story=2, change=-0.15, missed=0.0, noise=1.0):
@@ -100,7 +100,7 @@ def test_the_load_of_each_test_of_several_in_a_state_may_be_wrong():
     assert {(place.floor, place.test) for place in places} == {
         (floor, name) for floor in (1, 2, 3, 4) for name in tests
     }
-    assert len({Placed(named(["added_mass"])[0], place).label for place in places}) == len(places)
+    assert len({LocatedEffect(named(["added_mass"])[0], place).label for place in places}) == len(places)
 
 
 def three_tests(seed, total):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cvxshear.effects import Place, Placed, Scale, named
+from cvxshear.effects import LocatedEffect, Place, Scale, named
 from cvxshear.planning import planner
 from cvxshear.planning.chances import Target, _distances, _place, _right, chances, target
 from cvxshear.planning.design import Design
@@ -16,7 +16,7 @@ from cvxshear.util.errors import InputError
 
 
 def put(name, **place):
-    return Placed(named([name])[0], Place(**place))
+    return LocatedEffect(named([name])[0], Place(**place))
 
 
 def test_limits_are_of_each_floor_and_of_all_together():

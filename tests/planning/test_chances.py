@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cvxshear.effects import Gravity, GroundSpring, JointRotation, Place, Placed, Scale
-from cvxshear.fit.separation import log_evidence
+from cvxshear.effects import Gravity, GroundSpring, JointRotation, LocatedEffect, Place, Scale
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.measurement.experiment import Frame
 from cvxshear.planning.chances import NONE, Target, chances, target
 from cvxshear.util.errors import InputError
 
-ROTATION = Target(Placed(JointRotation()), 0.05)
-SPRING = Target(Placed(GroundSpring(), Place(floor=3)), 10.0)
-GRAVITY = Target(Placed(Gravity()), 1.1)
+ROTATION = Target(LocatedEffect(JointRotation()), 0.05)
+SPRING = Target(LocatedEffect(GroundSpring(), Place(floor=3)), 10.0)
+GRAVITY = Target(LocatedEffect(Gravity()), 1.1)
 FRAME = Frame(stories=3, story_heights=np.full(3, 0.4))
 SCALE = Scale(10.0, 2000.0, np.full(3, 0.4))
 
@@ -27,7 +27,7 @@ def test_the_evidence_is_the_integral_over_the_effects_values(of, y):
 
     low = 0.0 if of.side else of.mean - 12 * of.std
     integral = quad(likely, low, of.mean + 12 * of.std, limit=200)[0]
-    assert log_evidence(own, np.array(y), of.mean, of.std, of.side) == pytest.approx(np.log(integral), abs=1e-8)
+    assert log_evidence_of_one(own, np.array(y), of.mean, of.std, of.side) == pytest.approx(np.log(integral), abs=1e-8)
 
 
 def test_a_sure_test_gives_the_right_verdict_and_an_empty_one_none():

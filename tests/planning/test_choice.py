@@ -10,8 +10,8 @@ from cvxshear.planning.choice import choose, equally_spaced, exchanged, relaxed,
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.planner import MassLimits
 from cvxshear.util.errors import InputError
-from tests.benchmarks.planning import OTHERS, beside_others, floors_of, random_frame
 from tests.planning.common import exhaustive, frame_model, tapered
+from tests.studies.planning import OTHERS, beside_others, floors_of, random_frame
 
 NAMES = tuple(CRITERIA)
 

@@ -16,10 +16,10 @@ from cvxshear.planning.tested_model import possible
 from cvxshear.report import figures
 from cvxshear.util.errors import InputError
 from tests import closed
-from tests.benchmarks.planning import paper_design, right_verdicts, scatter, vague_designs
 from tests.frames import configuration, experiment
 from tests.planning.common import NOISE, design, tapered
 from tests.report.test_figures import assert_readable
+from tests.studies.planning import paper_design, right_verdicts, scatter, vague_designs
 
 DESIGN = """
 [frame]

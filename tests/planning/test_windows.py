@@ -8,8 +8,8 @@ import pytest
 from cvxshear.planning.choice import choose, values_of
 from cvxshear.planning.criteria import CRITERIA
 from cvxshear.planning.windows import Term, log_volume, path, patterns, variance, within_window
-from tests.benchmarks.planning import gaps
 from tests.planning.common import exhaustive, frame_model, tapered
+from tests.studies.planning import gaps
 
 NAMES = tuple(CRITERIA)
 

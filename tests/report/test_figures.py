@@ -405,7 +405,7 @@ def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatc
     monkeypatch.setattr(figure_table, "_TABLE", few)
 
     @figures.figure(
-        "pie", cvxshear.Closure, title="Where the mass is", caption="Each floor's share of the mass.",
+        "pie", cvxshear.LoopResult, title="Where the mass is", caption="Each floor's share of the mass.",
         alternative="A pie of masses.", applies=lambda result: len(result.frame.floor_mass) > 1, needs="two floors",
     )  # fmt: skip
     def pie(result):
@@ -422,7 +422,7 @@ def test_a_figure_from_outside_is_found_everywhere(paper, comparison, monkeypatc
         main(["loop", "paper", "--figure", "list"])
     assert ended.value.code in (0, None)
     said = capsys.readouterr().out
-    for entry in figures.figures_of(cvxshear.Closure).values():
+    for entry in figures.figures_of(cvxshear.LoopResult).values():
         assert any(line.split()[:1] == [entry.name] and entry.title in line for line in said.splitlines())
     with pytest.raises(SystemExit) as ended:
         main(["loop", "paper", "--effects", "gravity", "--figure", f"pie:{tmp_path / 'pie.svg'}"])

@@ -202,7 +202,7 @@ def test_every_effect_of_the_catalogue_has_words_for_its_size(effect):
     declared = experiment(effect, 3, 2, noise=0.01)
     tested = cvxshear.Experiment.from_dict(declared)
     kind = next(item for item in cvxshear.effects.catalogue() if item.name == effect)
-    placed = cvxshear.effects.Placed(kind, kind.places(tested)[-1])
+    placed = cvxshear.effects.LocatedEffect(kind, kind.places(tested)[-1])
     result = close_loop(tested, effects=[], assume=[placed])
     said = consequences(result.estimate, result.assumed[0])
     assert said
@@ -213,7 +213,7 @@ def test_what_a_story_loses_beside_joints_that_turn_is_no_share_of_its_stiffness
     tested = cvxshear.Experiment.from_dict(experiment("joint_rotation", 3, 2, noise=0.01))
     kinds = {item.name: item for item in cvxshear.effects.catalogue()}
     assume = [
-        cvxshear.effects.Placed(kinds[name], kinds[name].places(tested)[-1])
+        cvxshear.effects.LocatedEffect(kinds[name], kinds[name].places(tested)[-1])
         for name in ("joint_rotation", "story_change")
     ]
     result = close_loop(tested, effects=[], assume=assume)

@@ -12,7 +12,7 @@ from scipy import io
 
 import cvxshear
 from cvxshear import effects
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.io.uff import read_uff
 from cvxshear.paper.three_story import ThreeStory
 from cvxshear.records.motion import DrivenRecord, DrivenRun
@@ -118,7 +118,7 @@ def test_opensees_has_the_same_frequencies(three, tmp_path):
 def test_opensees_has_the_same_frequencies_with_an_effect(three, tmp_path):
     """Rocking fills the stiffness matrix: springs connect all floors."""
     fitted, motion, _ = three
-    rocking = Placed(effects.named(["base_rocking"])[0])
+    rocking = LocatedEffect(effects.named(["base_rocking"])[0])
     theta = np.append(fitted.theta, 1e-3 / (fitted.theta[3:].sum() * 9.0))
     found = predict(Models(None, Fitted(fitted.experiment, (rocking,), theta, None)), motion)
     assert np.all(np.abs(found.after.damped.model.K) > 0)
@@ -154,7 +154,7 @@ def test_the_script_is_python_whatever_the_frame_is_called(three, tmp_path):
 
 def test_coupled_masses_are_no_nodal_masses(three, tmp_path):
     fitted, motion, _ = three
-    coupling = Placed(effects.named(["mass_coupling"])[0])
+    coupling = LocatedEffect(effects.named(["mass_coupling"])[0])
     found = predict(Models(None, Fitted(fitted.experiment, (coupling,), np.append(fitted.theta, 0.5), None)), motion)
     with pytest.raises(UnsuitableError, match="masses at nodes only"):
         write_model(tmp_path / "frame.py", found)

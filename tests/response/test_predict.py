@@ -10,7 +10,7 @@ from scipy import signal
 
 import cvxshear
 from cvxshear import backends, close_loop, effects
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import efficient
 from cvxshear.io.toml import write_measurement
 from cvxshear.records import Channel, Run, TimeRecord
@@ -23,8 +23,8 @@ from cvxshear.response.damped import Response
 from cvxshear.response.peaks import peaks_of
 from cvxshear.response.sources import state_of
 from cvxshear.util.errors import InputError
-from tests.benchmarks.response_coverage import coverage, linear_over_sampled
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+from tests.studies.response_coverage import coverage, linear_over_sampled
 
 RATE = 100.0
 
@@ -96,7 +96,7 @@ def test_deviations_of_peaks_are_those_of_samples():
 
 @pytest.mark.parametrize(("stories", "kind", "trials"), [(3, "modal", 40), (3, "story", 40), (8, "story", 20)])
 def test_intervals_hold_the_truth_as_often_as_they_say(stories, kind, trials):
-    """Run a seeded part of `tests.benchmarks.response_coverage`: trials with 7 or 17 dependent peaks."""
+    """Run a seeded part of `tests.studies.response_coverage`: trials with 7 or 17 dependent peaks."""
     share, deviations = coverage(stories, kind, trials)
     assert 0.88 <= share <= 0.99
     assert abs(deviations.mean()) < 0.4
@@ -111,7 +111,7 @@ def test_the_effect_found_takes_the_error_away():
     shapes = np.array(table["configuration"][0]["mode_shapes"]) * gain
     table["configuration"][0]["mode_shapes"] = shapes.tolist()
     experiment = cvxshear.Experiment.from_dict(table)
-    gained = Placed(effects.named(["sensor_gain"])[0], effects.Place(floor=3))
+    gained = LocatedEffect(effects.named(["sensor_gain"])[0], effects.Place(floor=3))
     solver = backends.get("auto")
     pair = Models(Fitted.of(efficient(experiment, solver)), Fitted.of(efficient(experiment, solver, [gained])))
     truth = DampedModel(M, C, K, np.ones(3))
@@ -348,7 +348,7 @@ def test_a_record_of_a_changed_state_predicts_that_state():
     states = [{**table["configuration"][0], "name": name, "state": name}
               for table, name in zip(tables, ("before", "after"), strict=True)]  # fmt: skip
     experiment = cvxshear.Experiment.from_dict({**tables[0], "configuration": states})
-    change = Placed(effects.named(["story_change"])[0], effects.Place(None, 1, "after"))
+    change = LocatedEffect(effects.named(["story_change"])[0], effects.Place(None, 1, "after"))
     pair = Models(None, Fitted.of(efficient(experiment, backends.get("auto"), [change])))
     record = recorded(after)
     found = predict(pair, DrivenRecord.of(record, state="after"), damping="modal")

@@ -26,9 +26,9 @@ from cvxshear.response.smoother import Observed, Steady, settled_slopes, settled
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
-from tests.benchmarks import reconstruction as study
 from tests.frames import chain
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking, straight
+from tests.studies import reconstruction as study
 
 STEP = 0.01
 
@@ -684,7 +684,7 @@ def test_a_record_file_gives_one_channel_a_floor_between_start_and_end(tmp_path)
 def test_effects_that_the_model_lacks_are_in_the_bands(stories, frames):
     """The frames have flexible beams, the model is a shear model; drifts between the sensors must lie within bands.
 
-    `python -m tests.benchmarks.reconstruction` runs more and longer cases.
+    `python -m tests.studies reconstruction` runs more and longer cases.
     """
     by_prediction, by_fit = [], []
     for seed in range(frames):

@@ -280,11 +280,16 @@ class Document:
 
 
 HOMES = {
-    "Experiment": "identified", "Identification": "identified", "Closure": "closed_loop", "ModalResult": "from_records",
-    "Screening": "from_records", "IdentifiedDamping": "responses", "RecordPrediction": "responses",
-    "Reconstruction": "responses", "Plan": "studied", "Reproduction": "studied", "NoiseStudy": "studied",
-    "Comparison": "studied",
-}  # fmt: skip
+    kind: home
+    for home, kinds in {
+        "identified": "Experiment Identification",
+        "closed_loop": "LoopResult",
+        "from_records": "ModalResult Screening",
+        "responses": "IdentifiedDamping RecordPrediction Reconstruction",
+        "studied": "Plan Reproduction NoiseStudy Comparison",
+    }.items()
+    for kind in kinds.split()
+}
 """Module of this package that describes each type of result."""
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from cvxshear.data import Deviation, Frequencies, noise_kinds
 from cvxshear.effects import compose
 from cvxshear.effects.state import State
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect, EffectSet
@@ -70,7 +70,7 @@ MOST_QUESTIONS = 4
 """Number of open questions on the first screen of a report; a later section lists all."""
 
 
-def effects_section(result: Closure) -> Section:
+def effects_section(result: LoopResult) -> Section:
     """List the added effects, the most probable first, each with its rivals."""
     if not result.effects:
         return Section("effects", "Effects added", (Sentence("None was added to the model."),))
@@ -97,7 +97,7 @@ def _with_rivals(item: AddedEffect) -> Iterator[tuple[str, str]]:
         yield "   rivals: none", ""
 
 
-def effect_sections(result: Closure) -> Iterator[Section]:
+def effect_sections(result: LoopResult) -> Iterator[Section]:
     """Describe each effect in full: its meaning, formula and parameters."""
     for place, item in enumerate(result.effects, 1):
         kind = item.placed.effect
@@ -107,7 +107,7 @@ def effect_sections(result: Closure) -> Iterator[Section]:
         yield Section(f"effect-{place}", capital(item.placed.label), parts, detail=True, below=True)
 
 
-def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]:
+def _parameters(result: LoopResult, item: AddedEffect) -> Iterator[tuple[str, str]]:
     units = item.placed.units(result.experiment)
     for parameter, unit in zip(item.placed.effect.parameters, units, strict=True):
         name = parameter.name
@@ -115,7 +115,7 @@ def _parameters(result: Closure, item: AddedEffect) -> Iterator[tuple[str, str]]
         yield name.replace("_", " "), written(item.parameters[name], item.std[name], unit)
 
 
-def effects_table(result: Closure) -> Table:
+def effects_table(result: LoopResult) -> Table:
     """Tabulate each parameter of each effect, for programs."""
     rows = []
     for found in result.effects:
@@ -129,7 +129,7 @@ def effects_table(result: Closure) -> Table:
     return Table("effects", "Effects", tuple(map(exact, names, values)))
 
 
-def sets_section(result: Closure) -> Section:
+def sets_section(result: LoopResult) -> Section:
     """Tabulate the sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in result.models])
     pairs = zip(result.models, chi2, strict=True)
@@ -139,7 +139,7 @@ def sets_section(result: Closure) -> Section:
     return Section("sets", "Which effects together", (found,) if rows else (), below=True)
 
 
-def _label(item: EffectSet, result: Closure) -> str:
+def _label(item: EffectSet, result: LoopResult) -> str:
     """Name the effects of a set, and its mode numbers if they differ from the verdict's."""
     label = _set_label(item, result.models[0])
     if item.changes == result.numberings[0].changes:
@@ -160,7 +160,7 @@ def _set_label(effects: EffectSet, first: EffectSet) -> str:
     return f"the first, and {come}" if come else f"the first, without {gone}"
 
 
-def candidates_section(result: Closure) -> Section:
+def candidates_section(result: LoopResult) -> Section:
     """Tabulate all candidates with their prior and posterior probabilities."""
     if not result.candidates:
         return Section("candidates", "What was looked for", (), below=True)
@@ -184,7 +184,7 @@ def candidates_section(result: Closure) -> Section:
 
 
 @describe.register
-def _closure(result: Closure, units: Units = AUTOMATIC) -> Document:
+def _closure(result: LoopResult, units: Units = AUTOMATIC) -> Document:
     units = units_for(result.experiment, units)
     effort = f"Backend {result.backend}: {counted(result.fits, 'fit')}, {counted(result.programs, 'step program')}."
     sections = (
@@ -217,14 +217,14 @@ def _closure(result: Closure, units: Units = AUTOMATIC) -> Document:
 
 
 @line.register
-def _line(result: Closure) -> str:
+def _line(result: LoopResult) -> str:
     found = [f"{item.placed.label} ({chance(item.probability)})" for item in result.effects]
     if len(found) > NAMED:
         found[NAMED:] = [f"{len(found) - NAMED} more"]
-    return f"<Closure {result.experiment.name}: {result.verdict}, {listed(found) or 'nothing added'}>"
+    return f"<LoopResult {result.experiment.name}: {result.verdict}, {listed(found) or 'nothing added'}>"
 
 
-def verdict_section(result: Closure) -> Section:
+def verdict_section(result: LoopResult) -> Section:
     """State the meaning of the verdict, its assumptions, and the data that decided it."""
     verdict = verdict_of(result)
     meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
@@ -262,7 +262,7 @@ def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
     yield "p_value", "p: such a residual by chance", _each(probability)
 
 
-def before_after(result: Closure) -> Section:
+def before_after(result: LoopResult) -> Section:
     """Compare the first and the final model of the loop."""
     first = capital(result.before.action)
     same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
@@ -272,7 +272,7 @@ def before_after(result: Closure) -> Section:
     return Section("before-after", "The shear model and the model with effects", parts)
 
 
-def errors_table(result: Closure) -> Table:
+def errors_table(result: LoopResult) -> Table:
     """Tabulate all errors of both models."""
     before, after = result.before.to_dict(), result.after.to_dict()
     several = len(result.experiment.configurations) > 1
@@ -286,7 +286,7 @@ def errors_table(result: Closure) -> Table:
     return Table("errors", "Errors of the model against the measurement", tuple(columns))
 
 
-def not_converged(result: Closure) -> Iterator[Sentence]:
+def not_converged(result: LoopResult) -> Iterator[Sentence]:
     """Warn of each shown fit that did not converge."""
     for step in result.steps:
         fit = step.estimate.fit
@@ -296,7 +296,7 @@ def not_converged(result: Closure) -> Iterator[Sentence]:
             )
 
 
-def residual_section(result: Closure) -> Section:
+def residual_section(result: LoopResult) -> Section:
     """Tabulate the residual of every part of the measurement, one table for each kind of data."""
     before, after = by_part(result.before.estimate), by_part(result.estimate)
     pairs = list(zip(before, after, strict=True))
@@ -321,7 +321,7 @@ def _std(item: Deviation) -> str:
     return signed(item.deviations, 1) if item.entries == 1 else f"{item.deviations:.1f}"
 
 
-def steps_section(result: Closure) -> Section:
+def steps_section(result: LoopResult) -> Section:
     """Tabulate each fit of the loop. With fewer than three fits, only the full report shows this table."""
     errors = percents([step.estimate.quality.max_frequency_error for step in result.steps])
     chi2 = significants([step.estimate.chi2 for step in result.steps])
@@ -360,7 +360,7 @@ def moving_mass(state: State) -> StateValues:
     return rows - state.tested.added_mass, by_parameters
 
 
-def states_section(result: Closure, units: Units) -> Section:
+def states_section(result: LoopResult, units: Units) -> Section:
     """Tabulate every story and floor that an effect changes: frame alone or reference state, each state, the change."""
     tables = (
         _by_state(result, "stories", "Sway stiffness of each story", sway_stiffness, units.of_stiffness),
@@ -370,7 +370,7 @@ def states_section(result: Closure, units: Units) -> Section:
 
 
 def _by_state(
-    result: Closure,
+    result: LoopResult,
     key: str,
     title: str,
     quantity: Callable[[State], StateValues],
@@ -412,7 +412,7 @@ def _by_state(
     yield from Table(key, title, tuple(columns), top_first=True).folded(PAGE_COLUMNS // 2)
 
 
-def frame_section(result: Closure, units: Units) -> Section:
+def frame_section(result: LoopResult, units: Units) -> Section:
     """Tabulate the frame of the verdict's set and the average frame over all sets."""
     title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
     parts: tuple[Block, ...] = (frame_table(result.frame, title, units, averaged=result.averaged),)
@@ -421,7 +421,7 @@ def frame_section(result: Closure, units: Units) -> Section:
     return Section("frame", "The identified frame", parts)
 
 
-def limits_section(result: Closure) -> Section:
+def limits_section(result: LoopResult) -> Section:
     """List the remaining residuals and the undetermined quantities."""
     parts: list[Block] = []
     if result.remains:
@@ -431,7 +431,7 @@ def limits_section(result: Closure) -> Section:
     return Section("limits", "What is left open", tuple(parts))
 
 
-def not_considered(result: Closure) -> Section:
+def not_considered(result: LoopResult) -> Section:
     """List the effects that the data cannot tell, and what would tell them."""
     texts = tuple(
         f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
@@ -441,19 +441,19 @@ def not_considered(result: Closure) -> Section:
     return Section("not-considered", "What was not looked for", parts, below=True, appendix=True)
 
 
-def _undetermined(result: Closure) -> Iterator[str]:
+def _undetermined(result: LoopResult) -> Iterator[str]:
     for names in result.estimate.uncertainty.null_directions:
         yield f"Not determined: {in_words(names)}."
     for text in (*generous_noise(result.estimate.quality), *result.information):
         yield f"{capital(text)}."
 
 
-def open_questions(result: Closure) -> tuple[str, ...]:
+def open_questions(result: LoopResult) -> tuple[str, ...]:
     """List up to `MOST_QUESTIONS` open questions that the headline omits, the most important first.
 
     Parameters
     ----------
-    result : Closure
+    result : LoopResult
     """
     said = []
     # The headline names the rivals if the effects are few.
@@ -469,7 +469,7 @@ def open_questions(result: Closure) -> tuple[str, ...]:
     return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
 
 
-def _next(result: Closure, units: Units) -> str:
+def _next(result: LoopResult, units: Units) -> str:
     """Describe the test that would distinguish the rivals, or give the reason why no test is proposed."""
     test = result.next_test
     if test is not None:
@@ -493,7 +493,7 @@ def _next(result: Closure, units: Units) -> str:
     return verdict.advice
 
 
-def _reference(result: Closure) -> str:
+def _reference(result: LoopResult) -> str:
     """Advise to declare the sound state if causes in several states are rivals."""
     experiment = result.estimate.experiment
     states = {rival.placed.place.state for item in result.effects for rival in item.rivals}
@@ -506,7 +506,7 @@ def _reference(result: Closure) -> str:
     )
 
 
-def _besides(result: Closure) -> str:
+def _besides(result: LoopResult) -> str:
     """Name the candidates that remain possible beside a certain verdict; empty if no candidate remains."""
     added = {item.placed for item in result.effects}
     left = [item for item in result.candidates if item.placed not in added and item.probability > DOUBT]
@@ -522,7 +522,7 @@ def _besides(result: Closure) -> str:
     )
 
 
-def _with_sensors(result: Closure, test: NextTest) -> str:
+def _with_sensors(result: LoopResult, test: NextTest) -> str:
     """Name the additional floors that the next test measures."""
     if test.measured_floors is None:
         return ""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.efficient import Estimate
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.loop.numbering import Changes
 from cvxshear.loop.posterior import ADDED, MANY_CAUSES
 from cvxshear.loop.residual import by_part
@@ -35,18 +35,18 @@ def numbers_in_words(changes: Changes) -> str:
     return f"{listed(said)} of the frame"
 
 
-def in_doubt(result: Closure) -> bool:
+def in_doubt(result: LoopResult) -> bool:
     """Return whether the second most probable numbering has a probability above `DOUBT`."""
     return len(result.numberings) > 1 and result.numberings[1].probability > DOUBT
 
 
-def other_numbers(result: Closure) -> str:
+def other_numbers(result: LoopResult) -> str:
     """Write the second most probable numbering."""
     other = result.numberings[1]
     return numbers_in_words(other.changes) if other.changes else "the modes are those given"
 
 
-def numbering_sections(result: Closure) -> Iterator[Section]:
+def numbering_sections(result: LoopResult) -> Iterator[Section]:
     """Tabulate the probabilities of the numberings; yield no section if the mode numbers were certain."""
     if len(result.numberings) == 1 and not result.numberings[0].changes:
         return
@@ -58,7 +58,7 @@ def numbering_sections(result: Closure) -> Iterator[Section]:
     yield Section("numbering", "Which modes these are", (table_of_rows("numberings", title, head, rows),))
 
 
-def noise_facts(result: Closure) -> Iterator[tuple[str, str]]:
+def noise_facts(result: LoopResult) -> Iterator[tuple[str, str]]:
     """Yield the noise of each kind of data."""
     for kind in result.estimate.misfit.noises.values():
         name, estimated = f"noise of {kind.plural}", result.noise.of(kind.name)
@@ -72,7 +72,7 @@ def noise_facts(result: Closure) -> Iterator[tuple[str, str]]:
         yield name, f"{with_std(size, size_std, unit)} (estimated: {with_std(factor, std)} times the default{where})"
 
 
-def noise_in_words(result: Closure) -> str:
+def noise_in_words(result: LoopResult) -> str:
     """Write the estimated noise in a few words; empty if all noise was declared."""
     said = []
     for name, factor in result.noise.noise.factors:
@@ -92,22 +92,22 @@ NAMED = 2
 """Largest number of effects that a sentence names; a table lists more."""
 
 
-def verdict_of(result: Closure) -> Verdict:
+def verdict_of(result: LoopResult) -> Verdict:
     """Look up the verdict and its texts.
 
     Parameters
     ----------
-    result : Closure
+    result : LoopResult
     """
     return VERDICTS[result.verdict]
 
 
-def headline(result: Closure) -> str:
+def headline(result: LoopResult) -> str:
     """State the finding, its probability, and its influence on the error that decided the verdict.
 
     Parameters
     ----------
-    result : Closure
+    result : LoopResult
     """
     verdict, found = verdict_of(result), result.numberings[0]
     spread = "in no single part" if verdict.provisional else ""
@@ -131,13 +131,13 @@ def headline(result: Closure) -> str:
     return f"{renumbered}{said}."
 
 
-def _within(result: Closure) -> str:
+def _within(result: LoopResult) -> str:
     if result.estimate.dof <= 0:
         return "exactly, as it has as many parameters as there are data"
     return f"within {noise_in_words(result) or 'the stated noise'}"
 
 
-def _doubt(result: Closure) -> str:
+def _doubt(result: LoopResult) -> str:
     """Explain the uncertainty of the verdict."""
     doubtful = [item for item in result.effects if item.rivals]
     said = ""
@@ -161,13 +161,13 @@ def _doubt(result: Closure) -> str:
     return said
 
 
-def _model(result: Closure) -> str:
+def _model(result: LoopResult) -> str:
     if not result.assumed:
         return "the shear model"
     return f"the shear model with {listed([placed.label for placed in result.assumed])}"
 
 
-def _effects(result: Closure) -> str:
+def _effects(result: LoopResult) -> str:
     """Name the effects with their sizes and probabilities, or give their number and name the first.
 
     Provisional effects have no probability here: it would compare causes that all fail to explain the data.
@@ -185,7 +185,7 @@ def _effects(result: Closure) -> str:
     return f"{len(said)} effects were found, the first: {said[0]}"
 
 
-def _piled(result: Closure) -> bool:
+def _piled(result: LoopResult) -> bool:
     """Return whether one state, or the frame, has too many kinds of uncertain effects to believe any."""
     kinds: dict[str | None, set[str]] = {}
     for item in result.effects:
@@ -237,12 +237,12 @@ def carried_by(before: Estimate, after: Estimate) -> dict[str, float]:
     return {kind: falls[kind] / total for kind in ranking.ranked(falls, falls.__getitem__)}
 
 
-def evidence_in_words(result: Closure) -> str:
+def evidence_in_words(result: LoopResult) -> str:
     """Name the kind of data that supports the effects; empty if the model has no effects.
 
     Parameters
     ----------
-    result : Closure
+    result : LoopResult
     """
     share_of_kind = carried_by(result.before.estimate, result.estimate) if result.effects else {}
     if not share_of_kind:
@@ -256,7 +256,7 @@ def evidence_in_words(result: Closure) -> str:
     return f"The evidence lies in the {listed(said)} of the fall in chi-square."
 
 
-def _only_accuracy(result: Closure) -> bool:
+def _only_accuracy(result: LoopResult) -> bool:
     """Return whether all effects only rescale noise; such effects reduce no error of the model."""
     return all(item.placed.effect.rescales for item in result.effects)
 

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
-from cvxshear.fit.quality import Quality
-from cvxshear.fit.results import Identification, IdentifiedFrame, Prediction, SingleIdentification
+from cvxshear.fit.results import Identification, IdentifiedFrame, Prediction, Quality, SingleIdentification
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs.certificate import ActiveConstraint
 from cvxshear.report.describe import (

@@ -13,7 +13,7 @@ from matplotlib.ticker import AsinhLocator, FuncFormatter, MaxNLocator, NullLoca
 
 from cvxshear.data import Deviation
 from cvxshear.fit.results import Identification, SingleIdentification
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import Candidate
 from cvxshear.paper.scatter import NoiseStudy, Scatter
@@ -39,7 +39,7 @@ HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": st
 
 @figure(
     "ranking",
-    Closure,
+    LoopResult,
     title="Probabilities of the effects",
     alternative="How probable each effect is before and with the data; the numbers are in the table above.",
     section="candidates",
@@ -47,7 +47,7 @@ HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": st
     needs="effects that were looked for",
     narrow=True,
 )
-def ranking(result: Closure) -> Figure:
+def ranking(result: LoopResult) -> Figure:
     """Draw the probability of each effect before the data and with them, on an axis of log odds.
 
     How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
@@ -108,14 +108,14 @@ Pair = tuple[Deviation, Deviation]
 
 @figure(
     "residual",
-    Closure,
+    LoopResult,
     title="Residuals",
     alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
     "effects; the numbers are in the tables above.",
     section="residual",
     narrow=True,
 )
-def residual(result: Closure) -> Figure:
+def residual(result: LoopResult) -> Figure:
     """How far the model is from each part of the measurement, in standard deviations, before and after.
 
     The residual of every part of the measurement for the shear model (hollow diamonds) and with effects (dots),

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from cvxshear.effects import Placed
+from cvxshear.effects import LocatedEffect
 from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
 from cvxshear.fit.results import Identification, IdentifiedFrame
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.report.describe.headline import NAMED, verdict_of
@@ -81,7 +81,7 @@ def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) ->
 # Figure of the located effects.
 
 
-def _findings_caption(result: Closure) -> str:
+def _findings_caption(result: LoopResult) -> str:
     shown, tested = len(_shown_states(result)), len(result.experiment.states)
     more = f" Of {tested} states {shown} are drawn, those of which most is sure." if 1 < shown < tested else ""
     marks = "Orange: what was found, with its size and probability; dashed: what may be there in its place."
@@ -97,7 +97,7 @@ def _findings_caption(result: Closure) -> str:
 
 @figure(
     "findings",
-    Closure,
+    LoopResult,
     title="What was found, and where",
     caption=_findings_caption,
     alternative=lambda result: (
@@ -107,7 +107,7 @@ def _findings_caption(result: Closure) -> str:
     section="verdict",
     narrow=True,
 )
-def findings(result: Closure) -> Figure:
+def findings(result: LoopResult) -> Figure:
     """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
 
     The figure has one panel for each state with effects, and one for a state without effects. If no effect was added,
@@ -132,7 +132,7 @@ def findings(result: Closure) -> Figure:
     return drawn
 
 
-def _shown_states(result: Closure) -> list[str | None]:
+def _shown_states(result: LoopResult) -> list[str | None]:
     """List the drawn states; only None if no effect belongs to a single state."""
     every = [item.placed.place.state for item in result.effects]
     every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:NAMED]]
@@ -150,7 +150,7 @@ def _shown_states(result: Closure) -> list[str | None]:
 class _Mark:
     """An effect or its rival in the drawing, with its label."""
 
-    placed: Placed
+    placed: LocatedEffect
     text: str
     sure: bool
     joined: tuple[tuple[int, int], ...] = ()
@@ -161,7 +161,7 @@ class _Mark:
         return self.text.count("\n") + 2
 
 
-def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
+def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]:
     """Collect the marks for the drawing of a state; effects of all states are marked in the first drawing."""
     sure = not verdict_of(result).provisional
     tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
@@ -181,7 +181,7 @@ def _marks(result: Closure, state: str | None, *, first: bool) -> list[_Mark]:
     return found[:MOST_MARKS]
 
 
-def networks(result: Closure) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:
+def networks(result: LoopResult) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:
     """Find the effects with springs between levels, each with the level pairs of its parameters in order."""
     known = {named_pair(i, j): (i, j) for i, j in pairs(result.experiment.stories, ground=True)}
     return [
@@ -205,7 +205,7 @@ def _wrapped(texts: Sequence[str]) -> str:
     return "\n".join(style.letters(line, style.LONGEST_NAME + 2) for line in lines)
 
 
-def _state(axes: Axes, result: Closure, state: str | None, marks: Sequence[_Mark], height: float) -> None:
+def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_Mark], height: float) -> None:
     z, label = elevations(result.experiment)
     at = _Columns(0.10, 0.34)
     _structure(axes, result.frame, z, at)
@@ -243,7 +243,7 @@ def _sensors(axes: Axes, experiment: Experiment, state: str | None, z: Floats, a
     )
 
 
-def _extent(placed: Placed, z: Floats) -> tuple[float, float]:
+def _extent(placed: LocatedEffect, z: Floats) -> tuple[float, float]:
     """Find the elevations between which an effect acts: a story, a floor, two levels, or the whole frame."""
     place, base = placed.place, np.concatenate([[0.0], z])
     if place.story is not None:
@@ -253,7 +253,7 @@ def _extent(placed: Placed, z: Floats) -> tuple[float, float]:
     return float(base[place.floor]), float(base[place.floor if place.to is None else place.to])
 
 
-def _mark(axes: Axes, placed: Placed, z: Floats, at: _Columns, *, sure: bool) -> None:
+def _mark(axes: Axes, placed: LocatedEffect, z: Floats, at: _Columns, *, sure: bool) -> None:
     """Colour the part that an effect acts on: a story, a floor, a tie between two floors, or the whole frame."""
     place, (low, high) = placed.place, _extent(placed, z)
     if place.to is not None:
@@ -287,14 +287,14 @@ def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> No
 
 @figure(
     "frame",
-    Closure,
+    LoopResult,
     Identification,
     title="The identified frame",
     alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
     narrow=True,
 )
-def frame(result: Closure | Identification) -> Figure:
+def frame(result: LoopResult | Identification) -> Figure:
     """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
 
     The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its
@@ -302,7 +302,7 @@ def frame(result: Closure | Identification) -> Figure:
 
     If each configuration was identified separately, each one has its panel.
     """
-    if isinstance(result, Closure):
+    if isinstance(result, LoopResult):
         frames = [("", result.frame)]
     else:
         several = len(result.parts) > 1
@@ -311,7 +311,7 @@ def frame(result: Closure | Identification) -> Figure:
 
 
 def _numbered_frames(
-    result: Closure | Identification, frames: Sequence[tuple[str, IdentifiedFrame]], *, sensors: bool = False
+    result: LoopResult | Identification, frames: Sequence[tuple[str, IdentifiedFrame]], *, sensors: bool = False
 ) -> Figure:
     """Draw frames with their numbers and titles."""
     rows, columns = style.grid_of(len(frames), 2)

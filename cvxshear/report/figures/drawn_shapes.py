@@ -15,7 +15,7 @@ from cvxshear.data import Model, Shapes
 from cvxshear.data.pairing import mac as mac_of
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
-from cvxshear.loop import Closure
+from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
 from cvxshear.records.mode_shapes import scaled_to_one
@@ -94,12 +94,12 @@ def _modelled(configuration: Configuration, model: Model, datum: Shapes | None) 
     return np.asarray(factor[:, None] * full)
 
 
-def mac_tables(result: Closure | Identification) -> list[tuple[str, Floats]]:
+def mac_tables(result: LoopResult | Identification) -> list[tuple[str, Floats]]:
     """Compute the MAC of measured modes (rows) with modelled ones (columns), by the name of each configuration.
 
     A row is nan if the mode has a shape at fewer than two floors.
     """
-    if isinstance(result, Closure):
+    if isinstance(result, LoopResult):
         found = result.estimate.predictions
         gains = {model.state.tested.name: model.state.gain for model in result.estimate.fit.at.models}
     else:
@@ -129,13 +129,13 @@ HALF_WIDTH = 0.16
 
 @figure(
     "shapes",
-    Closure,
+    LoopResult,
     title="Mode shapes",
     alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
     section="shapes",
     narrow=True,
 )
-def shapes(result: Closure) -> Figure:
+def shapes(result: LoopResult) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
 
     Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is the
@@ -190,7 +190,7 @@ MOST_NUMBERED = 8
 
 @figure(
     "mac",
-    Closure,
+    LoopResult,
     Identification,
     title="Measured and modelled modes",
     alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
@@ -199,7 +199,7 @@ MOST_NUMBERED = 8
     needs="measured mode shapes",
     narrow=True,
 )
-def mac(result: Closure | Identification) -> Figure:
+def mac(result: LoopResult | Identification) -> Figure:
     """Draw the MAC matrix of each configuration.
 
     The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every

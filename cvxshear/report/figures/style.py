@@ -408,7 +408,7 @@ def figure(
     ----------
     name : str
     *results : type
-        Types such as `Closure`. If the user names a file and no figure, the first figure of a type is drawn.
+        Types such as `LoopResult`. If the user names a file and no figure, the first figure of a type is drawn.
     title, caption, alternative, section, applies, needs, narrow
         As in `FigureEntry`. An empty alternative text becomes the first line of the function's docstring, and an empty
         caption becomes its second paragraph.

@@ -1,0 +1,41 @@
+"""Count how each backend's answers are accepted: as given, polished, replaced, or refused."""
+
+import numpy as np
+
+import cvxshear
+from cvxshear import CvxshearError, UnsuitableError, backends
+from cvxshear.fit.identification import programs_of
+from cvxshear.io.toml import BUILT_IN
+from cvxshear.programs import Acceptance, LeastSquares
+from tests.studies.timing import table
+
+RANDOM_PROGRAMS = 30
+
+
+def main():
+    programs = [each.program for name in BUILT_IN for each in programs_of(cvxshear.load(name))[0]]
+    programs += [bounded(seed) for seed in range(RANDOM_PROGRAMS)]
+    rows = [[name, *_counts(name, programs)] for name in backends.available()]
+    columns = [*(each.value for each in Acceptance), "refused", "not solved: an inequality is active"]
+    table(f"Answers to {len(programs)} programs", ["backend", *columns], rows)
+
+
+def bounded(seed):
+    """Return a random program with ten unknowns, half of them at a bound."""
+    rng = np.random.default_rng(seed)
+    R, s = rng.standard_normal((30, 10)), rng.standard_normal(30)
+    free = np.linalg.lstsq(R, s, rcond=None)[0]
+    return LeastSquares(R, s, lower=np.full(10, np.quantile(free, 0.3)), upper=np.full(10, np.quantile(free, 0.8)))
+
+
+def _counts(name, programs):
+    """Return the numbers of answers, one per column of the table."""
+    counts = dict.fromkeys([*Acceptance, "refused", "unsuitable"], 0)
+    for program in programs:
+        try:
+            counts[program.solve(name).acceptance] += 1
+        except UnsuitableError:
+            counts["unsuitable"] += 1
+        except CvxshearError:
+            counts["refused"] += 1
+    return list(counts.values())
