@@ -3,10 +3,12 @@
 `style` has their table. Importing this package loads matplotlib.
 """
 
-from cvxshear.report.figures.charts import convergence, noise_boxes, noise_variation, plan, ranking, residual
+# The order of these imports is the order of the figures in a report.
+# isort: off
 from cvxshear.report.figures.drawn_frame import findings, frame
-from cvxshear.report.figures.drawn_shapes import mac, modal_mac, modal_shapes, shapes
+from cvxshear.report.figures.charts import convergence, noise_boxes, noise_variation, plan, ranking, residual
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
+from cvxshear.report.figures.drawn_shapes import mac, modal_mac, modal_shapes, shapes
 from cvxshear.report.figures.response import (
     floor_spectra,
     reconstructed_histories,
@@ -16,6 +18,7 @@ from cvxshear.report.figures.response import (
     transfer_functions,
 )
 from cvxshear.report.figures.style import FigureEntry, drawn_figure, figure, figures_of, save
+# isort: on
 
 __all__ = [
     "FigureEntry", "coherence", "convergence", "drawn_figure", "figure", "figures_of", "findings", "floor_spectra",

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import AsinhLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from cvxshear.data import Deviation
 from cvxshear.fit.results import Identification, SingleIdentification
@@ -172,12 +172,14 @@ def _dumbbells(axes: Axes, places: Floats, before: Floats, after: Floats) -> Non
     axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
     axes.plot(before, places, label="shear model", **HOLLOW)
     axes.plot(after, places, ls="none", marker="o", color=style.AFTER, ms=4.2, label="with effects")
-    # The axis is linear where chance is, and logarithmic beyond.
+    # The axis is linear where chance is, and logarithmic beyond; the ticks have nearly equal distances.
+    largest = 1.3 * max(float(np.nanmax(np.abs([*before, *after]))), USUAL)
+    between = USUAL * np.sinh(np.array([0.45, 0.9]) * np.arcsinh(largest / USUAL))
+    ticks = [float(f"{value:.0e}") for value in between]
     axes.set_xscale("asinh", linear_width=USUAL)
-    axes.xaxis.set_major_locator(AsinhLocator(USUAL, numticks=5))
+    axes.xaxis.set_major_locator(FixedLocator([*(-tick for tick in reversed(ticks)), 0.0, *ticks]))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    largest = 1.3 * max(float(np.nanmax(np.abs([*before, *after]))), USUAL)
     axes.set_xlim(-largest, largest)
 
 

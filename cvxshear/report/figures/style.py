@@ -27,7 +27,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator
 
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -56,6 +56,9 @@ LINE = 0.18
 
 MOST_PANELS = 4
 """Largest number of states, floors, stories or tests with their own panel; the tables list all."""
+
+MOST_TICKS = 5
+"""Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings."""
 
 SHAPES_A_ROW = 5
 """Number of panels of mode shapes in one row of a page."""
@@ -135,6 +138,9 @@ def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Fig
         with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is computed once: later drawing under other settings does not move the parts.
+            for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+                if isinstance(locator := axis.get_major_locator(), AutoLocator):
+                    locator.set_params(nbins=MOST_TICKS)
             engine = figure.get_layout_engine()
             if engine is not None:
                 engine.execute(figure)
@@ -232,17 +238,15 @@ def letters(text: str, longest: int = LONGEST_NAME) -> str:
 
 
 def power_of_ten(value: float, _: object = None) -> str:
-    """Write the tick label of a logarithmic axis, such as 10⁻³."""
-    if value == 0 or not np.isfinite(value):
-        return "0"
-    exponent = np.log10(abs(value))
-    if abs(exponent - round(exponent)) > 1e-6:
+    """Write the tick label of a logarithmic axis, such as 10⁻³; empty between the powers."""
+    number = round(np.log10(value))
+    if abs(np.log10(value) - number) > 1e-6:
         return ""
-    sign = "−" if value < 0 else ""
-    number = round(exponent)
-    if 0 <= number <= 3:
-        return f"{sign}{10**number}"
-    return f"{sign}10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    return (
+        f"{10**number}"
+        if 0 <= number <= 3
+        else f"10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    )
 
 
 NARROW = 1.3
@@ -387,7 +391,7 @@ class FigureEntry:
         return self.alternative if isinstance(self.alternative, str) else self.alternative(*results)
 
 
-_TABLE: dict[type, dict[str, FigureEntry]] = {}
+FIGURE_TABLE: dict[type, dict[str, FigureEntry]] = {}
 """Figures by the type of their result, in the order of a report."""
 
 
@@ -434,7 +438,7 @@ def figure(
         words = caption or "".join(part for part in said[1:2] if "---" not in part), alternative or said[0]
         entry = FigureEntry(name, drawn, title, *words, section, applies, needs, narrow)
         for result in results:
-            _TABLE.setdefault(result, {})[name] = entry
+            FIGURE_TABLE.setdefault(result, {})[name] = entry
         return drawn
 
     return entered
@@ -452,7 +456,7 @@ def _documented(draw: Callable[..., Figure], results: tuple[type, ...]) -> str:
 
 def figures_of(result: type) -> dict[str, FigureEntry]:
     """List the figures of a type of result by name, in the order of the report."""
-    return dict(_TABLE.get(result, {}))
+    return dict(FIGURE_TABLE.get(result, {}))
 
 
 def applicable(*results: Any) -> Iterator[FigureEntry]:
