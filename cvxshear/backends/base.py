@@ -84,7 +84,7 @@ class Backend(ABC):
         Returns
         -------
         Solution
-            It satisfies every constraint, and each unknown is within `Solution.errors` of the exact minimizer.
+            It satisfies every constraint, and each unknown is within `Certificate.errors` of the exact minimizer.
 
         Raises
         ------
@@ -133,7 +133,6 @@ class Backend(ABC):
             backend="kkt" if accepted.reason else self.name,
             replaced=f"{self.name}: {accepted.reason}" if accepted.reason else None,
             acceptance=accepted.acceptance,
-            errors=accepted.errors,
             status=answer.status,
             iterations=answer.iterations,
         )

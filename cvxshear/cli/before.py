@@ -55,7 +55,7 @@ def new(
         How many stories the frame has; 3 where not given.
     """
     from cvxshear.io.modes import called
-    from cvxshear.io.to_fill_in import record_template, template, template_from
+    from cvxshear.io.templates import record_template, template, template_from
 
     given = [
         name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None

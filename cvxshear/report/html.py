@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from cvxshear.backends import Comparison
 from cvxshear.fit.identification import compare_backends
-from cvxshear.io.inputs import read_bytes
+from cvxshear.io.formats import read_bytes
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.declaration import Heading
 from cvxshear.records import ModalResult

@@ -10,7 +10,7 @@ from scipy import linalg
 
 import cvxshear
 from cvxshear.io.spreadsheets import write_csv, write_xlsx
-from cvxshear.io.to_fill_in import template, template_from
+from cvxshear.io.templates import template, template_from
 from cvxshear.io.uff import write_uff
 from cvxshear.records import from_arrays
 from cvxshear.report.handover import sheets_of

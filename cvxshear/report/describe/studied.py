@@ -11,7 +11,7 @@ from cvxshear.backends import Comparison, ProgramKind
 from cvxshear.backends.benchmark import BackendResult
 from cvxshear.fit.results import UNITS_OF_FRAME
 from cvxshear.paper import tables as printed
-from cvxshear.paper.reproduce import Reproduction
+from cvxshear.paper.reproduction import Reproduction
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
 from cvxshear.planning.chances import SUFFICES
@@ -121,7 +121,7 @@ def grid(result: Plan) -> list[Sentence]:
         return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
     said = (
         "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
-        f"{_value(result.grid_bound)} at best; what lies between was tried, too."
+        f"{_value(result.grid_bound)} at best."
     )
     return [Sentence(said)]
 
