@@ -3,9 +3,9 @@
 The domain has positivity, declared masses, exact priors, and the limits of the effects. The prior makes the evidence of
 a set of effects proper. Effects have theirs from their classes: Student's t about the null value, or, for an effect
 with many parameters of one common size, normal with this size, which is estimated with the rest (`fit/gaussian.py`).
-The frame has the same prior in every set: the logarithm of each floor mass and story stiffness is normal about a
-typical value. It is so wide that it moves an estimate of a few percent by less than a hundredth of its standard
-deviation.
+The frame has the same prior in every set: the logarithm of each floor mass is normal about a typical value, that of
+each story stiffness about their mean. It is so wide that it moves an estimate of a few percent by less than a hundredth
+of its standard deviation.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ would cost the digits of the others."""
 
 MASS_WIDTH = 1.0
 STIFFNESS_WIDTH = 2.0
-"""Standard deviations of the logarithms of a floor mass and of a story stiffness about a typical value. Floors of one
+"""Standard deviations of the logarithms of floor masses and of story stiffnesses about typical ones. Floors of one
 frame seldom differ by more than a factor e; stories do, if one stands on rails or bearings."""
 
 Rows = tuple[Floats, Floats]
@@ -203,11 +203,16 @@ class EffectPrior:
         return (r[about], np.diag(slope)[about]), [keys[i] for i in about], self._frame(theta, n)
 
     def _frame(self, theta: Floats, n: int) -> Rows:
-        """Compute the logarithms of masses and stiffnesses over their widths."""
+        """Compute the logarithms of masses and stiffnesses over their widths, those of stiffnesses about their mean.
+
+        The level of the stiffness has no prior: a first fit of a shear frame to a frame with a wall is several times
+        too stiff, and a prior about its level would favor every effect that makes the stories appear stiffer.
+        """
         assert self.scale is not None
         typical = np.repeat([self.scale.floor_mass, self.scale.story_stiffness], n)
         width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], n)
         own = theta[: 2 * n]
-        return np.log(own / typical) / width, np.hstack(
-            [np.diag(1.0 / (width * own)), np.zeros((2 * n, len(theta) - 2 * n))]
-        )
+        r, slope = np.log(own / typical) / width, np.diag(1.0 / (width * own))
+        r[n:] -= np.mean(r[n:])
+        slope[n:] -= np.mean(slope[n:], axis=0)
+        return r, np.hstack([slope, np.zeros((2 * n, len(theta) - 2 * n))])

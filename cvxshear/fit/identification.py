@@ -6,7 +6,6 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder, SolvedProgram
-from cvxshear.backends.benchmark import REPEATS
 from cvxshear.fit.domain import domain_of
 from cvxshear.fit.efficient import efficient, parameter_names
 from cvxshear.fit.gauss_newton import step_program
@@ -124,11 +123,7 @@ TIGHTER = 0.95
 
 @usual_arithmetic
 def compare_backends(
-    experiment: Measurement,
-    names: Sequence[str] | None = None,
-    *,
-    repeats: int = REPEATS,
-    tolerance: float | None = None,
+    experiment: Measurement, names: Sequence[str] | None = None, *, repeats: int = 3, tolerance: float | None = None
 ) -> Comparison:
     """Solve the same programs of an experiment with every backend.
 

@@ -9,18 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data import Frequencies, Shapes
-from cvxshear.data.pairing import numbered
-from cvxshear.effects import compose
 from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
 from cvxshear.fit.gaussian import separation
-from cvxshear.fit.misfit import Misfit
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
-from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.model.shear import modes
+from cvxshear.measurement.experiment import Configuration
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.results import InJson
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Floats, Ints
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
 """Candidate added masses, as fractions of the mean floor mass."""
@@ -177,44 +174,20 @@ def _with_sensors(accepted: Estimate, rivals: Sequence[Estimate], test: NextTest
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """Difference of two models' predictions of a test with sensors at every floor.
+    """Two fits in a test that was not made.
 
     Parameters
     ----------
-    difference : ndarray, shape (m + m N,)
-        Differences in standard deviations of the noise: frequencies, then the entries of each shape.
-    uncertain : ndarray, shape (m + m N, q)
-        Uncertainty of the fits, one standard deviation per column.
-    shapes : ndarray, shape (m, N)
-        Shapes in standard deviations of the entries.
-    seen : ndarray of bool, shape (m, N)
-        Entries that a sensor at their floor would show.
-    free_scale : bool
-        Whether the scales of the shapes are free.
+    expected : ExpectedTest
+        Its first column is the difference of the predictions, the others the uncertainty of the fits.
     """
 
-    difference: Floats
-    uncertain: Floats
-    shapes: Floats
-    seen: Bools
-    free_scale: bool
+    expected: ExpectedTest
 
     def at(self, floors: Ints) -> float:
-        """Count the standard deviations between the models with sensors at these floors, zero-based."""
-        m, n = self.shapes.shape
-        measured = np.zeros((m, n), dtype=bool)
-        measured[:, floors] = self.seen[:, floors]
-        rows = np.concatenate([np.arange(m), m + np.flatnonzero(measured)])
-        both = np.column_stack([self.difference, self.uncertain])[rows]
-        if self.free_scale:
-            for mode in range(m):
-                # The component along a shape is its scale.
-                own = slice(m + int(measured[:mode].sum()), m + int(measured[: mode + 1].sum()))
-                along = self.shapes[mode, measured[mode]]
-                length = float(along @ along)
-                if length > 0:
-                    both[own] -= np.outer(along, along @ both[own]) / length
-        return float(np.sqrt(separation(both[:, :1], both[:, 1:])[0, 0]))
+        """Count the standard deviations between the fits with sensors at these floors, zero-based."""
+        rows = self.expected.at(floors)
+        return float(np.sqrt(separation(rows[:, :1], rows[:, 1:])[0, 0]))
 
 
 def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
@@ -234,21 +207,14 @@ def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first
     NoModesError
         If a model buckles under these masses.
     """
-    alone = _by_itself(accepted, test)
-    mine = Misfit(alone, accepted.effects).evaluate(accepted.theta)
-    other = Misfit(alone, rival.effects).evaluate(rival.theta)
-    m, n = test.mode_shapes.shape
-    rows = slice(0, m + m * n)
-    seen = np.ones((m, n), dtype=bool)
-    # An entry that was not measured at an instrumented floor will not be measured there again.
-    seen[:, first.measured_floors - 1] = first.measured
-    return Disagreement(
-        other.r[rows] - mine.r[rows],
-        np.hstack([_carried(mine.J[rows], accepted), _carried(other.J[rows], rival)]),
-        test.entry_weights * test.mode_shapes,
-        seen if first.measured.any() else np.zeros((m, n), dtype=bool),
-        not first.mass_normalized,
+    mine, other = (
+        data_rows(test, tested_model(each.experiment, test, each.effects, each.theta)) for each in (accepted, rival)
     )
+    # An entry that was not measured at an instrumented floor will not be measured there again.
+    seen = np.full(test.mode_shapes.shape, bool(first.measured.any()))
+    seen[:, first.measured_floors - 1] = first.measured
+    columns = [(other.r - mine.r)[:, None], _carried(mine.J, accepted), _carried(other.J, rival)]
+    return Disagreement(ExpectedTest(test, np.hstack(columns), seen, not first.mass_normalized))
 
 
 def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Configuration:
@@ -269,26 +235,15 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     """
     noise = accepted.misfit.noise
     blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
-    state = compose(accepted.experiment, blank, accepted.effects, accepted.theta, derivatives=False)
-    found = modes(state.system.M, state.system.K)
-    which = numbered(first, found, state.system.M)
-    shapes = state.observation.shown(found.shapes[which])
+    model = tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
+    frequencies, shapes = predicted_modes(blank, model)
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )
     frequency = 1.0 if first.frequency_std is not None else noise.of(Frequencies.noise.name)
     shape = 1.0 if first.mode_shape_std is not None else noise.of(Shapes.noise.name)
-    return dataclasses.replace(
-        blank,
-        frequencies=found.frequencies[which],
-        measured_floors=np.arange(1, shapes.shape[1] + 1),
-        mode_shapes=shapes,
-        frequency_std=frequency * first.log_frequency_std,
-        mode_shape_std=shape * _everywhere(measured, shapes),
-        mode_shape_noise="additive",
-        # `Disagreement.at` frees the scale over the measured floors.
-        mass_normalized=True,
-    )
+    stds = frequency * first.log_frequency_std, shape * _everywhere(measured, shapes)
+    return expected_configuration(blank, frequencies, shapes, *stds)
 
 
 def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
@@ -309,13 +264,3 @@ def _carried(J: Floats, estimate: Estimate) -> Floats:
     values, axes = np.linalg.eigh(estimate.uncertainty.covariance())
     result: Floats = J @ (axes * np.sqrt(np.maximum(values, 0.0)))
     return result
-
-
-def _by_itself(accepted: Estimate, test: Configuration) -> Experiment:
-    """Return the test as its own experiment, of a frame with the declared total mass, or else the total of the fit."""
-    declared = accepted.experiment.frame
-    total = declared.total_mass or float(accepted.theta[: accepted.experiment.stories].sum())
-    frame = dataclasses.replace(
-        declared, reference=None, total_mass=None if declared.floor_masses is not None else total
-    )
-    return Experiment(frame, (test,))

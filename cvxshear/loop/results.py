@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -21,12 +21,8 @@ from cvxshear.loop.posterior import Rival
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
-from cvxshear.util.results import InJson, Shown, data_frame
+from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Json
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 CONSPICUOUS = 0.01
 """Largest probability of a part of the residual that is reported, corrected for the number of parts."""
@@ -248,24 +244,6 @@ class LoopResult(Shown):
     def noise(self) -> NoiseEstimate:
         """Estimated noise."""
         return self.estimate.noise
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the masses and stiffnesses of the verdict's set, and the averaged ones, as a table of pandas.
-
-        Returns
-        -------
-        DataFrame
-            One row for each floor: floor, floor_mass_kg, floor_mass_std_kg, story_stiffness_N_per_m (of the story
-            below that floor), story_stiffness_std_N_per_m, and the same four with `averaged_` before their names.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        columns: dict[str, Sequence[object]] = {"floor": range(1, self.experiment.stories + 1), **self.frame.columns}
-        columns |= {f"averaged_{key}": values for key, values in self.averaged.columns.items()}
-        return data_frame(columns)
 
     @property
     def provisional(self) -> bool:

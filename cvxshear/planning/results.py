@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cvxshear.fit.results import UNITS_OF_FRAME
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import MeasuredFrequency
-from cvxshear.planning.tested_model import AveragedModel, Expected, TestModel
-from cvxshear.util.quantities import column_name, listed
-from cvxshear.util.results import InJson, Shown, data_frame
+from cvxshear.planning.tested_model import AveragedModel, TestModel
+from cvxshear.util.quantities import listed
+from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ARBITRARY = 0.01
 """Largest relative difference of best and worst choice that counts as equal; the noise is not known to one percent."""
@@ -190,13 +185,12 @@ class Plan(Shown):
     @property
     def expected_modes(self) -> tuple[ExpectedMode, ...]:
         """Modes of the first test, and their expected standard deviations."""
-        which, noise = self.model.which, self.model.noise
-        first = self.model.expected(self.tests[0])
-        frequencies = first.found.frequencies[which]
-        damping_std = noise.damping_std(frequencies)
-        stds = first.frequency_std.tolist(), first.shape_std[:, 0].tolist()
-        of_damping = [None] * len(which) if damping_std is None else damping_std.tolist()
-        columns = zip((which + 1).tolist(), frequencies.tolist(), *stds, of_damping, strict=True)
+        test = self.model.expected(self.tests[0]).test
+        damping_std = self.model.noise.damping_std(test.frequencies)
+        of_damping = [None] * len(test.modes) if damping_std is None else damping_std.tolist()
+        assert test.mode_shape_std is not None, "an expected test declares its noise"
+        stds = test.log_frequency_std.tolist(), test.mode_shape_std[:, 0].tolist()
+        columns = zip(test.modes.tolist(), test.frequencies.tolist(), *stds, of_damping, strict=True)
         return tuple(ExpectedMode(*each) for each in columns)
 
     @property
@@ -226,31 +220,6 @@ class Plan(Shown):
     def frame(self) -> dict[str, object]:
         """Frame of the plan."""
         return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness", "effects", "state")}
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the tests and their expected accuracy as a table of pandas.
-
-        Returns
-        -------
-        DataFrame
-            One row for each floor: floor, sensor (whether it carries one), floor_mass_kg and story_stiffness_N_per_m
-            (of the story below that floor) of the design, their expected standard deviations floor_mass_std_kg and
-            story_stiffness_std_N_per_m, and `added_mass_kg: NAME` for each test.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        design = self.model.design
-        floors = range(1, design.stories + 1)
-        columns: dict[str, Sequence[object]] = {"floor": floors, "sensor": [floor in self.sensors for floor in floors]}
-        for name, std in self.chosen.std.items():
-            unit = UNITS_OF_FRAME[name]
-            columns[column_name(name, unit)] = getattr(design, name).tolist()
-            columns[column_name(f"{name}_std", unit)] = std.tolist()
-        masses = zip(self.names, self.tests, strict=True)
-        return data_frame(columns | {f"added_mass_kg: {name}": mass.tolist() for name, mass in masses})
 
 
 def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
@@ -289,7 +258,7 @@ def predicted(plan: Plan) -> Experiment:
     """
     floors = plan.chosen.floors - 1
     tests = tuple(
-        _configuration(plan, name, masses, plan.model.expected(masses), floors)
+        _at_sensors(plan.model.expected(masses).test, name, floors)
         for name, masses in zip(plan.names, plan.tests, strict=True)
     )
     design = plan.model.design
@@ -297,19 +266,19 @@ def predicted(plan: Plan) -> Experiment:
     return Experiment(design.frame, (*before, *tests), design.priors, design.name)
 
 
-def _configuration(plan: Plan, name: str, masses: Floats, test: Expected, floors: Ints) -> Configuration:
-    which, shapes = plan.model.which, test.shapes[:, floors]
-    return Configuration(
-        frequencies=test.found.frequencies[which],
-        mode_shapes=shapes,
+def _at_sensors(test: Configuration, name: str, floors: Ints) -> Configuration:
+    """Return a planned test as it would be declared with sensors at these floors, each shape's largest entry 1."""
+    entries = test.mode_shapes / np.max(np.abs(test.mode_shapes), axis=1, keepdims=True)
+    shapes, std = entries[:, floors], test.mode_shape_std
+    assert std is not None, "an expected test declares its noise"
+    return dataclasses.replace(
+        test,
         name=name,
-        state=plan.model.design.state or "",
-        added_mass=masses,
+        mode_shapes=shapes,
         measured_floors=floors + 1,
-        modes=which + 1,
-        frequency_std=test.frequency_std,
+        mass_normalized=False,
         # A file declares the deviation relative to a mode's largest measured entry.
-        mode_shape_std=test.shape_std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
+        mode_shape_std=std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
     )
 
 

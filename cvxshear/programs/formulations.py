@@ -225,9 +225,7 @@ class CompleteTest:
             program = softened(plain, self.experiment.priors, "floor_mass", at, self.mass_row_std, step=False)
         return constrained(program, self.of_masses, start).replace(title=self._title("one-shot masses"))
 
-    def story_stiffnesses(
-        self, mass: Floats, at: Floats | None = None, origin: Floats | None = None
-    ) -> LeastSquares:
+    def story_stiffnesses(self, mass: Floats, at: Floats | None = None, origin: Floats | None = None) -> LeastSquares:
         """Write Eq. 24 with all that is known, at floor masses with added mass or at a full mass matrix.
 
         Parameters

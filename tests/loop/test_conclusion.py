@@ -27,7 +27,7 @@ def measured(*added, seed=1, undeclared=(), frame=None, **keys):
 
 @pytest.fixture(scope="module")
 def wrong_sensor():
-    """Return the result for a sensor at floor 2 that reads a fifth too much, and for the effects that were looked for."""
+    """Return the result for a sensor at floor 2 that reads a fifth too much."""
     file = measured(0.0, 2.0)
     for test in file["configuration"]:
         test["mode_shapes"] = (np.array(test["mode_shapes"]) * [1.0, 1.2, 1.0]).tolist()
@@ -96,7 +96,7 @@ def test_the_next_test_is_of_a_state_that_still_stands(reference):
     frame = {"total_mass": 24.0} | ({"reference": "before"} if reference else {})
     file = measured(0.0, 0.0, frame=frame, measured_floors=[1, 3])
     for test, state in zip(file["configuration"], ("before", "after"), strict=True):
-        test |= {"state": state} if reference else {}
+        test.update({"state": state} if reference else {})
     file["configuration"][1]["frequencies"][0] *= 0.98
     result = close_loop(file)
     assert result.verdict == "ambiguous"

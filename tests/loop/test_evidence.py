@@ -111,7 +111,8 @@ def sampled(of, estimate, effect, seed, *, undeclared=False):
         mass, stiffness = np.where(good[:, None], mass, 10.0), np.where(good[:, None], stiffness, 22e3)
         logs = np.log(mass / 10.0), np.log(stiffness / 22e3)
         value = prior - sum(each.sum(axis=1) for each in logs)
-        value -= 0.5 * np.sum((logs[0] / MASS_WIDTH) ** 2 + (logs[1] / STIFFNESS_WIDTH) ** 2, axis=1)
+        about_mean = logs[1] - logs[1].mean(axis=1, keepdims=True)
+        value -= 0.5 * np.sum((logs[0] / MASS_WIDTH) ** 2 + (about_mean / STIFFNESS_WIDTH) ** 2, axis=1)
         chi2 = chi2s(of, mass, stiffness, effect, np.where(good, x, 0.0))
         if undeclared:
             u = z[:, -2:]

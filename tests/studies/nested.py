@@ -218,7 +218,8 @@ class Integrand:
             return -1e300
         logs = np.log(mass / FLOOR_MASS), np.log(stiffness / STORY_STIFFNESS)
         result = np.sum(np.log(2 * self.half)) - sum(each.sum() for each in logs)
-        result -= 0.5 * (np.sum((logs[0] / MASS_WIDTH) ** 2) + np.sum((logs[1] / STIFFNESS_WIDTH) ** 2))
+        about_mean = logs[1] - np.mean(logs[1])
+        result -= 0.5 * (np.sum((logs[0] / MASS_WIDTH) ** 2) + np.sum((about_mean / STIFFNESS_WIDTH) ** 2))
         u = z[-2:] if problem.undeclared else np.zeros(2)
         for number, each in enumerate(self.of.configurations, 1):
             found = modes(*matrices(problem, number, mass, stiffness, each.added_mass, x))

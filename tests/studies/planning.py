@@ -24,6 +24,7 @@ from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.planner import GOALS
 from cvxshear.planning.tested_model import AveragedModel, TestModel
 from cvxshear.priors import Value
+from cvxshear.util.odds import weigh
 from cvxshear.util.quantities import SURE
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
@@ -103,7 +104,7 @@ def beside_others(frames=100, seed=16, tallest=20):
         problem, shapes = floors_of(random_frame(rng, stories), number)
         theirs = choices_of_others(shapes, number)
         for name, by in CRITERIA.items():
-            own = choose(problem, number, by, enumerate_up_to=0, widths=())
+            own = choose(problem, number, by, enumerate_up_to=0)
             ratios[name].append(values_of(problem, theirs, by) / own.value)
     return {name: np.array(rows) for name, rows in ratios.items()}
 
@@ -119,7 +120,7 @@ def _others():
 
 
 def gaps(frames=60, seed=16, shortest=3, tallest=40):
-    """Yield the gaps on random frames: criterion, noise, gap of the program alone, gap with all bounds, seconds."""
+    """Yield the gaps on random frames: criterion, noise of the shapes, gap, seconds."""
     rng = np.random.default_rng(seed)
     for _ in range(frames):
         stories = int(rng.integers(shortest, tallest + 1))
@@ -132,7 +133,7 @@ def gaps(frames=60, seed=16, shortest=3, tallest=40):
             begun = time.process_time()
             found = choose(problem, number, by)
             seconds = time.process_time() - begun
-            yield name, noise, choose(problem, number, by, widths=()).gap, found.gap, seconds
+            yield name, noise, found.gap, seconds
 
 
 def _gap():
@@ -141,11 +142,10 @@ def _gap():
     for name in CRITERIA:
         for low, high in ((0.0, 0.008), (0.008, 1.0)):
             some = [row[1:] for row in rows if row[0] == name and low < row[1] <= high]
-            noise, before, after, seconds = np.array(some).T
+            noise, gap, seconds = np.array(some).T
             print(
-                f"  {name:5} shapes to {100 * noise.min():g} to {100 * noise.max():g} %, {len(noise)} frames: program "
-                f"alone {np.sum(before > 0.05)} above 5 %, largest {100 * before.max():.1f} %; with windows "
-                f"{np.sum(after > 0.05)} above 5 %, largest {100 * after.max():.1f} %; "
+                f"  {name:5} shapes to {100 * noise.min():g} to {100 * noise.max():g} %, {len(noise)} frames: "
+                f"{np.sum(gap > 0.05)} gaps above 5 %, largest {100 * gap.max():.1f} %; "
                 f"{seconds.max():.1f} s of the processor at most"
             )
 
@@ -225,8 +225,7 @@ def right_verdicts(planned, samples, seed):
                 y = information * (found.theta[-1] - target.null) / target.size
                 gain = log_evidence_of_one(information, np.array(y), target.mean, target.std, target.side)
                 evidence.append(float(gain) - found.chi2 / 2 - y**2 / (2 * information))
-            likely = np.exp(np.array(evidence) - max(evidence))
-            right += bool(likely[place + 1] >= SURE * likely.sum())
+            right += bool(weigh(evidence)[place + 1] >= SURE)
         result[truth.placed.label] = right / samples
     return result
 

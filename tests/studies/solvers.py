@@ -1,18 +1,15 @@
-"""Time every backend on programs of growing frames, and cvxpy with and without reuse; processor time."""
+"""Time every backend on programs of growing frames, with and without a start; processor time."""
 
 import time
 from functools import partial
 
-import cvxpy as cp
 import numpy as np
 
 from cvxshear import CvxshearError, backends
-from cvxshear.backends.canonical import canonical
-from cvxshear.backends.cvxpy_backend import Cvxpy
 from cvxshear.programs.pair_rows import mass_rows, normalized, stiffness_rows
 from tests.studies.scaling import exact_experiment
 from tests.studies.timing import fastest as fastest_by_clock
-from tests.studies.timing import shown, table
+from tests.studies.timing import table
 
 fastest = partial(fastest_by_clock, clock=time.process_time)
 
@@ -30,16 +27,6 @@ def main():
         best = [min((one for one in column if one != "kkt"), key=column.get) for column in columns]
         rows.append([kind, "**fastest but the closed form**", *best])
     table("A backend's time over the closed form's", ["program", "backend", *(f"{n} stories" for n in SIZES)], rows)
-    table(
-        "cvxpy with Clarabel, bounded programs: the scaled program compiled anew, and solved again with new numbers",
-        ["program", "stories", "compiled anew", "solved again", "ratio"],
-        [_again(kind, stories) for kind in BOUNDED for stories in SIZES],
-    )
-    table(
-        "The same with scaling and certificate, against the program as a user would state it, built anew",
-        ["program", "stories", "built anew", "solved again", "ratio"],
-        [_users(kind, stories) for kind in BOUNDED for stories in SIZES],
-    )
     table(
         f"Starts: the paper's iteration under a bound, {STORIES_OF_STARTS} stories",
         ["backend", "iterations without", "with", "time without over with"],
@@ -80,23 +67,6 @@ def _relative(times, name):
     return f"{times[name] / times['kkt']:.1f}" if np.isfinite(times[name]) else "not solved"
 
 
-def _again(kind, stories):
-    scaled = canonical(program(kind, stories))
-    within = scaled.keeping(scaled.violated(scaled.nearest()[0]))
-    backend = Cvxpy("CLARABEL")
-    anew, _ = fastest(lambda: Cvxpy("CLARABEL").answer(within), 10)
-    again, _ = fastest(lambda: backend.answer(within), 30)
-    return kind, stories, shown(anew), shown(again), f"{anew / again:.1f}"
-
-
-def _users(kind, stories):
-    of = program(kind, stories)
-    backend = Cvxpy("CLARABEL")
-    anew, _ = fastest(lambda: built_anew(of), 10)
-    again, _ = fastest(lambda: backend.solve(of), 30)
-    return kind, stories, shown(anew), shown(again), f"{anew / again:.1f}"
-
-
 def _started(name):
     backend = backends.get(name)
     cold, without = fastest(lambda: _iterated(backend, started=False), 3)
@@ -118,14 +88,3 @@ def _iterated(backend, *, started):
         now = now + solution.x
         iterations = None if iterations is None or solution.iterations is None else iterations + solution.iterations
     return iterations
-
-
-def built_anew(of):
-    """Solve a user's program: the plain rows, built and compiled for every solve."""
-    x = cp.Variable(of.unknowns)
-    stated = [] if of.A is None else [of.A @ x == of.b]
-    if of.upper is not None:
-        places = np.flatnonzero(np.isfinite(of.upper))
-        stated += [x[places] <= of.upper[places], x >= of.lower]
-    cp.Problem(cp.Minimize(cp.sum_squares(of.R @ x - of.s)), stated).solve(solver="CLARABEL")
-    return x.value
