@@ -65,7 +65,7 @@ def log_odds(probability: float) -> float:
 
 
 def hypotheses(
-    experiment: Experiment, effects: Sequence[Effect], there: Sequence[LocatedEffect] = ()
+    experiment: Experiment, effects: Sequence[Effect], assumed: Sequence[LocatedEffect] = ()
 ) -> list[Hypothesis]:
     """List all hypotheses.
 
@@ -80,7 +80,7 @@ def hypotheses(
     experiment : Experiment
         Experiment with its priors of effects.
     effects : sequence of Effect
-    there : sequence of LocatedEffect, optional
+    assumed : sequence of LocatedEffect, optional
         Effects that the model holds already.
 
     Raises
@@ -91,7 +91,7 @@ def hypotheses(
     known = {OPEN, *(effect.name for effect in (*catalogue(), *open_classes(), *effects))}
     for each in experiment.expected:
         checks.choice(each.name, sorted(known), "effect: name")
-    taken = {(placed.effect.name, placed.place) for placed in there}
+    taken = {(placed.effect.name, placed.place) for placed in assumed}
     return [
         item
         for effect in (each.bound(experiment) for each in effects)
@@ -189,7 +189,7 @@ def able_to_take_part(wanted: Sequence[Effect], experiment: Experiment) -> tuple
     return tuple(sound), tuple(messages)
 
 
-def assumed(experiment: Experiment, assume: Sequence[str | LocatedEffect]) -> tuple[LocatedEffect, ...]:
+def assumed_effects(experiment: Experiment, assume: Sequence[str | LocatedEffect]) -> tuple[LocatedEffect, ...]:
     """List the effects that are declared from the start; an effect given by name alone must have only one place.
 
     Raises

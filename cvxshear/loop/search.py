@@ -46,6 +46,9 @@ A_PILE = 3
 MOST_FURTHER = 10
 """Largest number of further effects, each fitted alone, when a set is expanded."""
 
+RESCALING = 3
+"""Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded."""
+
 MOST_STARTS = 12
 """Largest number of fits from given starting points, the best after one step."""
 
@@ -432,6 +435,10 @@ def promising(
     assert model.estimate is not None
     far_off = model.estimate.fit.at.objective > HOPELESS * len(model.estimate.fit.at.r)
     single = [linear.candidates[i] for i in order if far_off or gains[i] > floor]
+    if model.improbable:
+        # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.
+        by_gain = [linear.candidates[i] for i in ranking.order(linear.gains)]
+        single += [placed for placed in by_gain if placed.effect.rescales and placed not in barred][:RESCALING]
     several = model.effects.union(linear.forward(odds))
     return [*(model.effects | {placed} for placed in single), several]
 

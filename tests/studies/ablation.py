@@ -36,6 +36,7 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "at most 300 sets": ("loop.search", {"MOST_SETS": 100}),
     "at most twelve starts of motions and frames": ("loop.search", {"MOST_STARTS": 4}),
     "at most ten further effects": ("loop.search", {"MOST_FURTHER": 5}),
+    "effects on accuracy": ("loop.search", {"RESCALING": 0}),
     "at most twelve effects in one sequence": ("loop.linear", {"MOST_TAKEN": 3}),
     "first predictions with a wide prior": ("loop.linear", {"WIDE": 1.0}),
     "numberings are probed": ("loop.searches", {"PROBED": 1}),
