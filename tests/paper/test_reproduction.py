@@ -61,7 +61,7 @@ def test_the_documentation_has_the_tables_that_the_command_prints(reproduction):
         if section.title.startswith(("Table 3", "Fig. 6")):
             continue
         table = printed_beside_recomputed(section)
-        lines = [f"| {' | '.join(cells)} |" for cells in (table.head, *(row.cells for row in table.rows))]
+        lines = [f"| {' | '.join(cells)} |" for cells in (table.head, *(row for row in table.rows))]
         for line in (f"## {section.title}", *lines, *section.notes):
             assert line in documented
     assert reproduction.summary in documented
