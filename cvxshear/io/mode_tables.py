@@ -25,7 +25,7 @@ from cvxshear.util.errors import InputError
 
 TOO_LARGE_TABLE = "too many for a table of modes; is it a record?"
 ABSOLUTE = "frequency_std, Hz"
-"""Deviations of frequencies that a table gives in Hz; a configuration has them relative to the frequencies."""
+"""Key of deviations in Hz; those of a configuration are relative to the frequencies."""
 COLUMNS = {
     "mode": "modes", "frequency": "frequencies", "frequency hz": "frequencies", "f": "frequencies",
     "f hz": "frequencies", "frequency std": "frequency_std", "frequency std hz": ABSOLUTE, "damping": "damping_ratios",
@@ -54,7 +54,7 @@ def read_mode_csv(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Naming the file, the line and the column.
+        The message names the file, the line and the column.
     """
     rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST_FILE, TOO_LARGE_TABLE)]
     return _modes_of(rows, str(path))
@@ -75,7 +75,7 @@ def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Naming the file, the row and the column; where openpyxl (the extra `xlsx`) is not installed.
+        The message names the file, the row and the column. Also if openpyxl (the extra `xlsx`) is not installed.
     """
     rows: Rows = list(read_xlsx_rows(path, LARGEST_FILE, TOO_LARGE_TABLE))
     return _modes_of(rows, str(path))
@@ -114,10 +114,10 @@ def _modes_of(rows: Rows, source: str) -> dict[str, Any]:
 def _columns(
     header: Sequence[str], source: str
 ) -> tuple[dict[str, int], dict[int, int], dict[int, int], dict[str, bool]]:
-    """Places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor.
+    """Find the places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor.
 
-    Last, whether the entries and their deviations have the unit 1/sqrt(kg); deviations without a unit are
-    relative to the mode's largest entry.
+    The last result says whether the entries and their deviations have the unit 1/sqrt(kg). Deviations without a unit
+    are relative to the mode's largest entry.
     """
     keys: dict[str, int] = {}
     entries: dict[int, int] = {}
