@@ -11,9 +11,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
 FEWEST_ROWS = 32
-LIMIT = 100_000_000
-"""Default limit on the size of a record's file and of the numbers in it, bytes."""
-TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
+"""Fewest samples of a record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +49,7 @@ class Columns:
             seen.add(name)
 
     def at(self, row: int) -> str:
-        """Name the place of a row as a person would."""
+        """Name the place of a row for a message: its line or its sample."""
         if self.lines is None:
             return f"{self.source}, sample {row + 1}"
         return f"{self.source}, line {int(self.lines[row])}"
@@ -68,7 +66,7 @@ class Columns:
             raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
 
     def column(self, name: str, asked: str) -> Floats:
-        """Return the values of a column, once they are known to be finite, shape (rows,).
+        """Return the values of a column after a check that they are finite, shape (rows,).
 
         Parameters
         ----------

@@ -11,25 +11,23 @@ import io
 import math
 import re
 import zlib
-from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
-from cvxshear.io.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.io.inputs import MEGABYTE, read_bytes
+from cvxshear.io.columns import Columns
+from cvxshear.io.formats import LIMIT, MEGABYTE, TOO_LARGE, read_bytes
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 
 SEPARATORS = (";", "\t", ",", None)
 """Separators of cells, in the order of the search; None means blanks."""
 
-MOST_COLUMNS = 10_000
 LONGEST_HEAD = 400
 """Lines within which the header and the first line of numbers must stand."""
 
@@ -43,10 +41,9 @@ STAMP = re.compile(
     rf"(?:(?P<date>{DATE.pattern})[T ] *)?(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,:]\d+)?))?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d\d:?\d\d)?"
 )
-"""A time of the day, of 24 hours or of twice 12, with or without a date before it."""
+"""A time of day with 24 hours or with AM and PM, with or without a date before it."""
 
 ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
-EPOCH = datetime(1970, 1, 1)
 DAY = 86_400.0
 """Seconds of a day."""
 
@@ -55,7 +52,7 @@ Line = tuple[int, str]
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text's cells are separated, and what stands before its numbers.
+    """Separator of the cells of a text, and its lines before the numbers.
 
     Parameters
     ----------
@@ -85,23 +82,23 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     path : str or Path
         UTF-8, UTF-16 with its mark, or Latin-1; may be compressed by gzip.
     limit : float, optional
-        Bytes that the file, inflated, and the numbers in it, may have.
+        Bytes that the file, inflated, may have.
 
     Returns
     -------
     Columns
-        With nan where a cell is empty or says nan, for the caller to judge: not every column is used.
+        Empty cells are nan. The caller checks the columns that it uses.
 
     Raises
     ------
     InputError
-        Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
+        If the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
         Messages quote the file only if it is a table of numbers.
     """
-    return columns_of(_text(Path(path), limit), str(path), limit)
+    return columns_of(_text(Path(path), limit), str(path))
 
 
-def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
+def columns_of(text: Iterable[str], where: str) -> Columns:
     """Read the columns of a text, line by line, as `read_csv` does.
 
     Parameters
@@ -109,25 +106,23 @@ def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
     text : iterable of str
     where : str
         The file, for messages.
-    limit : float
-        Bytes that the numbers may have.
     """
     lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
     head = list(islice(lines, LONGEST_HEAD))
     layout = layout_of(head, where)
     after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))
-    return _columns((each for each in after if not _comment(each[1])), layout, where, limit)
+    return _columns((each for each in after if not _comment(each[1])), layout, where)
 
 
 def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
-    """Split off what stands before the line of names, comments among it; as for `read_csv`."""
+    """Return the lines before the line of names, with comments; parameters as for `read_csv`."""
     head = [(number, line) for number, line in enumerate(islice(_text(Path(path), limit), LONGEST_HEAD), 1)]
     layout = layout_of([each for each in head if each[1].strip()], str(path))
     return "".join(line for number, line in head if number < layout.line)
 
 
 def layout_of(head: Sequence[Line], where: str) -> Layout:
-    """How a text is laid out, from its first lines.
+    """Find the layout of a text from its first lines.
 
     Parameters
     ----------
@@ -147,9 +142,7 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
         for separator in sorted((each for each in SEPARATORS if counts[each]), key=lambda each: -counts[each]):
             found = _header(head[:place], separator, counts[separator])
             if found is not None:
-                names, stands, units = found
-                _refuse_many(names, where, stands)
-                return Layout(separator, names, stands, units, number)
+                return Layout(separator, *found, number)
     return _first_line(plain[0], where)
 
 
@@ -164,14 +157,13 @@ def _first_line(line: Line, where: str) -> Layout:
     names = tuple(cell.strip() for cell in _cells(text, separator, f"{where}, line {number}"))
     if all(_is_number(name) for name in names):
         raise InputError(f"{where}, line {number}: the first line must name the columns, it holds numbers")
-    _refuse_many(names, where, number)
     return Layout(separator, names, number)
 
 
 def _header(
     before: Sequence[Line], separator: str | None, count: int
 ) -> tuple[tuple[str, ...], int, tuple[str, ...]] | None:
-    """Names, their line, and units, from the lines right before the first numbers; None where none fits."""
+    """Find names, their line, and units in the lines right before the first numbers; None if no line fits."""
     fitting: list[tuple[int, tuple[str, ...]]] = []
     for number, line in reversed(before[-3:]):
         # A tab at the start of a line of units means that the time column has no unit.
@@ -191,17 +183,17 @@ def _header(
 
 
 def _numbers_in(line: str, separator: str | None) -> int:
-    """How many cells a line has where each is a number, a stamp or empty, and one at least is a number; else 0."""
+    """Count the cells of a line of numbers, stamps and empty cells with at least one number; 0 for another line."""
     cells = _split(line if separator == "," else line.replace(",", "."), separator)
     if not cells or not all(_is_datum(cell.strip()) for cell in cells):
         return 0
     return len(cells) if any(_is_number(cell) for cell in cells) else 0
 
 
-def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) -> Columns:
-    numbers = array("q")
-    values = array("d")
+def _columns(lines: Iterable[Line], layout: Layout, where: str) -> Columns:
     names = layout.names
+    numbers: list[int] = []
+    rows: list[list[float]] = []
     stamps: list[int] = []
     dates: set[int] = set()
     for number, text in lines:
@@ -216,25 +208,19 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) ->
             stamps = [place for place, cell in enumerate(cells) if STAMP.fullmatch(cell.strip())]
             # The time of the day beside it tells all that a record needs, midnight included.
             dates = {place for place, cell in enumerate(cells) if DATE.fullmatch(cell.strip()) and not _is_number(cell)}
-        values.extend(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
+        rows.append(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
         numbers.append(number)
-        if len(values) * values.itemsize > limit:
-            raise InputError(f"{where} holds more than {limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
     if not numbers:
         raise InputError(f"{where} has a header and no samples")
-    table = np.frombuffer(values, dtype=np.float64).reshape(len(numbers), len(names))
-    if stamps:
-        table = table.copy()
-        # Round to microseconds: a double has no more digits for seconds since 1970.
-        table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
-        # A clock without a date begins anew at midnight.
-        table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
-    units = layout.units or ("",) * len(names)
+    table = np.array(rows)
+    # Round to microseconds: a double has no more digits for seconds since 1970.
+    table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
+    # A clock without a date begins anew at midnight.
+    table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
     # The empty cell after the last separator of every line is not a column.
     kept = [p for p, name in enumerate(names) if p not in dates and (name or not np.isnan(table[:, p]).all())]
-    if len(kept) < len(names):
-        table, names, units = table[:, kept], *(tuple(each[place] for place in kept) for each in (names, units))
-    return Columns(where, names, table, np.frombuffer(numbers, dtype=np.int64), units if layout.units else ())
+    units = tuple(layout.units[p] for p in kept) if layout.units else ()
+    return Columns(where, tuple(names[p] for p in kept), table[:, kept], np.array(numbers), units)
 
 
 def _row(cells: list[str], line: str, names: tuple[str, ...], where: str, *, table: bool) -> list[float]:
@@ -262,7 +248,7 @@ def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
 
 
 def _seconds(stamp: re.Match[str], where: str) -> float:
-    """Read a stamp in s, since midnight or, where its date is an ISO date, since the start of 1970.
+    """Read a stamp in s, since midnight or, with an ISO date, since the start of 1970.
 
     In other dates the day or the month may come first. The date is not needed: the clock shows midnight.
     """
@@ -272,12 +258,12 @@ def _seconds(stamp: re.Match[str], where: str) -> float:
         hour = hour % 12 + (12 if half == "p" else 0)
     date = stamp["date"] or ""
     try:
-        days = (datetime.fromisoformat(date) - EPOCH).days if ISO_DATE.fullmatch(date) else 0
+        day = datetime.fromisoformat(date).replace(tzinfo=UTC).timestamp() if ISO_DATE.fullmatch(date) else 0.0
         if hour > 23 or minute > 59 or second >= 61:
             raise ValueError(stamp[0])
     except ValueError:
         raise InputError(f"{where} holds {shown(stamp[0])}, which is no date or time") from None
-    return DAY * days + 3600.0 * hour + 60.0 * minute + second
+    return day + 3600.0 * hour + 60.0 * minute + second
 
 
 def _cells(line: str, separator: str | None, where: str) -> list[str]:
@@ -288,7 +274,7 @@ def _cells(line: str, separator: str | None, where: str) -> list[str]:
 
 
 def _split(line: str, separator: str | None) -> list[str] | None:
-    """Split a line into its cells; None where its quotation marks do not close."""
+    """Split a line into its cells; None if its quotation marks do not close."""
     if separator is None:
         return line.split()
     if '"' not in line:
@@ -354,11 +340,6 @@ def _inflated(content: bytes, path: Path, limit: float, remedy: str) -> bytes:
 
 def _comment(line: str) -> bool:
     return line.lstrip()[0] == "#"
-
-
-def _refuse_many(names: Sequence[str], where: str, line: int) -> None:
-    if len(names) > MOST_COLUMNS:
-        raise InputError(f"{where}, line {line} names {len(names)} columns; {MOST_COLUMNS} are the most that are read")
 
 
 def _is_datum(cell: str) -> bool:

@@ -1,28 +1,109 @@
-"""The table of formats: the endings of each kind of file, its name and its reader.
+"""How files that a user names are opened, and the table of formats: the endings of each kind of file and its readers.
 
-A format of one's own is one more line of it: `register(Format(...))`. Record files and `cvxshear new` then accept the
-format, and its name is a key of measurement files.
+A format of one's own is one more line of the table: `register(Format(...))`. Record files and `cvxshear new` then
+accept the format, and its name is a key of measurement files.
 """
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.errors import CvxshearError, InputError, printable
 from cvxshear.util.quantities import listed
 
 if TYPE_CHECKING:
     from cvxshear.io.columns import Columns
 
+logger = logging.getLogger(__name__)
+
+MEGABYTE = 1_000_000
+
+LARGEST_FILE = 5_000_000
+"""Largest size of a file without samples, bytes. A larger file is refused as a mistake, such as a record."""
+LIMIT = 100_000_000
+"""Default limit on the size of a record's file, bytes."""
+TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
+
+_read_before: ContextVar[dict[str, bytes] | None] = ContextVar("read_before", default=None)
+"""Content of pipes and devices by name, kept while one command runs."""
+
+
+@contextmanager
+def streams_read_once() -> Iterator[None]:
+    """Keep the content of pipes in this context, so that a second reading returns the same and does not wait."""
+    token = _read_before.set({})
+    try:
+        yield
+    finally:
+        _read_before.reset(token)
+
+
+def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", named: bool = False) -> bytes:
+    """Read the content of a file.
+
+    Parameters
+    ----------
+    path : Path
+    largest : float
+        Bytes; the limit holds for pipes and devices, too.
+    remedy : str
+        End of the message about a larger file.
+    absent : str, optional
+        Addition to the message if the file does not exist.
+    named : bool, optional
+        Whether the file will be opened again by its name. A pipe is then refused: it can be read once.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is larger.
+    """
+    where = str(path)
+    try:
+        if path.is_dir():
+            raise InputError(f"{where} is a folder; name a file in it")
+        if named and path.exists() and not path.is_file():
+            raise InputError(f"{where} is a device or a pipe; save what it gives in a file")
+        kept = None if path.is_file() else _read_before.get()
+        if kept is not None and where in kept:
+            return kept[where]
+        with path.open("rb") as file:
+            content = file.read(int(largest) + 1)
+    except FileNotFoundError:
+        raise InputError(f"{where}: no such file{absent and f' ({absent})'}") from None
+    except OSError as error:
+        raise InputError(f"{where} cannot be read: {error.strerror}") from None
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
+    if len(content) > largest:
+        raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
+    if kept is not None:
+        kept[where] = content
+    logger.info("read %s, %d bytes", printable(where), len(content))
+    return content
+
+
+def named_after(path: str | Path) -> str:
+    """Return the name of a file without its ending; bytes that are not text are replaced by a mark."""
+    stem = os.fsencode(Path(path).stem).decode("utf-8", "replace")
+    return stem if stem.strip() else "unnamed"
+
+
 ColumnReader = Callable[[Path, float], "Columns"]
 ModeReader = Callable[[str | Path], dict[str, Any]]
 
 ANY_TEXT = (".txt", ".dat", ".asc")
-"""Endings that tell nothing of what a text holds."""
+"""Endings that do not identify the kind of a text."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +113,11 @@ class Format:
     Parameters
     ----------
     name : str
-        The key of a [[configuration]] that names such a file, where it holds modes.
+        Name of the format; for a format of modes, the key of a [[configuration]] that names such a file.
     endings : tuple of str
         In small letters, with the dot; the first is the usual one.
     words : str
-        What such a file is called: "a workbook".
+        Name of such a file in messages: "a workbook".
     columns : callable or str, optional
         (path, limit in bytes) to `Columns`: the reader of time histories and frequency response functions. A
         reader that loads slowly is named, "module:function".
@@ -59,7 +140,7 @@ class Format:
         return cast("dict[str, Any]", self._read(self.modes, path))
 
     def _read(self, reader: Callable[..., object] | str | None, *given: object) -> object:
-        """Call a reader; a file that it cannot make sense of is refused by name, whatever the reader raised."""
+        """Call a reader, and convert its errors to an error that names the file."""
         assert reader is not None
         if isinstance(reader, str):
             module, _, name = reader.partition(":")
@@ -84,7 +165,7 @@ FORMATS: list[Format] = [
     Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
     Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.mat:read_npz"),
     Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_uff",
-           f"{HERE}.mode_tables:read_mode_uff"),
+           f"{HERE}.uff:read_mode_uff"),
 ]  # fmt: skip
 """Every kind of file that is read, in the order in which messages and help list them."""
 
@@ -95,7 +176,7 @@ def register(added: Format) -> None:
     Raises
     ------
     InputError
-        Where an ending is another format's.
+        If an ending belongs to another format.
     """
     for other in FORMATS:
         shared = set(other.endings) & set(added.endings)
@@ -105,7 +186,7 @@ def register(added: Format) -> None:
 
 
 def format_of(path: str | Path) -> Format | None:
-    """Find the format that a file's ending tells; None where it tells none."""
+    """Find the format of a file by its ending; None for an unknown ending."""
     name = Path(path).name.lower()
     return next((each for each in FORMATS if any(name.endswith(ending) for ending in each.endings)), None)
 
@@ -127,7 +208,7 @@ def read_columns(path: Path, limit: float) -> Columns:
     Raises
     ------
     InputError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
     found = format_of(path)
     return (FORMATS[0] if found is None or found.columns is None else found).read_columns(path, limit)
@@ -139,7 +220,7 @@ def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
     Raises
     ------
     InputError
-        Where such files hold no modes, or this one cannot be read.
+        If such files hold no modes, or this file cannot be read.
     """
     found = format_of(path)
     if found is None or found.modes is None:
@@ -148,7 +229,7 @@ def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
 
 
 def refuse_data(path: Path, *, toml: bool = True) -> None:
-    """Refuse a file of samples in place of the record file that says what they are of.
+    """Refuse a file of samples where a record file is needed.
 
     Parameters
     ----------
@@ -159,7 +240,7 @@ def refuse_data(path: Path, *, toml: bool = True) -> None:
     Raises
     ------
     InputError
-        Saying how to begin a record file.
+        The message says how to begin a record file.
     """
     found = format_of(path)
     if found is not None and found.columns is not None and not (toml and path.suffix.lower() in ANY_TEXT):
@@ -168,9 +249,3 @@ def refuse_data(path: Path, *, toml: bool = True) -> None:
             f"-o {path.name.split('.')[0]}.toml' writes a record file with the columns that it finds, to fill in, and "
             "that is what the command takes"
         )
-
-
-def naming_keys() -> Iterator[str]:
-    """Keys of tables whose values are names of other files."""
-    yield "file"
-    yield from (each.name for each in FORMATS if each.modes is not None)

@@ -3,35 +3,31 @@
 import io
 import math
 import re
-import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from cvxshear.io.columns import TOO_LARGE, Columns
+from cvxshear.io.columns import Columns
 from cvxshear.io.csv import columns_of
-from cvxshear.io.inputs import MEGABYTE, read_bytes
+from cvxshear.io.formats import TOO_LARGE, read_bytes
 from cvxshear.util.errors import InputError, optional, printable
 from cvxshear.util.writing import cell_text, write_file
 
 Cell = str | float | int | None
 
 LONGEST_TITLE = 31
-"""Letters that the title of a sheet may have (Excel)."""
+"""Largest length of the title of a sheet, letters (Excel)."""
 
 LONGEST_CELL = 32_767
-"""Letters that a cell may have (Excel)."""
-
-MOST_INFLATED = 20
-"""Size of a workbook's parts once inflated, as a multiple of the file's limit: numbers shrink to about a tenth."""
+"""Largest length of a cell, letters (Excel)."""
 
 WIDEST = 28
-"""Letters that a column of a workbook is made wide for at most."""
+"""Largest width of a column of a workbook, letters."""
 
 RESERVED = "history"
-"""A title that Excel keeps for itself."""
+"""Title that Excel reserves."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +48,12 @@ class Sheet:
 
 
 def write_csv(path: str | Path, sheets: Sequence[Sheet]) -> None:
-    """Write the first table; of several with one header all of them, each row led by its table's title.
+    """Write the first table, or all tables with its header; the rows of several tables begin with their titles.
 
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     alike = [sheet for sheet in sheets if sheet.header == sheets[0].header]
     if len(alike) > 1:
@@ -78,7 +74,7 @@ def write_xlsx(path: str | Path, sheets: Sequence[Sheet]) -> None:
     Raises
     ------
     InputError
-        Where openpyxl (the extra `xlsx`) is not installed, or the file cannot be written.
+        If openpyxl (the extra `xlsx`) is not installed, or the file cannot be written.
     """
     write_file(path, workbook(sheets))
 
@@ -89,7 +85,7 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     Raises
     ------
     InputError
-        Where openpyxl (the extra `xlsx`) is not installed.
+        If openpyxl (the extra `xlsx`) is not installed.
     """
     book = load_openpyxl().Workbook()
     book.remove(book.active)
@@ -115,26 +111,20 @@ def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[in
     ----------
     path : str or Path
     limit : float
-        Bytes that the file may have, as it is and once inflated.
+        Bytes that the file may have.
     remedy : str
-        What to do about a larger one.
+        End of the message about a larger file.
 
     Raises
     ------
     InputError
-        Where openpyxl (the extra `xlsx`) is not installed, or the file is no workbook or too large.
+        If openpyxl (the extra `xlsx`) is not installed, or the file is no workbook or too large.
     """
     openpyxl = load_openpyxl()
     content = io.BytesIO(read_bytes(Path(path), limit, remedy))
     try:
-        with zipfile.ZipFile(content) as archive:
-            inflated = sum(each.file_size for each in archive.infolist())
-        if inflated > MOST_INFLATED * limit:
-            raise InputError(f"{path!s} inflates to more than {MOST_INFLATED * limit / MEGABYTE:g} MB; {remedy}")
         book = openpyxl.load_workbook(content, read_only=True, data_only=True)
         found = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
-    except InputError:
-        raise
     except Exception as error:
         # openpyxl raises whatever its parsing of the archive runs into.
         raise InputError(f"{path!s} is not a workbook that can be read ({type(error).__name__})") from None
@@ -152,7 +142,7 @@ def read_xlsx(path: str | Path, limit: float) -> Columns:
     """
     rows = read_xlsx_rows(path, limit, TOO_LARGE)
     lines = {number: "\t".join(map(_as_text, row)) for number, row in rows}
-    return columns_of((lines.get(number, "") for number in range(1, max(lines, default=0) + 1)), str(path), limit)
+    return columns_of((lines.get(number, "") for number in range(1, max(lines, default=0) + 1)), str(path))
 
 
 def _as_text(cell: object) -> str:
@@ -169,13 +159,13 @@ def load_openpyxl() -> Any:
     Raises
     ------
     InputError
-        Where it is not installed.
+        If it is not installed.
     """
     return optional("openpyxl", "workbooks need")
 
 
 def _title(name: str, taken: set[str]) -> str:
-    """Clear the title of a sheet of the marks that none may have, no two the same but for capitals."""
+    """Remove forbidden characters from the title of a sheet, and make it unique regardless of case."""
     plain = re.sub(r"[\\/*?:\[\]]", " ", printable(name))[:LONGEST_TITLE].strip(" '") or "sheet"
     title, place = plain, 1
     while title.lower() in taken:

@@ -15,34 +15,25 @@ import numpy as np
 import tomli_w
 
 from cvxshear.effects import catalogue
-from cvxshear.io.formats import FORMATS, format_of, naming_keys, refuse_data
-from cvxshear.io.inputs import named_after, read_bytes
+from cvxshear.io.formats import FORMATS, LARGEST_FILE, format_of, named_after, read_bytes, refuse_data
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
 from cvxshear.util.checks import shown
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, printable
-from cvxshear.util.writing import Inserted, escaped, write_file
-
-LARGEST_FILE = 5_000_000
-"""Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
+from cvxshear.util.writing import escaped, write_file
 
 MEASURED_FRAMES = (
     "los-alamos", "mini-flexible-northridge", "mini-flexible-sine", "mini-stiff-northridge", "mini-stiff-sine",
     "southampton", "e-defense", "iasc-asce-x", "iasc-asce-y", "ucl-loosened-joints",
 )  # fmt: skip
-"""Tables of modes of measured frames that travel with the package, each with its source."""
+"""Measured frames in the package: tables of modes, each with its source."""
 
 BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
 """Examples in the package, with their paths."""
 
-LONGEST_KEY = 16
-"""Parts, with dots between; the time that reading a key takes grows with their square."""
-
 _HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
-"""A line that begins a table, which no line of samples does."""
-
-_LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
+"""A line that begins a table; no line of samples does."""
 
 
 @usual_arithmetic
@@ -64,7 +55,7 @@ def load(path: str | Path) -> Experiment:
     Raises
     ------
     InputError
-        Naming the file, and the key, the value found and what would be right.
+        The message names the file, the key, the value found and the expected input.
     """
     if is_built_in(path):
         return Experiment.from_dict(tomllib.loads(built_in_text(str(path))), name=str(path))
@@ -90,18 +81,18 @@ def load(path: str | Path) -> Experiment:
 
 
 def read_tables(path: Path) -> dict[str, object]:
-    """Read the tables of a TOML file that is no file of samples."""
+    """Read the tables of a TOML file, and refuse a file of samples."""
     refuse_data(path)
     return parse(read_text(path), path)
 
 
 def is_built_in(path: object) -> bool:
-    """Whether this is the name of an example that travels with the package."""
+    """Return whether this is the name of an example in the package."""
     return isinstance(path, str) and path in BUILT_IN
 
 
 def built_in_text(name: str) -> str:
-    """Read the text of an example that travels with the package."""
+    """Read the text of an example in the package."""
     return resources.files("cvxshear").joinpath(*BUILT_IN[name]).read_text(encoding="utf-8")
 
 
@@ -132,10 +123,6 @@ def read_result(path: Path) -> dict[str, Any]:
 def parse(text: str, path: Path) -> dict[str, object]:
     """Parse the tables of a TOML text."""
     where = str(path)
-    found = _LONG_KEY.search(text)
-    if found is not None:
-        line = text.count("\n", 0, found.start()) + 1
-        raise InputError(f"{where} is not valid TOML: a key of more than {LONGEST_KEY} parts (at line {line})")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -150,7 +137,7 @@ def parse(text: str, path: Path) -> dict[str, object]:
 
 
 def is_record_file(path: str | Path) -> bool:
-    """Whether a TOML file declares a record (a table [record]) and not a measurement.
+    """Return whether a TOML file is a record file (it has a table [record]) and not a measurement file.
 
     Parameters
     ----------
@@ -160,7 +147,7 @@ def is_record_file(path: str | Path) -> bool:
     Raises
     ------
     InputError
-        Where the file cannot be read or is not TOML.
+        If the file cannot be read or is not TOML.
     """
     return not is_built_in(path) and "record" in read_tables(Path(path))
 
@@ -176,7 +163,7 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        Where the file cannot be read or is not TOML.
+        If the file cannot be read or is not TOML.
     """
     if is_built_in(path):
         return ()
@@ -191,18 +178,19 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     tables: list[object] = []
     for value in declared.values():
         tables += value if isinstance(value, list) else [value]
-    named = [each.get(key) for each in tables if isinstance(each, dict) for key in naming_keys()]
+    keys = ("file", *(each.name for each in FORMATS if each.modes is not None))
+    named = [each.get(key) for each in tables if isinstance(each, dict) for key in keys]
     return (path, *(path.parent / name for name in named if isinstance(name, str)))
 
 
 def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the tables of a measurement file, the files that its configurations name read.
+    """Return the tables of a measurement file, with the modes of the files that its configurations name.
 
     Parameters
     ----------
     declared : dict
     folder : Path
-        Where the files are looked for.
+        Folder of the files.
 
     Returns
     -------
@@ -212,7 +200,7 @@ def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]
     Raises
     ------
     InputError
-        Naming the configuration, and what is wrong with its file.
+        The message names the configuration, and what is wrong with its file.
     """
     tables = declared.get("configuration")
     if not isinstance(tables, list):
@@ -236,10 +224,7 @@ def _resolved(table: object, place: int, folder: Path) -> object:
 
 COMMENT_WIDTH = 110
 WRITTEN_DIGITS = 8
-"""Significant ones: no record tells more."""
-
-LARGE = 2_500
-"""Tables with more numbers are written in one piece; fifty modes at fifty floors."""
+"""Significant digits of written numbers; no record has more."""
 
 _NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
 """A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""
@@ -260,7 +245,7 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     head = [
         # A line break in a comment must not end it.
@@ -269,40 +254,20 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
         for line in textwrap.wrap(printable(" ".join(comment.split())), COMMENT_WIDTH, subsequent_indent="  ",
                                   break_long_words=False, break_on_hyphens=False)
     ]  # fmt: skip
-    tables = Inserted()
     # A row of a shape is a line of the file.
     text = _NUMBERS.sub(
         lambda numbers: "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]",
-        escaped(tomli_w.dumps(_plain(declared, tables))),
+        escaped(tomli_w.dumps(_plain(declared))),
     )
-    write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
+    write_file(path, "".join([*head, "\n" * bool(head), text]))
 
 
-def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
-    """Return the value as a table, where it is a large one of numbers."""
-    rows = len(value)
-    width = len(value[0]) if rows and isinstance(value[0], list | tuple | np.ndarray) else 0
-    if rows * width < LARGE:
-        return None
-    try:
-        found = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return found if found.ndim == 2 else None
-
-
-def _plain(value: Any, tables: Inserted) -> Any:
-    """Convert the value to Python's own types, numbers rounded; a mark for a large table."""
-    if isinstance(value, Mapping):
-        return {key: _plain(each, tables) for key, each in value.items()}
-    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
-        table = _table_of(value)
-        if table is not None:
-            # Written row by row: number by number takes ten times as long.
-            row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
-            return tables.mark("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
+def _plain(value: Any) -> Any:
+    """Convert the value to Python's own types, numbers rounded."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each, tables) for each in value]
+        return [_plain(each) for each in value]
     return float(f"{value:.{WRITTEN_DIGITS}g}") if isinstance(value, float) else value
