@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear import Identification
-    from cvxshear.response import Reconstruction, RecordPrediction
+    from cvxshear.response import IdentifiedDamping, Reconstruction, RecordPrediction
     from cvxshear.response.sources import ModelSource
     from cvxshear.screening import FileFinding
     from cvxshear.util.quantities import Units
@@ -94,11 +94,7 @@ def identify(
     deliver(
         said,
         outputs.out,
-        lambda: [
-            *doubts_of(doubts),
-            *_identified(result, beside, display),
-            *(terminal.shown(damping) if damping else ()),
-        ],
+        lambda: [*doubts_of(doubts), *_identified(result, beside, damping, display)],
         *files_of(result),
         title=experiment.report.title or experiment.name,
     )
@@ -201,8 +197,8 @@ def loop(
     if report is not None:
         page = partial(render, result, as_typed(), units=display, prediction=tried, heading=heading)
         files.append(lambda: write_file(report, page()))
-    beside = (terminal.shown(damping) if damping else ()) if tried is None else ("", *terminal.shown(tried))
-    beside = [*beside, *filter(None, [without])]
+    moved = damping if tried is None else tried
+    beside = [*(() if moved is None else ("", *terminal.shown(moved))), *filter(None, [without])]
     deliver(
         said,
         outputs.out,
@@ -214,8 +210,10 @@ def loop(
         raise typer.Exit(UNCERTAIN)
 
 
-def _identified(result: Identification, beside: Identification | None, units: Units) -> Iterator[RenderableType]:
-    """Render an identification, and the frames of another one for comparison."""
+def _identified(
+    result: Identification, beside: Identification | None, damping: IdentifiedDamping | None, units: Units
+) -> Iterator[RenderableType]:
+    """Render an identification, the frames of another one for comparison, and the damping."""
     from cvxshear.report import terminal
     from cvxshear.report.describe import describe
 
@@ -225,6 +223,9 @@ def _identified(result: Identification, beside: Identification | None, units: Un
         for section in describe(beside, units).sections:
             if section.key.startswith("part-"):
                 yield from terminal.rendered(section)
+    if damping is not None:
+        yield ""
+        yield from terminal.shown(damping)
 
 
 def _catalogued() -> Iterator[RenderableType]:
