@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from cvxshear.cli import frames, modes_and_check, studies
-from cvxshear.cli.options import documented, used
-from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed
+from cvxshear.cli.options import documented
+from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed, used
 from cvxshear.io.formats import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 

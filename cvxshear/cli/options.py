@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from cvxshear.cli.output import show, used
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import check_output, same_file
 
@@ -25,9 +26,6 @@ Writer = Callable[[], None]
 OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
 """Forbidden endings of a JSON file: a typing error must not replace a file of another kind."""
 
-
-used: list[str] = []
-"""Names of the files that the running command reads, as typed; the written results list these names."""
 
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
 """Keys of a command's context for its written and read files; options are checked in the typed order."""
@@ -275,7 +273,6 @@ class FigureOutputs:
 
         figures = figures_of(result)
         if LIST in self.figure:
-            from cvxshear.cli.output import show
             from cvxshear.report.terminal import plain_table
 
             title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
