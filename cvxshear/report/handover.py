@@ -9,20 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy import io
 
-<<<<<<< HEAD
-from cvxshear.data import Deviation
-from cvxshear.fit.misfit import Misfit
-from cvxshear.io.spreadsheets import Cell, Sheet, workbook
-from cvxshear.io.uff import load_pyuff, universal_file
-from cvxshear.report.describe.consequences import MODELS
-from cvxshear.response import Fitted, Reconstruction, RecordPrediction, Response
-from cvxshear.response.damping import DampedModel
-=======
 from cvxshear.io.spreadsheets import Sheet
 from cvxshear.report.describe import describe
 from cvxshear.response import Reconstruction, RecordPrediction, Response
-from cvxshear.response.damped import DampedModel
->>>>>>> main
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError, printable

@@ -10,11 +10,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-<<<<<<< HEAD
 from itertools import pairwise
-from typing import TYPE_CHECKING
-=======
->>>>>>> main
 
 import numpy as np
 from scipy import special
@@ -37,14 +33,6 @@ from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
-
-<<<<<<< HEAD
-if TYPE_CHECKING:
-    import pandas as pd
-=======
-NAMED_CHANGE = 0.95
-"""Minimum probability of a reported change; the loop uses the same level for effects."""
->>>>>>> main
 
 SIGN_KNOWN = 1.645
 """Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""

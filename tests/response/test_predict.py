@@ -305,7 +305,6 @@ def test_a_record_that_contradicts_the_model_in_one_thing_says_so(frame, change,
     found = predict(estimate, dataclasses.replace(record, runs=(Run(change(run.responses), run.excitation),)))
     remarks = " ".join(found.remarks)
     assert found.after.comparison.contradiction == "" if said is None else said in remarks
-    assert said is None or contradiction in found.remarks
 
 
 def test_a_floor_with_a_gap_is_not_compared_and_that_is_said(frame):

@@ -24,6 +24,7 @@ from cvxshear.report.describe import (
     exact,
     line,
     places,
+    table,
     table_of_rows,
 )
 from cvxshear.util.quantities import (

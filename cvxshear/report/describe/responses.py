@@ -363,15 +363,10 @@ def stories(result: Reconstruction) -> Table:
 
 def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
     before = result.frame.errors.varied.centre.model
-<<<<<<< HEAD
-    shown = slice(min(len(result.model.M), MODE_COLUMNS))
+    shown = slice(min(len(result.model.M), PAGE_COLUMNS))
     values = [each[shown] for each in (result.model.modes.frequencies, result.model.ratios)]
     stds = [(own * each[shown]).tolist() for own, each in zip(values, result.frame.modal_std, strict=True)]
     yield table("reconstructed-modes", "modes of the frame ± standard deviation", {
-=======
-    shown = slice(min(len(result.model.M), PAGE_COLUMNS))
-    yield table("reconstructed-modes", "modes of the frame", {
->>>>>>> main
         "mode": [str(mode) for mode in range(1, shown.stop + 1)],
         "identified, Hz": map(significant, before.modes.frequencies[shown].tolist()),
         "in this record, Hz": map(partial(with_std, factor=1.0), values[0].tolist(), stds[0]),
