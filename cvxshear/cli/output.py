@@ -23,6 +23,7 @@ from cvxshear.version import __version__
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from cvxshear.screening import FileFinding
     from cvxshear.util.typing import Json
 
 typed: list[str] = []
@@ -99,6 +100,14 @@ def deliver(
         show(tables())
     if failures:
         raise InputError("; ".join(failures))
+
+
+def doubts_of(found: Sequence[FileFinding] | None) -> Iterable[RenderableType]:
+    """Render the warnings of a computed result."""
+    from cvxshear.report import terminal
+    from cvxshear.report.describe.from_records import doubts_section
+
+    return terminal.rendered(doubts_section(found or ()))
 
 
 def about(files: Sequence[str], title: str | None) -> Json:
