@@ -24,7 +24,7 @@ from cvxshear.response.frame_prior import (
     GAIN_UNIT,
     MASS_STD,
     NOISE_STD,
-    Answer,
+    FrameAnswer,
     FramePrior,
     Gaussian,
     Likelihood,
@@ -61,7 +61,7 @@ class FittedFrame:
         Unknowns of `PredictionErrors`.
     covariance : ndarray, shape (P, P)
         Averaged over the answers.
-    answers : tuple of Answer
+    answers : tuple of FrameAnswer
         Most probable first.
     inflation : float
         Factor on the covariance of the likelihood, for innovations that are not white.
@@ -75,7 +75,7 @@ class FittedFrame:
     prior: FramePrior
     p: Floats
     covariance: Floats
-    answers: tuple[Answer, ...]
+    answers: tuple[FrameAnswer, ...]
     inflation: float
     converged: bool
     along: Directions
@@ -277,7 +277,7 @@ def fit_frame(
         # The frame stays as identified; its possible changes since the tests are part of the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend)
-        answer = Answer((), FORM_STDS[0], 1.0)
+        answer = FrameAnswer((), FORM_STDS[0], 1.0)
         covariance = prior.gaussian(*answer.prior).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
@@ -346,7 +346,7 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
 
 
 def _mixed(
-    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[Answer], converged: bool
+    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[FrameAnswer], converged: bool
 ) -> FittedFrame:
     """Return the frame with the covariance of the mixture of the answers."""
     total = sum(each.probability for each in answers)
@@ -359,7 +359,7 @@ def _mixed(
     return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)
 
 
-def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[Answer]) -> float:
+def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[FrameAnswer]) -> float:
     """Compute the log probability of the record over all answers: the best answer's, divided by its probability."""
     best = answers[0]
     linear = Linear(at.likelihood, at.p, prior.gaussian(*best.prior))

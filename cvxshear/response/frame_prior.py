@@ -467,7 +467,7 @@ class FramePrior:
         return self.gaussian(range(len(self.changes)), FORM_STDS[-1])
 
     def gaussian(self, changed: Sequence[int], form_std: float) -> Gaussian:
-        """Return the prior of an `Answer`."""
+        """Return the prior of an `FrameAnswer`."""
         if form_std not in self._by_modes:
             self._by_modes[form_std] = self._given_modes(form_std)
         by_modes = self._by_modes[form_std]
@@ -585,7 +585,7 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class FrameAnswer:
     """One possible way in which the frame differs from the identified one.
 
     Parameters
@@ -606,7 +606,7 @@ class Answer:
         return self.changed, self.form_std
 
 
-def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answer, ...]:
+def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[FrameAnswer, ...]:
     """List the possible sets of changes and errors of form, by the evidence of the linearized likelihood.
 
     Sets of each size extend the best sets of the previous size. All standard deviations of the errors of form have the
@@ -626,4 +626,4 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Answ
     order = ranking.ranked(scores, scores.__getitem__)
     probable = [each for each in order if scores[each] > scores[order[0]] + np.log(LEAST_WEIGHT)]
     weights = weigh([scores[each] for each in probable])
-    return tuple(Answer(*each, float(weight)) for each, weight in zip(probable, weights, strict=True))
+    return tuple(FrameAnswer(*each, float(weight)) for each, weight in zip(probable, weights, strict=True))

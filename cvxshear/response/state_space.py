@@ -116,7 +116,7 @@ class Setting:
 
 
 @dataclass(frozen=True, eq=False)
-class Outputs:
+class StateOutputs:
     """Rows that turn states into the outputs of a reconstruction.
 
     The outputs are total accelerations, displacements, drifts and story forces of the frame, then the overturning
@@ -168,7 +168,7 @@ class Dynamics:
     H: Floats
     direct: Floats
     R: Floats
-    outputs: Outputs
+    outputs: StateOutputs
 
     @cached_property
     def P0(self) -> Floats:  # noqa: N802
@@ -260,7 +260,7 @@ def _motion(model: DampedModel, force_floor: int) -> tuple[Floats, Floats, Float
     return rates, np.append(np.zeros(N), through if force_floor else np.full(N, -model.input_gain)), through
 
 
-def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> Outputs:
+def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Setting) -> StateOutputs:
     """Return the rows of the reported quantities from the rows of the total accelerations."""
     N = len(model.M)
     moved = np.eye(N, setting.states)
@@ -276,7 +276,7 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
     if not setting.base_measured:
         rows.append(np.eye(setting.states)[3 * N :])
         weights.append(np.zeros(1))
-    return Outputs(np.concatenate(rows), np.concatenate(weights))
+    return StateOutputs(np.concatenate(rows), np.concatenate(weights))
 
 
 def discretized(rates: Floats, load: Floats, spread: Floats, step: float) -> tuple[Floats, Floats, Floats, Floats]:
