@@ -37,6 +37,9 @@ from cvxshear.util.typing import Floats, Json
 SIGN_KNOWN = 1.645
 """Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
 
+GAIN_OFF = 3.0, 0.005
+"""Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
+
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
 5 ms late gives 5, and a yielding story 4 to 50."""
@@ -191,10 +194,12 @@ class Reconstruction(Shown):
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
         names += [f"the sensor of the {DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
-        if not self.names_changes:
-            return ()
-        found = zip(self.frame.probability("gain"), names, *self.frame.gains, strict=True)
-        return tuple((name, float(value), float(std)) for p, name, value, std in found if p >= SURE)
+        deviations, least = GAIN_OFF
+        return tuple(
+            (name, float(value), float(std))
+            for name, value, std in zip(names, *self.frame.gains, strict=True)
+            if self.names_changes and abs(value) > max(deviations * std, least)
+        )
 
     @property
     def change_probability(self) -> Floats | None:
