@@ -44,8 +44,8 @@ LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
 """Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
 with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
 
-FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=12), Accuracy(step=1.0, most_steps=12)
-"""Accuracy of the last and of the first fit; four to six steps are usual."""
+FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, most_steps=12)
+"""Accuracy of the last and of the first fit; four to eight steps are usual."""
 
 MOST_DECISIONS = 3
 """Maximum number of selections of the changes; the second usually repeats the first."""

@@ -614,11 +614,12 @@ def possible_answers(at: Likelihood, prior: FramePrior, p: Floats) -> tuple[Fram
     """
     scores: dict[tuple[tuple[int, ...], float], float] = {}
     for form_std in FORM_STDS:
-        linear, level = Linear(at, p, prior.gaussian((), form_std)), [()]
+        linear = Linear(at, p, prior.gaussian((), form_std))
+        level: list[tuple[int, ...]] = [()]
         for _ in range(MOST_CHANGES + 1):
             odds = [sum(prior.changes[each].log_odds for each in chosen) for chosen in level]
             evidences = linear.evidences(prior.changes, level)
-            own = {chosen: sum(pair) for chosen, pair in zip(level, zip(odds, evidences, strict=True), strict=True)}
+            own = {chosen: one + other for chosen, one, other in zip(level, odds, evidences, strict=True)}
             scores |= {(chosen, form_std): score for chosen, score in own.items()}
             kept = ranking.ranked(own, own.__getitem__)[:KEPT_SETS]
             pairs = itertools.product(kept, range(len(prior.changes)))

@@ -35,8 +35,9 @@ FURTHEST_STDS = 10.0
 """Bound on each unknown, in standard deviations of its prior."""
 
 MOST_INPUT_NOISE = 0.03
-"""Bound on the noise of the excitation's sensor, relative to its rms. Without the bound, this noise absorbs the effect
-of a yielding story, and the record passes for a linear frame's."""
+"""Bound on the noise of the excitation's sensor, relative to its rms; the lower bound is as far from the start. Without
+the upper one, this noise absorbs the effect of a yielding story, and the record passes for a linear frame's. Without the
+lower one, the level of a noise that is not there takes twenty steps to settle."""
 
 LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
@@ -140,6 +141,7 @@ class PredictionErrors:
         lower[force], upper[force] = np.log(np.array([LEAST_MISSED, MOST_MISSED]) / self.noise.force)
         if self.setting.base_measured:
             upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
+            lower[force + 1] = -upper[force + 1]
         return lower, upper
 
     @property
@@ -321,7 +323,7 @@ def _rows_of(here: Filter, runs: Sequence[Segment], rates: dict[str, Floats]) ->
             free = _free(here, run, whitening)
             both = np.linalg.solve(np.eye(free.shape[1]) + free.T @ free, free.T @ np.column_stack([J, white]))
             J, white = J - free @ both[:, :-1], white - free @ both[:, -1]
-            begun.append(both)
+            begun.append(np.asarray(both, dtype=np.float64))
         parts.append(_Rows(J, white, m))
         mean += white.reshape(-1, m).T @ white.reshape(-1, m)
     root = np.sqrt(samples / 2)
