@@ -36,8 +36,8 @@ FURTHEST_STDS = 10.0
 
 MOST_INPUT_NOISE = 0.03
 """Bound on the noise of the excitation's sensor, relative to its rms; the lower bound is as far from the start. Without
-the upper one, this noise absorbs the effect of a yielding story, and the record passes for a linear frame's. Without the
-lower one, the level of a noise that is not there takes twenty steps to settle."""
+the upper one, this noise absorbs the effect of a yielding story, and the record passes for a linear frame's. Without
+the lower one, the level of a noise that is not there takes twenty steps to settle."""
 
 LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
