@@ -106,9 +106,6 @@ PRIORS = {
         soft(lambda x, r, J: (r, J * (np.arange(len(x)) == 0))), r"derivative of entry 1 of its residual is wrong",
     ),
     "no derivative": (soft(lambda x, r, J: (r, 0 * J)), r"derivative of entry 1 of its residual is wrong"),
-    "a random residual": (
-        soft(lambda x, r, J: (r + np.random.default_rng().standard_normal(1), J)), "another value the second time",
-    ),
     "nan": (soft(lambda x, r, J: (r * np.nan, J)), "not finite anywhere from 1 to 1e"),
     "an infinite derivative": (soft(lambda x, r, J: (r, J / 0.0)), "not finite anywhere"),
     "complex": (soft(lambda x, r, J: (r + 1j, J)), "r of its residual must hold real numbers"),
