@@ -125,11 +125,7 @@ TIGHTER = 0.95
 
 @usual_arithmetic
 def compare_backends(
-    experiment: Measurement,
-    names: Sequence[str] | None = None,
-    *,
-    repeats: int = 3,
-    tolerance: float | None = None,
+    experiment: Measurement, names: Sequence[str] | None = None, *, repeats: int = 3, tolerance: float | None = None
 ) -> Comparison:
     """Solve the same programs of an experiment with every backend.
 

@@ -135,20 +135,6 @@ def test_a_prior_that_does_wrong_is_named_with_the_first_thing_wrong(what):
     assert "the Weighed prior on floor_mass" in str(caught.value)
 
 
-def test_a_sound_prior_is_tried_once_an_object_and_number_of_stories():
-    calls = []
-
-    def counted(x, r, J):
-        calls.append(len(x))
-        return r, J
-
-    prior, experiment = soft(counted), FRAME
-    experiment.with_priors([prior])
-    first = len(calls)
-    experiment.with_priors([prior])
-    assert 0 < first == len(calls)
-
-
 def test_priors_of_any_size_and_curvature_pass():
     """Residuals that overflow or are strongly curved are checked at their smallest."""
     paper = cvxshear.load("paper")
