@@ -10,7 +10,7 @@ from importlib import resources
 import numpy as np
 
 from cvxshear.io.columns import Columns
-from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP
+from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP
 from cvxshear.util.quantities import CHANNEL_UNITS
 from cvxshear.util.typing import Floats
 

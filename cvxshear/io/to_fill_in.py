@@ -31,7 +31,7 @@ from cvxshear.io.guesses import (
 )
 from cvxshear.io.inputs import named_after
 from cvxshear.io.record_file import FREQUENCY_NAMES
-from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
+from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError

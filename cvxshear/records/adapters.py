@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cvxshear.data.pairing import mac
 from cvxshear.records.mode_shapes import collinearity, lost_phase, main_axis, real_shape
+from cvxshear.records.record import Finding, finding
 from cvxshear.records.result import ModalResult
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
@@ -204,3 +206,54 @@ def _given(value: ArrayLike | None, shape: tuple[int, ...], where: str) -> Float
     if not np.all(np.isfinite(array)) or np.any(array < 0):
         raise InputError(f"{where} must be finite and not negative")
     return array
+
+
+SAME_FREQUENCY = 0.05
+"""Largest relative difference between the frequencies of one mode by two methods."""
+
+
+SAME_MODE_MAC = 0.9
+"""Least MAC between the shapes of one mode by two methods; usual in the correlation of tests and models."""
+
+
+def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
+    """Report what another identification of the same test says of each mode.
+
+    Parameters
+    ----------
+    result : ModalResult
+    other : ModalResult
+        By another method, or of a peer by `from_pyoma`, `from_sdypy` or `from_arrays`.
+
+    Returns
+    -------
+    list of Finding
+        One a mode: the other's frequency and the MAC of the shapes at the floors that both have, or that it is not
+        among the other's; and one for each mode that the other alone has.
+    """
+    common = np.intersect1d(result.floors, other.floors)
+    own, its = (
+        item.mode_shapes[:, np.isin(item.floors, common)] / np.abs(item.mode_shapes).max(axis=1, keepdims=True)
+        for item in (result, other)
+    )
+    found, seen = [], set()
+    for row, (mode, frequency) in enumerate(zip(result.modes.tolist(), result.frequencies.tolist(), strict=True)):
+        changes = other.frequencies / frequency - 1.0
+        alike = np.array([mac(own[row], shape) for shape in its])
+        near = np.flatnonzero((np.abs(changes) < SAME_FREQUENCY) & (alike > SAME_MODE_MAC))
+        numbers = {"mode": mode, "method": other.name}
+        if not near.size:
+            closest = int(np.argmin(np.abs(changes)))
+            near_by = {"own": frequency, "nearest": other.frequencies[closest], "alike": alike[closest]}
+            found.append(finding("second opinion/none", {**numbers, "agrees": False}, **near_by))
+            continue
+        place = int(near[np.argmin(np.abs(changes[near]))])
+        seen.add(place)
+        its_own, change, same = (float(each[place]) for each in (other.frequencies, changes, alike))
+        numbers |= {"agrees": True, "frequency": its_own, "change": change, "mac": same}
+        found.append(finding("second opinion", numbers))
+    for place, frequency in enumerate(other.frequencies.tolist()):
+        if place not in seen:
+            numbers = {"method": other.name, "agrees": False, "frequency": frequency}
+            found.append(finding("second opinion/another", numbers))
+    return found

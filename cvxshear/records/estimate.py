@@ -1,85 +1,33 @@
 """Compute frequencies, shapes, scales and deviations from the chosen poles, on all or part of the data."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from cvxshear.records import frf
-from cvxshear.records.clock_offsets import Offsets, offsets, undone
-from cvxshear.records.findings import finding
-from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signed_projection
+from cvxshear.records.deviations import independent_std, jackknife, surrogate
+from cvxshear.records.mode_shapes import (
+    Offsets,
+    collinearity,
+    lost_phase,
+    main_axis,
+    offsets,
+    real_shape,
+    rms_phase,
+    sign_changes,
+    signed_projection,
+    undone,
+)
 from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.records.realization import DampedModes, Impulse, Source
-from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.records.record import Finding, FrfRecord, Record, finding
+from cvxshear.records.result import ModalResult
 from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
-
-Estimate = Callable[[Bools], Floats | None]
-
-
-def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
-    """Find the covariance by leaving out one piece at a time.
-
-    Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
-    squares of what leaving it out changes is without bias where a piece's variance goes with 1 / p_j, and nearly so
-    where it does not (HC2 of MacKinnon and White 1985, "Some heteroskedasticity-consistent covariance matrix
-    estimators", J. Econometrics 29). For equal weights it is the usual jackknife.
-
-    Parameters
-    ----------
-    estimate : callable
-        From a mask of pieces to the parameters, shape (k,), or None where they are not found.
-    groups : array of int, shape (pieces,)
-        Stratum of each piece.
-    weights : array, shape (pieces,)
-        How much each piece tells.
-
-    Returns
-    -------
-    covariance : array, shape (k, k)
-    freedom : array, shape (k,)
-        Degrees of freedom of each variance, its strata's together (Satterthwaite 1946), a stratum's from its weights
-        (Bell and McCaffrey 2002).
-    lost : int
-        Pieces without which the parameters were not found; the other pieces replace them.
-
-    Raises
-    ------
-    InputError
-        Where fewer than two pieces of some stratum can be left out.
-    """
-    parts, freedoms, lost = [], [], 0
-    for group in np.unique(groups):
-        found, rest = [], []
-        pieces = np.flatnonzero(groups == group)
-        shares = weights[pieces] / weights[pieces].sum()
-        for piece, share in zip(pieces, shares, strict=True):
-            keep = np.ones(len(groups), dtype=bool)
-            keep[piece] = False
-            values = estimate(keep)
-            if values is None:
-                lost += 1
-            else:
-                found.append(values)
-                rest.append(1 - share)
-        if len(found) < 2:
-            raise InputError(
-                "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
-                "the rest; record longer, or more hits"
-            )
-        spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
-        parts.append(spread.T @ spread * len(pieces) / len(found))
-        form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
-        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
-    variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
-    squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
-    freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
-    return total, freedom, lost
-
 
 LARGEST_SHAPE_STD = 0.3
 """Largest standard deviation of a shape entry, relative to the mode's largest entry."""
@@ -125,19 +73,6 @@ def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts
         return {}
     scatter = f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} %"
     return {item.members: (f"{scatter} over the record's pieces", of_frequency <= LARGEST_FREQUENCY_STD)}
-
-
-def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
-    """Noise with the spectra and cross-spectra of a residual, shape (samples, channels), of random phase.
-
-    One random phase a line, the same for all channels, keeps their coherence (Prichard and Theiler 1994).
-    """
-    spectrum = np.fft.rfft(residual, axis=0)
-    phase = np.exp(2j * np.pi * random.random(len(spectrum)))
-    phase[0] = 1.0
-    if len(residual) % 2 == 0:
-        phase[-1] = 1.0
-    return np.fft.irfft(spectrum * phase[:, None], n=len(residual), axis=0)
 
 
 BIAS_LEFT = 1.0 / 3.0
@@ -413,3 +348,106 @@ def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
     kind = "those of responses cut off there" if truncated else "samples of the true functions"
     numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
     return finding("leakage", numbers, kind=kind, why=why)
+
+
+def assembled(
+    record: Record, setting: Replication, full: Details, covariance: Floats, *, method: str, uncertainty: str
+) -> ModalResult:
+    """Assemble the result, without findings.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    setting : Replication
+    full : Details
+        The modes of all the data.
+    covariance : array, shape (k, k)
+        Of `full.vector()`.
+    method : str
+    uncertainty : str
+        How the covariance was got.
+
+    Returns
+    -------
+    ModalResult
+    """
+    modes, floors = full.real.shape
+    std = np.sqrt(np.diag(covariance))
+    entries = _entry_jacobian(full, len(covariance))
+    joint = np.vstack([np.eye(modes, len(covariance)), entries])
+    of_entries = entries @ covariance @ entries.T
+    blocks = [of_entries[r : r + floors, r : r + floors] for r in range(0, modes * floors, floors)]
+    relative = np.sqrt(np.array([np.maximum(np.diag(block), 0.0) for block in blocks]))
+    independent = np.array([independent_std(block, shape) for block, shape in zip(blocks, full.real, strict=True)])
+    scale = np.ones(modes) if full.scales is None else full.scales
+    # The remaining phases about the straight line are not scatter of the data. They add to the uncertainty of the
+    # offset.
+    left = np.radians(full.clocks.unexplained) / (2 * np.pi * np.sqrt(np.mean(full.frequencies**2)))
+    offset_std = np.hypot(std[len(std) - len(left) :], left)
+    names = [*(channel.name for channel in record.channels), "input"]
+    return ModalResult(
+        name=record.name,
+        method=method,
+        stories=record.stories,
+        floors=record.floors,
+        frequencies=full.frequencies,
+        frequency_std=std[:modes],
+        damping_ratios=full.damping_ratios,
+        damping_std=std[modes : 2 * modes],
+        mode_shapes=full.real * scale[:, None],
+        mode_shape_std=relative,
+        entry_std=np.hypot(independent, _scale_std(full, covariance)),
+        mass_normalized=full.scales is not None,
+        modes=_numbers(full.real, record, setting.sweep.chosen),
+        complex_shapes=full.shapes,
+        phase_collinearity=np.array([collinearity(shape) for shape in full.shapes]),
+        lost_phase=np.array([lost_phase(shape) for shape in full.shapes]),
+        clock_offsets={
+            name: (float(value), float(error))
+            for name, value, error in zip(names, full.clocks.seconds, offset_std, strict=False)
+        },
+        covariance=joint @ covariance @ joint.T,
+        uncertainty=uncertainty,
+        sweep=setting.sweep,
+    )
+
+
+def _entry_jacobian(full: Details, size: int) -> Floats:
+    """Jacobian of the entries over each mode's largest, by the parameters: d(q psi) / q = d psi + psi dq / q."""
+    modes, floors = full.real.shape
+    start = 2 * modes
+    result = np.zeros((modes * floors, size))
+    result[:, start : start + modes * floors] = np.eye(modes * floors)
+    if full.scales is not None:
+        for r in range(modes):
+            result[r * floors : (r + 1) * floors, start + modes * floors + r] = full.real[r] / full.scales[r]
+    return result
+
+
+def _scale_std(full: Details, covariance: Floats) -> Floats:
+    """Independent errors on the entries that leave mass-normalized modes as uncertain in scale as they are.
+
+    A mode's scale errs for all its n entries at once, and an error of the force for all m modes; a fit that
+    takes entries for independent would average it away. Errors of n k var(q) psi_i^2 average to k var(q),
+    with k = 1' cov(q) 1 / sum var(q), the common share of the errors of the modes. Shape (m, n), over each
+    mode's largest entry.
+    """
+    modes, floors = full.real.shape
+    if full.scales is None:
+        return np.zeros((modes, floors))
+    start = 2 * modes + modes * floors
+    of_scales = covariance[start : start + modes, start : start + modes] / np.outer(full.scales, full.scales)
+    together = max(1.0, float(of_scales.sum() / max(np.trace(of_scales), 1e-300)))
+    return np.asarray(np.sqrt(floors * together * np.diag(of_scales))[:, None] * np.abs(full.real))
+
+
+def _numbers(shapes: Floats, record: Record, chosen: Sequence[PoleCandidate]) -> Ints:
+    """Which modes of the frame these are: as they were chosen or by changes of sign, where these tell; else from 1."""
+    numbers = np.array([item.number for item in chosen], dtype=np.int64)
+    if numbers.all():
+        return numbers
+    if shapes.shape[1] == record.stories > 1:
+        changes = np.array([sign_changes(shape) for shape in shapes], dtype=np.int64)
+        if np.all(np.diff(changes) > 0):
+            return changes + 1
+    return np.arange(1, len(shapes) + 1, dtype=np.int64)

@@ -9,22 +9,27 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cvxshear.records import diagnostics
-from cvxshear.records.agreement import second_opinion
-from cvxshear.records.assemble import assembled
+from cvxshear.records.adapters import second_opinion
+from cvxshear.records.clocks import clock_drift, clock_offset
 from cvxshear.records.diagnostics import left_out, overlooked_modes
-from cvxshear.records.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
+from cvxshear.records.estimate import (
+    Replication,
+    assembled,
+    covariance,
+    details,
+    doubted,
+    scattering,
+    settle_truncation,
+)
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.functions import measured_functions
-from cvxshear.records.late_clocks import CERTAIN_DELAY, clock_drift, clock_offset
 from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.records.placement import findings_of, weighed
-from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, Attempt, default_method, settled, source_of
+from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, default_method, in_step, scaled, source_of
 from cvxshear.records.realization import Source
 from cvxshear.records.record import Finding, FrfRecord, Record
-from cvxshear.records.releases import without_drifts
 from cvxshear.records.result import ModalResult
-from cvxshear.records.signals import in_step, scaled
 from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
 from cvxshear.util.arithmetic import usual_arithmetic
@@ -35,6 +40,65 @@ CLOCKS = ("clock offset", "clock drift")
 """Kinds of findings that the whole band and the modes may both tell of a channel."""
 FUNCTION_RANGE = 1.5
 """Times the highest natural frequency: as far the functions of a record are kept."""
+
+
+DECIMATION_FACTORS = (2, 4, 8, 16, 32, 64)
+"""Steps of the sampling rate: at a factor of two the highest mode is met within LOWEST_SHARE and half the rate."""
+
+
+LOWEST_SHARE = 0.1
+"""Fraction of the sampling rate. With a lower highest mode, the rate is reduced."""
+
+
+Attempt = Callable[..., tuple[Source, Sweep]]
+
+
+def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:
+    """Find the sampling rate that suits the modes, and source and sweep at it.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    wanted : int
+        Number of modes that would be all.
+    attempt : callable
+        From a record to its source and sweep.
+    highest : float, optional
+        Hz that must stay in sight: the highest mode picked by hand.
+
+    Returns
+    -------
+    source : Source
+    sweep : Sweep
+    """
+    best = attempt(record)
+    if record.band is not None or _suits(best, wanted):
+        return best
+    for factor in DECIMATION_FACTORS:
+        band = (0.0, record.sampling_rate / (2.5 * factor))
+        if band[1] < highest:
+            break
+        try:
+            trial = attempt(dataclasses.replace(record, band=band))
+        except (InputError, NoSolutionError):
+            # The record is too short for a lower rate, or has no model there: keep the earlier result.
+            break
+        if len(trial[1].chosen) < len(best[1].chosen):
+            break
+        if len(trial[1].chosen) > len(best[1].chosen) or _too_low(best):
+            best = trial
+        if _suits(best, wanted):
+            break
+    return best
+
+
+def _suits(found: tuple[Source, Sweep], wanted: int) -> bool:
+    return len(found[1].chosen) == wanted and not _too_low(found)
+
+
+def _too_low(found: tuple[Source, Sweep]) -> bool:
+    source, sweep = found
+    return not sweep.chosen or sweep.chosen[-1].frequency < LOWEST_SHARE * source.sampling_rate
 
 
 @dataclass(frozen=True)
@@ -171,11 +235,6 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         return source, sweep_orders(source, options.criteria, choose, **limits)
 
     record, (source, sweep), of_places = _repaired(record, wanted, attempt, options)
-    if not isinstance(record, FrfRecord) and record.input == "free_decay":
-        steady, of_drifts = without_drifts(record, np.array([item.eigenvalue for item in sweep.chosen]))
-        if of_drifts:
-            record, of_places = steady, of_places + of_drifts
-            source, sweep = settled(record, wanted, attempt)
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     parts = Parts(source, sweep.poles)
@@ -317,31 +376,25 @@ def _besides(looked: Examined) -> str:
 def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
     """Add what was found before; clocks that were set right count together with what was left."""
     seen, offsets = [], dict(result.clock_offsets)
-    counted: set[tuple[str, str]] = set()
-    late = {finding.numbers["channel"] for finding in result.findings if finding.kind == "clock offset"}
     for finding in looked.findings:
-        name = finding.numbers.get("channel", "")
-        if finding.kind == "clock offset" and name in offsets:
-            against = finding.numbers["reference"]
-            (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
-            if abs(rest - zero) > CERTAIN_DELAY * finding.numbers["std"]:
-                # Phases that the bands rule out come from dampers.
-                rest, zero, std, spread = 0.0, 0.0, finding.numbers["std"], 0.0
-            apart = finding.numbers["seconds"] + rest - zero
-            seen.append(clock_offset(name, against, apart, float(np.hypot(std, spread))))
-            # The finding counts from the bands' reference, the offsets from that of the modes.
-            from_modes = result.clock_offsets.get(against, (0.0, 0.0))
-            offsets[name] = apart + from_modes[0], float(np.hypot(std, from_modes[1]))
-        elif finding.kind == "clock drift" and "reference" in finding.numbers and name in late:
-            # A drift is taken out with a start that the modes tell finer.
-            numbers, zero = finding.numbers, result.clock_offsets.get(finding.numbers["reference"], (0.0, 0.0))[0]
-            start = numbers["seconds"] + offsets[name][0] - zero
-            seen.append(clock_drift(name, numbers["reference"], start, numbers["drift"], numbers["drift_std"]))
-            offsets[name] = start, offsets[name][1]
-            counted.add(("clock offset", name))
-        else:
+        numbers = finding.numbers
+        name, against = numbers.get("channel", ""), numbers.get("reference")
+        if finding.kind not in CLOCKS or name not in offsets:
             seen.append(finding)
+            continue
+        (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
+        if np.hypot(std, spread) > numbers.get("std", np.inf):
+            # The whole band tells it better: dampers turn the phases of the modes.
+            rest, zero, std, spread = 0.0, 0.0, numbers["std"], 0.0
+        apart = numbers["seconds"] + rest - zero
+        if finding.kind == "clock offset":
+            seen.append(clock_offset(name, against, apart, float(np.hypot(std, spread))))
+        else:
+            seen.append(clock_drift(name, against, apart, numbers["drift"], numbers["drift_std"]))
+        # The finding counts from the bands' reference, the offsets from that of the modes.
+        from_modes = result.clock_offsets.get(against, (0.0, 0.0))
+        offsets[name] = apart + from_modes[0], float(np.hypot(std, from_modes[1]))
     # The remaining offset of a clock that the whole band corrected is counted above, or belongs to its drift.
-    twice = counted | {(finding.kind, finding.numbers["channel"]) for finding in seen if finding.kind in CLOCKS}
-    left = [item for item in result.findings if (item.kind, item.numbers.get("channel")) not in twice]
+    told = {finding.numbers["channel"] for finding in seen if finding.kind in CLOCKS}
+    left = [item for item in result.findings if item.kind not in CLOCKS or item.numbers["channel"] not in told]
     return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)

@@ -10,8 +10,7 @@ import numpy as np
 
 from cvxshear.data.pairing import mac
 from cvxshear.records import stabilization
-from cvxshear.records.clock_offsets import offsets, undone
-from cvxshear.records.mode_shapes import collinearity, possible_changes, real_shape, sign_changes
+from cvxshear.records.mode_shapes import collinearity, offsets, possible_changes, real_shape, sign_changes, undone
 from cvxshear.records.realization import Poles, Source, realize
 from cvxshear.records.stabilization import Cluster, Criteria
 from cvxshear.util.typing import Bools, Complexes, Floats

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.records.examination import in_unit, unit_in_truth
-from cvxshear.records.findings import finding
-from cvxshear.records.record import Channel, Finding
+from cvxshear.records.record import Channel, Finding, finding
 from cvxshear.util import ranking
 from cvxshear.util.quantities import STANDARD_GRAVITY, SURE, chance, listed
 from cvxshear.util.typing import Floats, Ints

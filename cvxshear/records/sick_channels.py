@@ -7,11 +7,10 @@ import numpy as np
 import scipy
 from scipy import linalg, ndimage
 
+from cvxshear.records.clocks import mains_lines
 from cvxshear.records.data_frames import stretches
-from cvxshear.records.findings import finding
-from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
-from cvxshear.records.segments import mains_lines
-from cvxshear.records.signals import AnyRecord, impulsive, only
+from cvxshear.records.prepare import AnyRecord, impulsive, only
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import counted
 from cvxshear.util.typing import Bools, Floats

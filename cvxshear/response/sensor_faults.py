@@ -16,12 +16,12 @@ from scipy import ndimage
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES, sound_pieces
 from cvxshear.records.examination import examined
-from cvxshear.records.floors import ACROSS, center_weights
+from cvxshear.records.examination import ACROSS, center_weights
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.records.sick_channels import spikes_in, stuck_in
-from cvxshear.records.signals import SINC_TERMS, between
+from cvxshear.records.prepare import SINC_TERMS, between
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 

@@ -11,12 +11,12 @@ import pytest
 
 from cvxshear import InputError
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
-from cvxshear.records.clock_offsets import offsets
+from cvxshear.records.mode_shapes import offsets
 from cvxshear.records.deviations import SENSOR_STD, entry_std
 from cvxshear.records.diagnostics import reciprocity_findings
 from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
-from cvxshear.records.signals import in_step, struck
+from cvxshear.records.prepare import in_step, struck
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.benchmarks.record_faults import only
 from tests.records.shared import TWO_STORY_FREQUENCIES, two_story_frf

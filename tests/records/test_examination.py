@@ -15,9 +15,9 @@ from cvxshear import Experiment, identify
 from cvxshear.records import Channel, Run, TimeRecord, from_arrays, identify_modes, second_opinion
 from cvxshear.records.diagnostics import cables_changed
 from cvxshear.records.examination import examined
-from cvxshear.records.floors import one_a_floor
+from cvxshear.records.examination import one_a_floor
 from cvxshear.records.placement import ChannelMistake, findings_of, weighed
-from cvxshear.records.signals import scaled
+from cvxshear.records.prepare import scaled
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record
 from cvxshear.report import terminal
 from cvxshear.response.sources import load_unscaled

@@ -5,7 +5,7 @@ from pathlib import Path
 from string import Formatter
 
 import cvxshear
-from cvxshear.records.findings import SENTENCES, finding
+from cvxshear.records.record import SENTENCES, finding
 from cvxshear.records.result import OVERLOOKED_KIND
 
 
