@@ -37,7 +37,7 @@ STEADY = 0.02
 PHASES = 50
 """Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
 lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure."""
-LIVE, BY_CHANCE = 0.7, 0.3
+LIVE, BY_CHANCE = 0.5, 0.3
 """Standard deviations of the log odds of a channel's agreement with the others: of a live one about the usual agreement
 of the record, of one without motion about what chance makes."""
 SEGMENT = 20.0
