@@ -19,8 +19,7 @@ def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> 
 
     The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
     frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
-    without a known change is given the smallest known change. One that is only suspected to change, by its scatter, has
-    that scatter in its deviation already.
+    without a known change is given the smallest known change.
 
     Parameters
     ----------

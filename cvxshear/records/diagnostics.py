@@ -5,20 +5,19 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from scipy import optimize, special
 
 from cvxshear.records.clocks import Segments
 from cvxshear.records.deviations import SENSOR_STD, jackknife
-from cvxshear.records.estimate import Details, Replication
+from cvxshear.records.estimate import SURROGATES, Details, Replication
 from cvxshear.records.examination import ROTATES
 from cvxshear.records.frf import FrfSource, ImpulseSource
 from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, Parts, PoleCandidate, Values
-from cvxshear.records.realization import Impulse
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, ModalResult
 from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import counted, listed, numbered, significant
+from cvxshear.util.odds import weigh
+from cvxshear.util.quantities import SURE, counted, listed, numbered, significant
 from cvxshear.util.typing import Bools, Floats, Ints
 
 A_MODE = 0.3
@@ -89,14 +88,6 @@ OTHER = (
 ALIKE = 0.8
 """Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
 its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories."""
-GAIN_CHANGED = 0.04
-"""Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
-REPEATED = 0.003
-"""Typical change of a shape between two tests of one frame, relative to the mode's largest entry."""
-LARGEST_GAIN = 12.0
-"""Largest change of a gain that is looked for: g for m/s2, and room beyond."""
-IMPROBABLE_GAIN = 1e-3
-"""Significance level of the misfit with one gain, and of the larger misfit without it."""
 FEWEST_PERIODS = 500
 """Least number of periods of the lowest mode in an ambient record; 1000 to 2000 are usual (Brincker and Ventura
 2015)."""
@@ -284,113 +275,62 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
             yield finding("complex mode", {"mode": int(mode), "degrees": float(phase)})
 
 
-def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
-    """Find what changed between two records of a frame that a cable explains: a channel reversed, or with another gain.
-
-    The entries of a channel change by one and the same factor in every mode; damage changes them by another in each.
-    """
-    floors = np.intersect1d(before.floors, after.floors)
-    modes = np.intersect1d(before.modes, after.modes)
-    if len(floors) < 3 or len(modes) < 2:
-        return []
-    chosen = [np.ix_(np.isin(item.modes, modes), np.isin(item.floors, floors)) for item in (before, after)]
-    shapes, stds = [], []
-    for item, part in zip((before, after), chosen, strict=True):
-        largest = np.abs(item.mode_shapes[part]).max(axis=1, keepdims=True)
-        shapes.append(item.mode_shapes[part] / largest)
-        stds.append(np.nan_to_num(item.mode_shape_std[part]))
-    weights = 1.0 / (stds[0] ** 2 + stds[1] ** 2 + 2 * REPEATED**2)
-
-    def misfit(gain: float, place: int) -> float:
-        """Weighted squares that the first test's shapes leave of the second's, each mode with a scale of its own."""
-        expected = shapes[0] * np.where(np.arange(len(floors)) == place, gain, 1.0)
-        scale = (weights * expected * shapes[1]).sum(axis=1) / (weights * expected**2).sum(axis=1)
-        return float((weights * (shapes[1] - scale[:, None] * expected) ** 2).sum())
-
-    found = []
-    for place in range(len(floors)):
-        for bounds in ((-LARGEST_GAIN, -1 / LARGEST_GAIN), (1 / LARGEST_GAIN, LARGEST_GAIN)):
-            best = optimize.minimize_scalar(
-                misfit, args=(place,), bounds=bounds, method="bounded", options={"xatol": 1e-9}
-            )
-            found.append((float(best.fun), float(best.x), place))
-    found.sort()
-    least, gain, place = found[0]
-    second = min(each for each, _, other in found if other != place)
-    freedom = len(modes) * (len(floors) - 1) - 1
-    # A change of the frame as well, or instead, leaves more than one gain explains.
-    if abs(gain - 1.0) < GAIN_CHANGED or special.chdtrc(freedom, least) < IMPROBABLE_GAIN:
-        return []
-    if min(second, misfit(1.0, place)) < least + special.chdtri(1, IMPROBABLE_GAIN):
-        return []
-    what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
-    numbers = {"floor": int(floors[place]), "gain": gain, "records": [before.name, after.name]}
-    return [finding("cable", numbers, what=what, after=after.name, before=before.name)]
-
-
-SIGNIFICANT = 3.0
-"""Report changes of frequency above this number of standard deviations; chance exceeds it for one mode in 370."""
+DEPENDS_ON_AMPLITUDE = 0.1
+"""Probability beforehand that the frequencies of a frame change with amplitude."""
+TYPICAL_CHANGE = 0.01
+"""Relative change of such frequencies between strong and weak motion; the mini table's are 0.6 to 2.4 %."""
 SMALLEST_CHANGE = 1e-3
-"""Least relative change of frequency in a report; four degrees of temperature have this effect on a steel frame."""
-SCATTERED = 2.5
-"""The same of the halves' own scatter, by Student's t, besides: a dozen blocks tell it to a fifth."""
-ALL_TOGETHER = 4.0
-"""Standard deviations that the changes of all modes have together, their sum over the root of their number: one of 88
-simulated records of linear frames reached 3.0, and their root mean square was 1.2."""
-SCATTERS = 3.0
-"""Times that a frequency scatters in the stronger half of a record what it does in the weaker: the variances of ten
-equal blocks each have that ratio by chance once in 740 modes, and noise, which is less of the stronger half, makes it
-smaller."""
-STRONGER = 1.5
-"""Times the motion of the weaker half: below, both halves are alike, and neither has to scatter more."""
+"""Relative change of a frequency that says nothing: four degrees of temperature have this effect on a steel frame."""
 FEWEST_BLOCKS = 8
 """Least number of blocks: half of them, four, still determine the modes and their scatter."""
 
 
 def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:
-    """Modes whose frequency differs between strong and weak motion by more than chance allows."""
-    if setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS:
-        yield from _strong_against_weak(setting, result)
-    elif setting.source.impulse() is not None:
-        yield from _early_against_late(setting, result)
+    """Modes whose frequency depends on amplitude: strong blocks against weak ones, a whole decay against its end.
+
+    Two hypotheses are weighed over all modes together: no change, or changes of a typical size. The scatter is
+    Student's, as it is estimated from a few pieces.
+    """
+    blocks = setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS
+    compared = _strong_and_weak(setting) if blocks else _early_and_late(setting, result)
+    if compared is None:
+        return
+    first, second, std, freedom = compared
+    changes = first - second
+    scales = np.hypot(np.maximum(std, SMALLEST_CHANGE), np.array([[0.0], [TYPICAL_CHANGE]]))
+    likely = -np.log(scales) - 0.5 * (freedom + 1.0) * np.log1p((changes / scales) ** 2 / freedom)
+    priors = np.log([1.0 - DEPENDS_ON_AMPLITUDE, DEPENDS_ON_AMPLITUDE])
+    if weigh(likely.sum(axis=1), priors)[1] < SURE:
+        return
+    energies = setting.source.energies
+    strong = energies > np.median(energies)
+    for place in np.flatnonzero((likely[1] > likely[0]) & (np.abs(changes) > SMALLEST_CHANGE)).tolist():
+        numbers = {"mode": int(result.modes[place]), "change": float(changes[place]), "std": float(std[place])}
+        frequencies = np.exp([first[place], second[place]])
+        if blocks:
+            numbers["amplitude_ratio"] = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
+            yield finding("amplitude", numbers, strong=frequencies[0], weak=frequencies[1])
+        else:
+            yield finding("amplitude/decay", numbers, whole=frequencies[0], later=frequencies[1])
 
 
-def _strong_against_weak(setting: Replication, result: ModalResult) -> Iterator[Finding]:
+_Compared = tuple[Floats, Floats, Floats, Floats]
+"""Log frequencies under strong and under weak motion, standard deviations of their differences, degrees of freedom."""
+
+
+def _strong_and_weak(setting: Replication) -> _Compared | None:
     energies = setting.source.energies
     strong = energies > np.median(energies)
     first, second = _log_frequencies(setting, strong), _log_frequencies(setting, ~strong)
-    if first is None or second is None:
-        return
-    ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
-    changes = first - second
-    large = np.abs(changes) > np.maximum(SIGNIFICANT * 2 * result.frequency_std, SMALLEST_CHANGE)
-    scattered = (ratio > STRONGER) & (result.frequency_std > SMALLEST_CHANGE)
-    if not np.any(large | scattered):
-        # How the halves scatter, which takes as long as all the rest, could not make anything of that.
-        return
-    stronger, weaker = _scatter(setting, strong), _scatter(setting, ~strong)
-    if stronger is None or weaker is None:
-        return
-    (first_std, first_freedom), (second_std, second_freedom) = stronger, weaker
+    if first is None or second is None or np.all(np.abs(first - second) < SMALLEST_CHANGE):
+        return None
     # Noise that the stronger half hardly shows may be a tenth of the weaker: each half says itself how it scatters.
-    student = special.stdtrit(np.minimum(first_freedom, second_freedom), special.ndtr(SCATTERED))
-    std = np.hypot(first_std, second_std)
-    score = np.divide(changes, std, out=np.zeros(len(std)), where=std > 0)
-    together = float(np.sum(score) / np.sqrt(len(score)))
-    certain = large & ((np.abs(score) > student) | ((abs(together) > ALL_TOGETHER) & (score * together > 0)))
-    # A sweep may pass a mode in the weaker half; all blocks together then determine its frequency better.
-    scatter = np.minimum(first_std, result.frequency_std)
-    suspected = scattered & (scatter > np.maximum(SCATTERS * second_std, SMALLEST_CHANGE))
-    for place in np.flatnonzero(certain | suspected).tolist():
-        mode, change = int(result.modes[place]), float(changes[place])
-        numbers = {"mode": mode, "std": float(std[place]), "amplitude_ratio": ratio}
-        if certain[place]:
-            yield finding(
-                "amplitude", {**numbers, "change": change}, strong=np.exp(first[place]), weak=np.exp(second[place]),
-                score=abs(score[place]), together=abs(together),
-            )  # fmt: skip
-        else:
-            yield finding("amplitude/scatter", numbers, strong=first_std[place], weak=second_std[place])
+    scatters = [_scatter(setting, half) for half in (strong, ~strong)]
+    known = [each for each in scatters if each is not None]
+    if len(known) < 2:
+        return None
+    (first_std, first_freedom), (second_std, second_freedom) = known
+    return first, second, np.hypot(first_std, second_std), np.minimum(first_freedom, second_freedom)
 
 
 def _scatter(setting: Replication, half: Bools) -> tuple[Floats, Floats] | None:
@@ -409,70 +349,31 @@ def _scatter(setting: Replication, half: Bools) -> tuple[Floats, Floats] | None:
     return np.sqrt(np.diag(covariance)), freedom
 
 
+def _early_and_late(setting: Replication, result: ModalResult) -> _Compared | None:
+    """Compare the impulse response from its start with the same once it has decayed to a third."""
+    impulse = setting.source.impulse()
+    if impulse is None:
+        return None
+    power = np.sum(impulse.sequence**2, axis=(1, 2))
+    left = np.cumsum(power[::-1])[::-1]
+    weak = np.flatnonzero(left < left[impulse.start] / 9)
+    if not weak.size or weak[0] > 0.6 * len(power):
+        return None
+    begun, rate = int(weak[0]), setting.source.sampling_rate
+    source = ImpulseSource(dataclasses.replace(impulse, start=begun), rate)
+    later = _logarithms(setting, Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None))
+    if later is None:
+        return None
+    # Noise stays while each mode decays.
+    lost = 2 * np.pi * result.frequencies * result.damping_ratios * (begun - impulse.start) / rate
+    std = result.frequency_std * np.exp(np.clip(lost, 0.0, 50.0))
+    pieces = len(setting.source.groups) or SURROGATES
+    return np.log(result.frequencies), later, std, np.full(len(std), pieces - 1.0)
+
+
 def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:
     return _logarithms(setting, setting.values(keep))
 
 
 def _logarithms(setting: Replication, values: Values | None) -> Floats | None:
     return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
-
-
-def _early_against_late(setting: Replication, result: ModalResult) -> Iterator[Finding]:
-    """Compare the impulse response from its start with the same once it has decayed to a third."""
-    later = _later(setting, None)
-    if later is None:
-        return
-    change = np.log(result.frequencies) - later
-    if np.all(np.abs(change) < SMALLEST_CHANGE):
-        return
-    std = np.maximum(result.frequency_std * _grown(setting, result), _std_of_change(setting))
-    for place, mode in enumerate(result.modes):
-        bound = SIGNIFICANT * std[place]
-        if abs(change[place]) > max(bound, SMALLEST_CHANGE):
-            numbers = {"mode": int(mode), "change": float(change[place]), "chance": float(bound)}
-            yield finding("amplitude/decay", numbers, whole=result.frequencies[place], later=np.exp(later[place]))
-
-
-def _grown(setting: Replication, result: ModalResult) -> Floats:
-    """Loss of signal-to-noise ratio of each mode when the decay becomes weak."""
-    impulse = setting.source.impulse()
-    begun = None if impulse is None else _weak_from(impulse)
-    if impulse is None or begun is None:
-        return np.ones(len(result.modes))
-    lost = 2 * np.pi * result.frequencies * result.damping_ratios * (begun - impulse.start)
-    return np.asarray(np.exp(np.clip(lost / setting.source.sampling_rate, 0.0, 50.0)))
-
-
-def _std_of_change(setting: Replication) -> Floats | float:
-    """Find the deviation of the change by leaving hits or releases out; 0 where they are too few for that."""
-    groups = setting.source.groups
-    if len(groups) < 4:
-        return 0.0
-    changes = []
-    for piece in range(len(groups)):
-        keep = np.arange(len(groups)) != piece
-        whole, later = _log_frequencies(setting, keep), _later(setting, keep)
-        if whole is not None and later is not None:
-            changes.append(whole - later)
-    if len(changes) < 4:
-        return 0.0
-    return np.asarray(np.sqrt((len(changes) - 1) * np.var(changes, axis=0)))
-
-
-def _later(setting: Replication, keep: Bools | None) -> Floats | None:
-    impulse = setting.source.impulse(keep)
-    if impulse is None:
-        return None
-    begun = _weak_from(impulse)
-    if begun is None:
-        return None
-    source = ImpulseSource(dataclasses.replace(impulse, start=begun), setting.source.sampling_rate)
-    return _logarithms(setting, Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None))
-
-
-def _weak_from(impulse: Impulse) -> int | None:
-    """Find the sample from which a ninth of the energy is left; None where what follows is too short."""
-    power = np.sum(impulse.sequence**2, axis=(1, 2))
-    left = np.cumsum(power[::-1])[::-1]
-    weak = np.flatnonzero(left < left[impulse.start] / 9)
-    return None if not weak.size or weak[0] > 0.6 * len(power) else int(weak[0])

@@ -75,11 +75,6 @@ def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts
     return {item.members: (f"{scatter} over the record's pieces", of_frequency <= LARGEST_FREQUENCY_STD)}
 
 
-BIAS_LEFT = 1.0 / 3.0
-"""Ratio of an observer's bias to the change with half its lags. The change is three times the bias if the bias falls
-with the square of the lags (Richardson's extrapolation), as for the damping ratios of the highest modes."""
-NO_CHANGE = 1e-9
-"""Change of a parameter, relative or of an entry of at most 1, that is rounding."""
 SURROGATES = 20
 """Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
 FEW_PIECES = 6
@@ -233,27 +228,8 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
             # The deviations are estimates from a few pieces; still, 95 % of the errors must lie within 1.96 deviations.
             factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
             result = result * np.outer(factor, factor)
-        bias = _bias(setting, full)
-        if bias is not None:
-            result = result + np.outer(bias, bias)
-            # Under base motion the observer affects the clock of the input alone.
-            if np.max(np.abs(bias[: -len(full.clocks.seconds)])) > NO_CHANGE:
-                how += ", and a third of what half the observer's lags change"
         return result, how, lost
     return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
-
-
-def _bias(setting: Replication, full: Details) -> Floats | None:
-    """Find the bias of `full.vector()` by what a rougher approximation of the same data changes; None without one."""
-    rougher = setting.source.rougher()
-    if rougher is None:
-        return None
-    other = dataclasses.replace(setting, parts=Parts(rougher, setting.sweep.poles))
-    values = other.values(None)
-    if values is None:
-        return None
-    part = details(other, values, None, full)
-    return None if (part.scales is None) != (full.scales is None) else BIAS_LEFT * (part.vector() - full.vector())
 
 
 def _widened(spread: Floats, other: Floats) -> Floats:

@@ -9,7 +9,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cvxshear.records import diagnostics
-from cvxshear.records.adapters import second_opinion
 from cvxshear.records.clocks import clock_drift, clock_offset
 from cvxshear.records.diagnostics import left_out, overlooked_modes
 from cvxshear.records.estimate import (
@@ -26,7 +25,7 @@ from cvxshear.records.functions import measured_functions
 from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.records.placement import findings_of, weighed
-from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, default_method, in_step, scaled, source_of
+from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, default_method, scaled, source_of
 from cvxshear.records.realization import Source
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
@@ -35,6 +34,7 @@ from cvxshear.util import checks
 from cvxshear.util.arithmetic import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.quantities import SURE
+from cvxshear.util.typing import Json
 
 CLOCKS = ("clock offset", "clock drift")
 """Kinds of findings that the whole band and the modes may both tell of a channel."""
@@ -131,12 +131,10 @@ def identify_modes(
     criteria: Criteria | None = None,
     count: int | None = None,
     rule: str = "magnitude",
-    correct_clocks: bool = False,
     accept_swapped: bool = False,
     seed: int = 0,
     pick: Sequence[float] | None = None,
     functions: bool = False,
-    second: str | None = None,
 ) -> ModalResult:
     """Identify the sway modes of a frame from a record.
 
@@ -145,9 +143,8 @@ def identify_modes(
     record : TimeRecord or FrfRecord
     method : str, optional
         "era": eigensystem realization on impulse responses, from hits, frequency response functions or free decays.
-        "okid": the same on the Markov parameters of an observer, for measured continuous input. "subspace": instruments
-        of the past, for the same. "ssi": covariance-driven, for ambient records. By default, the method that suits the
-        input.
+        "subspace": instruments of the past, for measured continuous input. "ssi": covariance-driven, for ambient
+        records. By default, the method that suits the input.
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
@@ -156,8 +153,6 @@ def identify_modes(
     rule : str, optional
         Real normal mode: "magnitude", each entry's modulus with the sign of its real part; "projection", the
         real part itself on the shape's main axis.
-    correct_clocks : bool, optional
-        Shift the channels by their estimated clock offsets and identify again.
     accept_swapped : bool, optional
         Report channels that look swapped as a finding, not as an error.
     seed : int, optional
@@ -166,8 +161,6 @@ def identify_modes(
         Frequencies in Hz, as read off a stabilization diagram: the nearest stable poles, within 3 %, are the modes.
     functions : bool, optional
         Whether the result keeps what the record shows over frequency, for figures.
-    second : str, optional
-        Another method; a finding for each mode says whether this method has the mode as well.
 
     Returns
     -------
@@ -182,8 +175,6 @@ def identify_modes(
     NoSolutionError
         Where no mode of the frame was found.
     """
-    if second is not None:
-        checks.choice(second, MODAL_METHODS, "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
     options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
     try:
@@ -191,7 +182,7 @@ def identify_modes(
         with threadpool_limits(1):
             looked = examined(record)
             try:
-                result, record = _with_clocks(looked, options, correct_clocks=correct_clocks)
+                result = _identified(looked.record, options, looked.turning)
             except NoSolutionError as error:
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:
@@ -199,27 +190,13 @@ def identify_modes(
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
             if functions:
                 result = dataclasses.replace(
-                    result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
                 )
-            if second is not None:
-                other = _identified(record, dataclasses.replace(options, pick=(), method=second))
-                opinion = second_opinion(result, dataclasses.replace(other, name=second))
-                result = dataclasses.replace(result, findings=(*result.findings, *opinion))
             return result
     except np.linalg.LinAlgError as error:
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
         raise NoSolutionError(options.method or default_method(record), reason) from error
-
-
-def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
-    """Identify the modes, with clocks set right where that was asked for and needed; the record used comes second."""
-    record = looked.record
-    result = _identified(record, options, looked.turning)
-    if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
-        return result, record
-    record = in_step(record, {name: (seconds, 0.0) for name, (seconds, _) in result.clock_offsets.items()})
-    return _with_first_findings(result, _identified(record, options, looked.turning)), record
 
 
 def _identified(record: Record, options: Options, turning: Callable[[float], float] | None = None) -> ModalResult:
@@ -337,16 +314,6 @@ def _nothing(sweep: Sweep) -> str:
     )
 
 
-def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
-    """Put what the record showed before its clocks were set right into the second result."""
-    mended = [
-        dataclasses.replace(finding, message=finding.message + "; corrected")
-        for finding in first.findings
-        if finding.kind == "clock offset"
-    ]
-    return dataclasses.replace(again, findings=(*mended, *again.findings), clock_offsets=first.clock_offsets)
-
-
 def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
     """Widen the entries of floors without a sensor at their center, or with an unknown center."""
     unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
@@ -377,8 +344,8 @@ def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
     """Add what was found before; clocks that were set right count together with what was left."""
     seen, offsets = [], dict(result.clock_offsets)
     for finding in looked.findings:
-        numbers = finding.numbers
-        name, against = numbers.get("channel", ""), numbers.get("reference")
+        numbers: Json = finding.numbers
+        name, against = str(numbers.get("channel", "")), str(numbers.get("reference", ""))
         if finding.kind not in CLOCKS or name not in offsets:
             seen.append(finding)
             continue

@@ -156,7 +156,7 @@ def between(values: Floats, places: Floats) -> Floats:
     return np.asarray(np.einsum("kj,kj->k", values[near], weight))
 
 
-MODAL_METHODS = ("era", "okid", "subspace", "ssi")
+MODAL_METHODS = ("era", "subspace", "ssi")
 BLOCKS = 20
 """Pieces of a continuous record: Student's t of 19 degrees of freedom widens the deviations by 7 % only, and a piece
 still holds many periods of the lowest mode."""
@@ -177,7 +177,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
     ----------
     record : TimeRecord or FrfRecord
     method : str
-        "era", "okid", "subspace" or "ssi".
+        "era", "subspace" or "ssi".
     blocks : int, optional
         Pieces that a long record is cut into.
 
@@ -207,7 +207,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
         after = 2 * continuous.SSI_ROWS
         pieces = [run.responses[start : stop + after] for run, start, stop in _cuts(record, blocks, 0, after)]
         return continuous.CovarianceSource(pieces, record.sampling_rate)
-    return _driven(record, method, blocks)
+    return _driven(record, blocks)
 
 
 def _suited(record: Record) -> tuple[str, ...]:
@@ -215,8 +215,8 @@ def _suited(record: Record) -> tuple[str, ...]:
     if isinstance(record, FrfRecord):
         return ("era",)
     if record.input == "force":
-        return ("era", "subspace", "okid") if struck(record) else ("subspace", "okid", "era")
-    return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace", "okid")}[record.input]
+        return ("era", "subspace") if struck(record) else ("subspace", "era")
+    return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace",)}[record.input]
 
 
 def _hits(record: TimeRecord) -> FrfSource:
@@ -262,18 +262,16 @@ def _release(responses: Floats) -> int:
     return int(np.flatnonzero(size > 0.9 * size.max())[-1])
 
 
-def _driven(record: TimeRecord, method: str, blocks: int) -> Source:
+def _driven(record: TimeRecord, blocks: int) -> Source:
     samples = sum(run.samples for run in record.runs)
     lags = continuous.lags_for(record.stories, len(record.channels), samples)
     rows = continuous.rows_for(record.stories, len(record.channels))
-    before = lags if method == "okid" else 2 * rows - 1
+    before = 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):
         if run.excitation is None:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
-    if method == "okid":
-        return continuous.OkidSource(pieces, record.sampling_rate, _one_floor(record), lags)
     return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
 
 

@@ -42,7 +42,7 @@ class ModalResult(Shown):
     ----------
     name : str
     method : str
-        "era", "okid", "subspace", "ssi" or "given".
+        "era", "subspace", "ssi" or "given".
     stories : int
     floors : array of int, shape (n,)
         Measured floors, ascending.

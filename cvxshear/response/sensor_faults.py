@@ -15,18 +15,17 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES, sound_pieces
-from cvxshear.records.examination import examined
-from cvxshear.records.examination import ACROSS, center_weights
+from cvxshear.records.examination import ACROSS, center_weights, examined
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN
+from cvxshear.records.prepare import SINC_TERMS, between
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.records.sick_channels import spikes_in, stuck_in
-from cvxshear.records.prepare import SINC_TERMS, between
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 
 SAID = (
-    "dead channel", "stuck channel", "clipped channel", "held samples", "aliasing", "mains hum", "direction", "sign",
+    "dead channel", "stuck channel", "clipped channel", "held samples", "mains hum", "direction", "sign",
     "unit", "swapped channels", "clock offset", "clock drift",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""

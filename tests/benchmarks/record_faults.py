@@ -33,7 +33,7 @@ NAMED_BY = {
 }
 """Kinds of finding that name each fault."""
 
-ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"held samples", "aliasing", "drift"}
+ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"held samples", "drift"}
 INPUTS = ("base", "force", "none", "free_decay")
 
 

@@ -294,8 +294,8 @@ def test_unsuitable_method_names_a_suitable_one():
     record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)
     with pytest.raises(UnsuitableError, match='method "ssi" cannot use input = "base"; use "subspace"'):
         identify_modes(record, method="ssi")
-    with pytest.raises(InputError, match="did you mean 'okid'"):
-        identify_modes(record, method="okidd")
+    with pytest.raises(InputError, match="did you mean 'subspace'"):
+        identify_modes(record, method="subspac")
 
 
 def test_noise_alone_has_no_modes():

@@ -67,16 +67,6 @@ def test_a_sensor_a_sample_off_changes_no_shape(sine, earthquake):
 
 
 @needs_mini_table
-def test_clocks_corrected_on_request():
-    result = mini("stiff-sine-2.0", correct_clocks=True)
-    corrected = [finding for finding in result.findings if finding.message.endswith("; corrected")]
-    assert corrected
-    said = [item for item in result.findings if item.kind == "clock offset" and not item.numbers.get("corrected")]
-    left = [item for item in said if item not in corrected]
-    assert all(abs(finding.numbers["seconds"]) < 0.001 for finding in left)
-
-
-@needs_mini_table
 def test_frequencies_that_depend_on_amplitude_are_found():
     result = mini("flexible-northridge")
     changes = [finding.numbers["change"] for finding in result.findings if finding.kind == "amplitude"]
