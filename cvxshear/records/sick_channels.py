@@ -173,16 +173,11 @@ def _interpolation_errors(values: Floats) -> Floats:
 def _local_scale(errors: Floats) -> Floats:
     """Estimate the standard deviation of errors around each sample, from the medians of their sizes in blocks."""
     count = max(1, len(errors) // 200)
-    size, longer = divmod(len(errors), count)
-    # The first blocks are longer by one sample where the number does not come out even.
-    longer_ones, others = np.split(np.abs(errors), [longer * (size + 1)])
-    parts = longer_ones.reshape(longer, size + 1), others.reshape(count - longer, size)
-    medians = np.concatenate([np.median(part, axis=1) for part in parts if len(part)]) / 0.6745
-    # The louder of a block and its neighbours: an onset is no spike.
-    medians = ndimage.maximum_filter1d(medians, 3)
-    lengths = np.repeat([size + 1, size], [longer, count - longer])
-    middles = np.cumsum(lengths) - 0.5 * lengths
-    scale = np.interp(np.arange(len(errors)), middles, medians)
+    parts = np.array_split(np.abs(errors), count)
+    # The louder of a block and its neighbors: an onset is no spike.
+    medians = ndimage.maximum_filter1d([np.median(part) / 0.6745 for part in parts], 3)
+    lengths = np.array([len(part) for part in parts])
+    scale = np.interp(np.arange(len(errors)), np.cumsum(lengths) - 0.5 * lengths, medians)
     return np.asarray(np.where(scale > 0, scale, np.inf))
 
 
