@@ -54,8 +54,6 @@ class Accepted:
     ----------
     point : Point
     certificate : Certificate
-    errors : ndarray, shape (n,)
-        Bound on the error of each unknown.
     acceptance : Acceptance
     reason : str
         Why the closed form took the answer's place; empty if it did not.
@@ -63,7 +61,6 @@ class Accepted:
 
     point: Point
     certificate: Certificate
-    errors: Floats
     acceptance: Acceptance = Acceptance.AS_GIVEN
     reason: str = ""
 
@@ -106,30 +103,22 @@ def accurate(program: Assembled, point: Point) -> Accepted:
     errors = np.abs(exact.point.x - point.x) + exact.errors
     if not met and not program.distance(point.x, exact.point.x) <= TOLERANCES.optimality:
         raise _inaccurate(certificate)
-    found = Accepted(point, certificate, errors)
+    found = Accepted(point, certificate)
     # Relative to the unknown alone, so that small unknowns among large ones are accurate, too.
     if not met or np.any(errors > TOLERANCES.error * np.abs(exact.point.x) + 2.0 * exact.errors):
         nearer = certify(program, exact.point)
         if nearer.worst <= TOLERANCES.optimality and nearer.primal_residual <= TOLERANCES.violation:
-            found = _in_place_of(certificate, errors, Accepted(exact.point, nearer, exact.errors), size, met=met)
+            off = f"is off by up to {largest_relative(errors, size):.1e} of an unknown, accepted {TOLERANCES.error:.0e}"
+            why = off if met else f"did not pass: {_inaccurate(certificate)}"
+            reason = f"its answer {why}; the closed form on its active constraints took its place"
+            found = Accepted(exact.point, nearer, Acceptance.POLISHED if met else Acceptance.REPLACED, reason)
+            errors = exact.errors
         elif not met or np.any(errors > TOLERANCES.error * size + 2.0 * exact.errors):
             raise _inaccurate(nearer)
         # Else the answer is accurate for its size; the last digits of the closed form are rounding in heavy rows.
-    bound = largest_relative(found.errors, size)
-    return dataclasses.replace(found, certificate=dataclasses.replace(found.certificate, error_bound=bound))
-
-
-def _in_place_of(certificate: Certificate, errors: Floats, exact: Accepted, size: Floats, *, met: bool) -> Accepted:
-    """Say why the closed form took the place of an answer with this certificate and these errors."""
-    if met:
-        off = largest_relative(errors, size)
-        why = f"its answer is off by up to {off:.1e} of an unknown, accepted {TOLERANCES.error:.0e}"
-    else:
-        why = f"its answer did not pass: {_inaccurate(certificate)}"
+    bound = largest_relative(errors, size)
     return dataclasses.replace(
-        exact,
-        acceptance=Acceptance.POLISHED if met else Acceptance.REPLACED,
-        reason=f"{why}; the closed form on its active constraints took its place",
+        found, certificate=dataclasses.replace(found.certificate, error_bound=bound, errors=errors)
     )
 
 

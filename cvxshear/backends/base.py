@@ -9,11 +9,8 @@ answer that satisfies all inequalities is the answer to the whole program.
 
 from __future__ import annotations
 
-import contextvars
 import dataclasses
-import threading
 import time
-import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -27,9 +24,6 @@ from cvxshear.programs.certificate import Assembled, Point
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
 
-TIME_LIMIT = 60.0
-"""Seconds after which a solver is stopped. Programs of this size that take longer do not end (HiGHS has cycled)."""
-
 FAR_SLACK = 1e3
 """Largest slack at zero, in scaled units, of an inequality that is solved as it is: far right sides cost digits."""
 
@@ -42,12 +36,9 @@ class Backend(ABC):
     Attributes
     ----------
     name : str
-    time_limit : float or None
-        Seconds after which a call of `answer` is abandoned; None for a backend that limits itself.
     """
 
     name: str
-    time_limit: float | None = TIME_LIMIT
 
     @property
     def tolerance(self) -> float | None:
@@ -142,7 +133,6 @@ class Backend(ABC):
             backend="kkt" if accepted.reason else self.name,
             replaced=f"{self.name}: {accepted.reason}" if accepted.reason else None,
             acceptance=accepted.acceptance,
-            errors=accepted.errors,
             status=answer.status,
             iterations=answer.iterations,
         )
@@ -191,8 +181,13 @@ class Backend(ABC):
             limit *= FAR_SLACK
 
     def _checked(self, problem: Canonical) -> Answer:
-        """Ask the backend within the time limit, and refuse an answer of a wrong type, shape or value."""
-        answer = self.answer(problem) if self.time_limit is None else _limited(self, problem, self.time_limit)
+        """Ask the backend, and refuse an answer of a wrong type, shape or value."""
+        try:
+            answer: object = self.answer(problem)
+        except CvxshearError:
+            raise
+        except Exception as error:
+            raise NoSolutionError(self.name, f"answer() raised {type(error).__name__}: {error}") from error
         if not isinstance(answer, Answer):
             raise InputError(
                 f"backend {self.name}: answer() must return a cvxshear.backends.Answer, not {checks.shown(answer)}"
@@ -228,8 +223,6 @@ class Recorder(Backend):
     solved : list of SolvedProgram
     """
 
-    time_limit = None
-
     def __init__(self, backend: Backend) -> None:
         self.name, self._backend = backend.name, backend
         self.solved: list[SolvedProgram] = []
@@ -241,40 +234,3 @@ class Recorder(Backend):
         solution = self._backend.solve(program, start)
         self.solved.append(SolvedProgram(program, solution))
         return solution
-
-
-_abandoned: weakref.WeakSet[Backend] = weakref.WeakSet()
-"""Backends that have exceeded their time limit. They are not asked again, since each call would take as long."""
-
-
-def _limited(backend: Backend, problem: Canonical, seconds: float) -> object:
-    """Ask a backend in a thread of its own, and abandon a thread that does not end in time.
-
-    Raises
-    ------
-    NoSolutionError
-        If it exceeds the time limit, or raises an exception that is not cvxshear's.
-    """
-    if backend in _abandoned:
-        raise NoSolutionError(backend.name, f"did not answer within {seconds:g} s before, and is not asked again")
-    outcome: list[object] = []
-    context = contextvars.copy_context()
-
-    def answered() -> None:
-        try:
-            outcome.append(context.run(backend.answer, problem))
-        except BaseException as error:
-            outcome.append(error)
-
-    thread = threading.Thread(target=answered, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if not outcome:
-        _abandoned.add(backend)
-        raise NoSolutionError(backend.name, f"did not answer within {seconds:g} s")
-    if isinstance(outcome[0], Exception) and not isinstance(outcome[0], CvxshearError):
-        error = outcome[0]
-        raise NoSolutionError(backend.name, f"answer() raised {type(error).__name__}: {error}") from error
-    if isinstance(outcome[0], BaseException):
-        raise outcome[0]
-    return outcome[0]

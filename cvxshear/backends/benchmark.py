@@ -8,20 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends.base import Backend
-from cvxshear.backends.canonical import DEPENDENT
 from cvxshear.backends.installed import available, get
 from cvxshear.programs import LeastSquares, Solution
 from cvxshear.programs.certificate import Acceptance, Assembled
+from cvxshear.programs.least_squares import RANK_TOLERANCE
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
-
-REPEATS = 3
-"""Number of solves of each program; the fastest counts."""
-
-MOST_REPEATS = 10_000
-"""Largest number of solves that is accepted; more would run for hours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +137,7 @@ def compare(
     programs: Sequence[BenchmarkProgram],
     names: Sequence[str | Backend] | None = None,
     *,
-    repeats: int = REPEATS,
+    repeats: int = 3,
     tolerance: float | None = None,
     experiment: str = "",
     left_out: str = "",
@@ -171,7 +165,7 @@ def compare(
     InputError
         If a named backend is not installed, or a number is out of range.
     """
-    checks.whole(repeats, "repeats", least=1, most=MOST_REPEATS)
+    checks.whole(repeats, "repeats", least=1)
     chosen = [get(name) for name in (available() if names is None else names)]
     if tolerance is not None:
         tolerance = checks.number(tolerance, "tolerance", above=0.0)
@@ -199,12 +193,12 @@ def condition_number(program: LeastSquares) -> float | None:
     if len(of.A):
         # The right singular vectors beyond the rank of A span its null space.
         _, values, directions = np.linalg.svd(of.A / of.lengths)
-        rank = int(np.sum(values > DEPENDENT * values.max(initial=0.0)))
+        rank = int(np.sum(values > RANK_TOLERANCE * values.max(initial=0.0)))
         rows = rows @ directions[rank:].T
     if not rows.shape[1]:
         return 1.0
     values = np.linalg.svd(rows, compute_uv=False)
-    if len(values) < rows.shape[1] or not values[-1] > DEPENDENT * values[0]:
+    if len(values) < rows.shape[1] or not values[-1] > RANK_TOLERANCE * values[0]:
         return None
     return float(values[0] / values[-1])
 

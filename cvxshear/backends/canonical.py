@@ -24,12 +24,9 @@ from scipy import linalg
 from scipy.linalg import lapack
 
 from cvxshear.programs import LeastSquares, Solution
+from cvxshear.programs.least_squares import RANK_TOLERANCE
 from cvxshear.util.errors import InfeasibleError, InputError
 from cvxshear.util.typing import Bools, Floats
-
-DEPENDENT = 1e-12
-"""Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
-shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns."""
 
 LAPACK_BLOCK = 64
 """Block size of LAPACK's factorizations, columns."""
@@ -94,6 +91,10 @@ class Canonical:
     _inequality_scale: Floats
     _independent: Bools
     start: Answer | None = None
+
+    def stated(self, scale: float = 1.0) -> LeastSquares:
+        """Write this as a program, with a factor on unknowns and right sides; its objective is not halved."""
+        return LeastSquares(self.C, scale * self.q, A=self.E, b=scale * self.e, G=self.F, h=scale * self.f)
 
     def nearest(self) -> tuple[Floats, Floats]:
         """Find the point nearest to q under the equalities alone, of a regular program, and its multipliers.
@@ -211,7 +212,7 @@ def _whitening(R: Floats, s: Floats, A: Floats, b: Floats) -> tuple[Floats, Floa
     triangle = triangle[:n]
     U, q = triangle[:, :n], triangle[:, n]
     # LAPACK estimates the condition number of a triangle, in the 1-norm, at O(n^2) cost.
-    if len(U) == n and float(lapack.dtrcon(U)[0]) > DEPENDENT:
+    if len(U) == n and float(lapack.dtrcon(U)[0]) > RANK_TOLERANCE:
         # From U'X' = I, so that X U is the identity to its last digits, row by row: x = X z is what is needed.
         inverse = lapack.dtrtrs(U, np.eye(n), trans=1)[0].T
         return D[:, None] * inverse, np.eye(n), q.copy(), False
@@ -262,5 +263,5 @@ def independent_rows(rows: Floats) -> Bools:
         return keep
     triangle, order = linalg.qr(rows.T, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(triangle))
-    keep[order[int(np.sum(diagonal > DEPENDENT * max(diagonal[0], 1e-300))) :]] = False
+    keep[order[int(np.sum(diagonal > RANK_TOLERANCE * max(diagonal[0], 1e-300))) :]] = False
     return keep

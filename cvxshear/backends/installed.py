@@ -1,6 +1,6 @@
 """The backends: the closed form, the installed solvers of qpsolvers and cvxpy, and "auto".
 
-"auto" asks the solvers in the order of the table of `docs/speed.md` (python -m tests.benchmarks solvers). A scaled
+"auto" asks the solvers in the order of the table of `docs/speed.md` (python -m tests.studies solvers). A scaled
 program has the identity as its Hessian and few active inequalities, for which a dual active-set method needs few steps:
 DAQP takes a half to an eighth of the time of Clarabel for 3 to 100 unknowns. If the data leave a direction open, the
 Hessian is singular, and the interior-point method comes first. Every answer is certified; if one fails, the next solver
@@ -16,7 +16,7 @@ import numpy as np
 
 from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Qpsolvers, Solver
+from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Cvxpy, Qpsolvers, Solver
 from cvxshear.programs import LeastSquares, Solution
 from cvxshear.programs.certificate import Assembled
 from cvxshear.util import checks
@@ -31,15 +31,13 @@ class Kkt(Backend):
     """minimize |C z - q|^2 subject to E z = e, in closed form: the solution of Eq. 14 without its normal matrix.
 
     After the factorization of the rows, C is the identity, and the solution is the nearest point to q on a plane. This
-    is
-    the generalized QR factorization of LAPACK's xGGLSE; `canonical` does the first half.
+    is the generalized QR factorization of LAPACK's xGGLSE; `canonical` does the first half.
 
     Inequalities are checked afterwards: a solution that satisfies all of them is also the solution of the program with
     them, with zero multipliers. If the solution violates one, this backend refuses.
     """
 
     name = "kkt"
-    time_limit = None
 
     def answer_all(self, problem: Canonical, start: Solution | None = None) -> Answer:
         return self.answer(problem)
@@ -68,7 +66,6 @@ class Auto(Backend):
     """
 
     name = "auto"
-    time_limit = None
 
     def __init__(self, closed_form: Backend, definite: Sequence[Backend], singular: Sequence[Backend]) -> None:
         self._closed_form = closed_form
@@ -112,31 +109,24 @@ def register(backend: Backend) -> None:
 
 
 @cache
-def _direct() -> dict[str, Backend]:
-    """List the closed form and the installed solvers of qpsolvers."""
-    backends: list[Backend] = [Kkt(), *(Qpsolvers(solver.name) for solver in THROUGH_QPSOLVERS if solver.installed)]
-    return {backend.name: backend for backend in backends}
-
-
-@cache
-def _through_cvxpy(name: str) -> Backend:
-    from cvxshear.backends.cvxpy_backend import Cvxpy  # noqa: PLC0415 - cvxpy takes a second to import
-
-    return Cvxpy(name.removeprefix("cvxpy-").upper())
+def _installed() -> dict[str, Backend]:
+    """List the closed form, the installed solvers of qpsolvers and those of cvxpy."""
+    found: list[Backend] = [Kkt(), *(Qpsolvers(solver.name) for solver in THROUGH_QPSOLVERS if solver.installed)]
+    found += [Cvxpy(solver.module.upper()) for solver in THROUGH_CVXPY if solver.installed]
+    return {backend.name: backend for backend in found}
 
 
 @cache
 def _auto() -> Auto:
     """List the closed form, then the installed solvers of `DEFINITE` or `SEMIDEFINITE`."""
-    installed = _direct()
+    installed = _installed()
     orders = [[installed[name] for name in names if name in installed] for names in (DEFINITE, SEMIDEFINITE)]
     return Auto(installed["kkt"], *orders)
 
 
 def available() -> list[str]:
     """Names of the backends that can be used here, the closed form first."""
-    through_cvxpy = [solver.name for solver in THROUGH_CVXPY if solver.installed]
-    return [*_direct(), *through_cvxpy, *(name for name in _registered if name not in _direct())]
+    return list({**_installed(), **_registered})
 
 
 def solve(program: LeastSquares, backend: str | Backend, options: Mapping[str, Any]) -> Solution:
@@ -166,14 +156,11 @@ def get(backend: str | Backend) -> Backend:
     """
     if isinstance(backend, Backend):
         return backend
-    if backend in _registered:
-        return _registered[backend]
-    if backend in _direct():
-        return _direct()[backend]
+    known = {**_installed(), **_registered}
+    if backend in known:
+        return known[backend]
     if backend == "auto":
         return _auto()
-    names = ["auto", *available()]
-    if backend in names:
-        return _through_cvxpy(backend)
+    names = ["auto", *known]
     hint = checks.near(backend, names, 0.5)
     raise InputError(f"no backend named {backend!r} is installed here{hint} (there are {', '.join(names)})")

@@ -24,16 +24,14 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.backends.canonical import DEPENDENT, LAPACK_BLOCK, independent_rows
+from cvxshear.backends.canonical import LAPACK_BLOCK, independent_rows
 from cvxshear.programs.certificate import Assembled, Point, length
-from cvxshear.util.cached import cached_property
+from cvxshear.programs.least_squares import RANK_TOLERANCE
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 ACTIVE_SETS = 10
 """Largest number of active sets that are tried; a good guess needs one or two."""
-
-UNDETERMINED = 1e-13
-"""Rounding of the reciprocal condition number: rows with a smaller one leave a direction open."""
 
 CORRECTIONS = 2
 """Number of corrections of the answer by the closed form. The second one corrects the rounding of the first, so that
@@ -42,10 +40,6 @@ constraints hold to the last digits of their terms."""
 GRADED = 1e3
 """Largest ratio of the longest to the shortest row without sorting of rows and pivoting of columns. These keep the
 rounding of heavy rows out of light ones (Cox and Higham 1998)."""
-
-ENTRYWISE = 100
-"""Largest number of unknowns with a bound entry by entry. For more, the Cauchy-Schwarz inequality gives a larger bound
-from lengths of rows; the matrices would cost as much as the solution."""
 
 EPSILON = float(np.finfo(float).eps)
 """Distance of 1 to the next floating-point number."""
@@ -162,7 +156,7 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
     for i in np.flatnonzero(~active & (doubt > 0)):
         row = G[i] / lengths
         # An inequality that follows from the active ones changes nothing.
-        if np.linalg.norm(local.basis.on_null_space(row[None])) > DEPENDENT * program.inequality_lengths[i]:
+        if np.linalg.norm(local.basis.on_null_space(row[None])) > RANK_TOLERANCE * program.inequality_lengths[i]:
             gradient = local.directions.T @ row
             errors = errors + np.abs(local.directions @ gradient) * doubt[i] / float(gradient @ gradient)
     weights = found.point.w[active] * program.inequality_lengths[active]
@@ -223,10 +217,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
     z = np.abs(program.lengths * x)
     terms = program.absolute_rows @ z + np.abs(program.s)
     f, g = _unit(n) * terms, _unit(r) * (program.absolute_rows.T @ np.abs(residual))
-    if n <= ENTRYWISE:
-        errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
-    else:
-        errors = reach * (length(f) + reach @ g)
+    errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
     particular, off = np.zeros((n, 0)), np.zeros(0)
     if len(basis.B):
         pseudoinverse = basis.onto(np.eye(len(basis.B)))
@@ -283,7 +274,7 @@ class _Factor:
                 self._reflectors, self._tau, _, _ = lapack.dgeqrf(rows, lwork=max(1, LAPACK_BLOCK * self._k))
         self._triangle = self._reflectors[: self._k]
         # In graded rows a small pivot may come from a light row. The error bound reveals a pivot that is only rounding.
-        least = 0.0 if graded else UNDETERMINED
+        least = 0.0 if graded else RANK_TOLERANCE
         if np.any(np.diag(self._triangle) == 0.0) or not float(lapack.dtrcon(self._triangle)[0]) > least:
             raise UndeterminedError
 

@@ -1,6 +1,6 @@
-"""Table of the solvers of qpsolvers and cvxpy with packages and options, and the backend that calls qpsolvers.
+"""The solvers of qpsolvers and cvxpy: their packages and options, and the backends that call them.
 
-The table is read without importing a solver; importing all of them takes seconds.
+The table of solvers is read without importing a solver; importing all of them takes seconds.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import sys
 import time
 import tomllib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module, metadata, resources, util
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.backends.base import TIME_LIMIT, Backend
+from cvxshear.backends.base import Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.results import InJson
@@ -75,16 +75,13 @@ class Solver(InJson):
         return f"pip install {' '.join(self.missing)}" if self.missing else ""
 
 
+TIME_LIMIT = 60.0
+"""Seconds after which a solver is stopped. Programs of this size that take longer do not end (HiGHS has cycled)."""
+
 _TABLES: dict[str, dict[str, Any]] = tomllib.loads(
     resources.files("cvxshear.backends").joinpath("solvers.toml").read_text(encoding="utf-8")
 )
 """Table of the solvers; the file explains its keys and numbers."""
-
-ACCURACY_OPTIONS: dict[str, dict[str, float]] = {
-    name: table["tolerances"] for name, table in _TABLES.items() if "tolerances" in table
-}
-TIME_LIMITS = {name: table["time_limit"] for name, table in _TABLES.items() if "time_limit" in table}
-"""Requested accuracies of each solver, and the name of its option for the time limit."""
 
 THROUGH_QPSOLVERS = tuple(
     Solver(name, table.get("module", name), table.get("module", name).replace("_", "-"))
@@ -94,18 +91,6 @@ THROUGH_QPSOLVERS = tuple(
 
 THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in _TABLES if "cvxpy" in _TABLES[name])
 """Solvers that cvxpy brings along and that take a quadratic objective."""
-
-
-def default_options(solver: str) -> dict[str, Any]:
-    """Collect all options of a solver.
-
-    Parameters
-    ----------
-    solver : str
-        Name of the solver in qpsolvers.
-    """
-    limit = {TIME_LIMITS[solver]: TIME_LIMIT} if solver in TIME_LIMITS else {}
-    return {**ACCURACY_OPTIONS.get(solver, {}), **_TABLES.get(solver, {}).get("options", {}), **limit}
 
 
 class CalledSolver(Backend):
@@ -122,38 +107,58 @@ class CalledSolver(Backend):
     ----------
     options : dict
         All options that the solver gets.
+    accuracies : tuple of str
+        Names of its options for the requested accuracy.
+    time_limit : str
+        Name of its option for the time limit; empty if it has none.
     """
 
-    time_limit = None
     through = "qpsolvers"
 
     def __init__(self, solver: str, **options: Any) -> None:
-        self.solver, self._listed = solver, solver.lower()
-        self.name = self._listed if self.through == "qpsolvers" else f"{self.through}-{self._listed}"
-        further = _TABLES.get(self._listed, {}).get(self.through, {})
-        self.options = {**default_options(self._listed), **further, **options}
+        self.solver = solver
+        plain = solver.lower()
+        self.name = plain if self.through == "qpsolvers" else f"{self.through}-{plain}"
+        table = _TABLES.get(plain, {})
+        accuracies, further = table.get("tolerances", {}), table.get(self.through, {})
+        self.accuracies, self.time_limit = tuple(accuracies), table.get("time_limit", "")
+        limit = {self.time_limit: TIME_LIMIT} if self.time_limit else {}
+        self.options = {**accuracies, **table.get("options", {}), **limit, **further, **options}
+        self.scale = float(table.get("scale", 1.0))
 
     @property
     def tolerance(self) -> float | None:
-        given = [float(self.options[name]) for name in ACCURACY_OPTIONS.get(self._listed, {}) if name in self.options]
+        given = [float(self.options[name]) for name in self.accuracies if name in self.options]
         return max(given, default=None)
 
     def with_tolerance(self, tolerance: float) -> CalledSolver:
-        return self.with_options(dict.fromkeys(ACCURACY_OPTIONS.get(self._listed, {}), tolerance))
+        return self.with_options(dict.fromkeys(self.accuracies, tolerance))
 
     def with_options(self, options: Mapping[str, Any]) -> CalledSolver:
         return type(self)(self.solver, **{**self.options, **options}) if options else self
 
-    def unsolved(self, status: str, seconds: float) -> NoSolutionError:
+    def unsolved(self, status: str, began: float) -> NoSolutionError:
         """Make the error of a solver without a solution: the time limit, or the solver's own message."""
-        limit = self.options.get(TIME_LIMITS.get(self._listed, ""))
-        if limit is not None and seconds >= limit:
+        limit = self.options.get(self.time_limit)
+        if limit is not None and time.perf_counter() - began >= limit:
             return NoSolutionError(self.name, f"stopped at its time limit of {limit:g} s (its status: {status})")
         return NoSolutionError(self.name, f"no solution found (its status: {status})")
 
+    def answered(self, problem: Canonical, found: Sequence[Any], status: str, iterations: int | None) -> Answer:
+        """Convert a solution of `Canonical.stated`, a sum of squares, to one of half the sum in the usual scale.
 
-MAGNIFIED: dict[str, float] = {"highs": 1e4}
-"""Factor on unknowns and right sides: HiGHS treats a reduced gradient of about 1e-6 as zero for any tolerance."""
+        Parameters
+        ----------
+        problem : Canonical
+        found : sequence of three array_like
+            The unknowns, and the multipliers of equalities and inequalities; None for no multipliers.
+        """
+        z, *duals = found
+        y, w = (
+            np.zeros(len(side)) if dual is None or not len(side) else np.atleast_1d(dual) / (2.0 * self.scale)
+            for dual, side in zip(duals, (problem.e, problem.f), strict=True)
+        )
+        return Answer(np.asarray(z) / self.scale, y, w, status, iterations)
 
 
 class Qpsolvers(CalledSolver):
@@ -165,37 +170,55 @@ class Qpsolvers(CalledSolver):
 
         if self.name == "highs":
             _hear_version_of_highs()
-        stated = self._stated(problem)
         # Solvers without support for a starting point ignore the start.
-        scale = MAGNIFIED.get(self.name, 1.0)
-        start = None if problem.start is None else scale * problem.start.z
+        start = None if problem.start is None else self.scale * problem.start.z
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
                 # A solver's warning (an inaccurate solution, an iteration limit) is in `found`, or the certificate
-                # measures it.
+                # measures it. Some solvers take sparse matrices, and qpsolvers warns that it converts them.
                 warnings.simplefilter("ignore")
+                stated = problem.stated(self.scale).to_qpsolvers()
                 found = qpsolvers.solve_problem(stated, self.name, initvals=start, **self.options)
         except (qpsolvers.QPError, ValueError, ArithmeticError) as error:
             raise NoSolutionError(self.name, str(error) or type(error).__name__) from error
         status = _status(found)
         if not found.found or found.x is None:
-            raise self.unsolved(status, time.perf_counter() - began)
-        y = np.zeros(len(problem.e)) if found.y is None or not len(problem.e) else np.asarray(found.y)
-        w = np.zeros(len(problem.f)) if found.z is None or not len(problem.f) else np.asarray(found.z)
-        return Answer(np.asarray(found.x) / scale, y / scale, w / scale, status, _iterations(found.extras))
+            raise self.unsolved(status, began)
+        return self.answered(problem, (found.x, found.y, found.z), status, _iterations(found.extras))
 
-    def _stated(self, problem: Canonical) -> qpsolvers.Problem:
-        """Write the problem in the solver's preferred matrix format: z'C'C z / 2 - (C'q)'z."""
-        import qpsolvers  # noqa: PLC0415 - as in `answer`
-        from scipy import sparse  # noqa: PLC0415 - only some solvers take it
 
-        scale = MAGNIFIED.get(self.name, 1.0)
-        stored = np.asarray if self.name in qpsolvers.dense_solvers else sparse.csc_matrix
-        inequalities = (stored(problem.F), scale * problem.f) if len(problem.f) else (None, None)
-        equalities = (stored(problem.E), scale * problem.e) if len(problem.e) else (None, None)
-        P, q = stored(problem.C.T @ problem.C), -problem.C.T @ (scale * problem.q)
-        return qpsolvers.Problem(P, q, *inequalities, *equalities)
+class Cvxpy(CalledSolver):
+    """A solver reached through cvxpy, named cvxpy-clarabel and so on.
+
+    Parameters
+    ----------
+    solver : str
+        Name of the solver in cvxpy.
+    **options
+        Options of the solver, in addition to the accurate settings of `solvers.toml`.
+    """
+
+    through = "cvxpy"
+
+    def answer(self, problem: Canonical) -> Answer:
+        import cvxpy  # noqa: PLC0415 - takes a second to import
+
+        stated, z = problem.stated(self.scale).to_cvxpy()
+        began = time.perf_counter()
+        try:
+            with warnings.catch_warnings():
+                # The warning "Solution may be inaccurate" is also in the status, which is checked below.
+                warnings.simplefilter("ignore")
+                stated.solve(solver=self.solver, **self.options)  # type: ignore[no-untyped-call]  # cvxpy's has no annotations
+        except cvxpy.SolverError as error:
+            raise NoSolutionError(self.name, str(error)) from error
+        status = str(stated.status)
+        if status != cvxpy.OPTIMAL or z.value is None:
+            raise self.unsolved(status, began)
+        duals = iter(constraint.dual_value for constraint in stated.constraints)
+        found = (z.value, *(next(duals) if len(side) else None for side in (problem.e, problem.f)))
+        return self.answered(problem, found, status, stated.solver_stats.num_iters)
 
 
 @functools.cache

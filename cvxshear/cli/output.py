@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cvxshear.cli.options import used
-from cvxshear.util.errors import InputError
-from cvxshear.util.text import json_text, printable, shell_line
-from cvxshear.util.writing import write_file
+from cvxshear.util.errors import InputError, printable
+from cvxshear.util.writing import json_text, shell_line, write_file
 from cvxshear.version import __version__
 
 if TYPE_CHECKING:
@@ -137,8 +136,7 @@ def present() -> datetime:
 
 def _digest(file: str) -> str | None:
     """Return the SHA-256 of a file's bytes; None for a pattern or an unreadable file."""
-    from cvxshear.io.columns import LIMIT
-    from cvxshear.io.inputs import read_bytes
+    from cvxshear.io.formats import LIMIT, read_bytes
     from cvxshear.io.toml import built_in_text, is_built_in
 
     try:

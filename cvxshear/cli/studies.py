@@ -34,8 +34,9 @@ def reproduce(
     """
     from cvxshear import Identification, identify
     from cvxshear.paper import reproduce as run
-    from cvxshear.paper import tables
-    from cvxshear.paper.three_story import ThreeStory
+    from cvxshear.paper.reproduction import exact_modes
+    from cvxshear.paper.setups import three_story
+    from cvxshear.paper.tables import PRINTED
     from cvxshear.report import terminal
 
     pictures = Pictures.named(Identification, convergence=figure)
@@ -44,9 +45,8 @@ def reproduce(
     files = []
     if pictures:
         # The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses.
-        frame = ThreeStory("auto")
-        found = [identify(frame.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
-        files = pictures.of(*found, true_mass=frame.truth.floor_mass)
+        found = [identify(exact_modes(), "two-stage", initial_mass=start) for start in PRINTED["initial_mass"].values()]
+        files = pictures.of(*found, true_mass=three_story(0.01).floor_mass)
     deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
 
 

@@ -17,17 +17,23 @@ from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import Domain, domain_of
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
-from cvxshear.fit.misfit import Evaluation, Misfit
-from cvxshear.fit.noise import NoiseEstimate, estimated_noise
+from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
-from cvxshear.fit.quality import Quality, quality
-from cvxshear.fit.results import IdentifiedFrame, Prediction, SingleIdentification, predictions, priced
+from cvxshear.fit.results import (
+    IdentifiedFrame,
+    Prediction,
+    Quality,
+    SingleIdentification,
+    predictions,
+    priced,
+    quality,
+)
 from cvxshear.fit.start import nearest_first
 from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.programs.constraints import refuse_contradicting
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 

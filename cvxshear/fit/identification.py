@@ -6,7 +6,6 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder, SolvedProgram
-from cvxshear.backends.benchmark import REPEATS
 from cvxshear.fit.domain import domain_of
 from cvxshear.fit.efficient import efficient, parameter_names
 from cvxshear.fit.gauss_newton import step_program
@@ -20,7 +19,7 @@ from cvxshear.programs import LeastSquares
 from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
 from cvxshear.util import checks, ranking
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -127,7 +126,7 @@ def compare_backends(
     experiment: Measurement,
     names: Sequence[str] | None = None,
     *,
-    repeats: int = REPEATS,
+    repeats: int = 3,
     tolerance: float | None = None,
 ) -> Comparison:
     """Solve the same programs of an experiment with every backend.

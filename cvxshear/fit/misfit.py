@@ -1,4 +1,4 @@
-"""Standardized residuals of all data, soft priors and parameter priors together, and their derivatives.
+"""Standardized residuals of all data, soft priors and parameter priors together, their derivatives, and the noise.
 
 Each residual is divided by its standard deviation. An undeclared standard deviation is a factor on a default, estimated
 with the rest: one factor for each kind of noise, and one for the common size of an effect with many parameters.
@@ -7,26 +7,24 @@ with the rest: one factor for each kind of noise, and one for the common size of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import expit
+from scipy import optimize
 
 from cvxshear.data import Datum, Deviation, Model, NoiseFactors, NoiseKind, data_of, noise_kinds
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import acting_on, composed, slices
-from cvxshear.fit.expectation import EffectPrior
+from cvxshear.fit.domain import EffectPrior
+from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 WIDTH = 0.7
 """Standard deviation of the logarithm of the factor on a default standard deviation: two thirds of all tests lie
 between half and twice the default, nineteen in twenty between a quarter and four times."""
-
-LEAST_SQUARE = 1e-2
-"""Smallest start of the square of an additional error, relative to the declared one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,41 +80,6 @@ class Evaluation:
     def known_triangle(self) -> Floats:
         """The triangular factor of J without the prior of the frame."""
         return np.asarray(np.linalg.qr(self.J[: self.known], mode="r"))
-
-
-@dataclass(frozen=True)
-class UnknownSize:
-    """An undeclared standard deviation: the logarithm of a factor on it is estimated with the rest.
-
-    Parameters
-    ----------
-    key : str
-        Kind of noise, or label of the effect with this common size or this noise.
-    count : float
-        Number of data, or of parameters, that have it.
-    width : float
-        Prior standard deviation of the logarithm of the factor.
-    above_one : bool
-        Whether the factor is sqrt(1 + s^2) with log s normal: an error in addition to a declared one. Otherwise the
-        factor itself has a normal logarithm.
-    """
-
-    key: str
-    count: float
-    width: float
-    above_one: bool = False
-
-    def log_factor(self, v: float) -> tuple[float, float]:
-        """Return the logarithm of the factor and its derivative at a value v of the normal variable."""
-        if not self.above_one:
-            return v, 1.0
-        return 0.5 * float(np.logaddexp(0.0, 2.0 * v)), float(expit(2.0 * v))
-
-    def coordinate(self, factor: float) -> float:
-        """Return the value v of a factor."""
-        if not self.above_one:
-            return float(np.log(factor))
-        return 0.5 * float(np.log(max(np.expm1(2.0 * np.log(factor)), LEAST_SQUARE)))
 
 
 class Misfit:
@@ -348,3 +311,87 @@ class Misfit:
     def _statements(self) -> list[str]:
         """The soft total mass and the priors in words, in the order of their rows."""
         return [words for words, _ in self.experiment.soft_statements]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEstimate:
+    """Factors on the default standard deviations of undeclared noise.
+
+    Parameters
+    ----------
+    kinds : tuple of str
+        Names of noises, then labels of effects whose common size is unknown.
+    log_factors : ndarray, shape (g,)
+    covariance : ndarray, shape (g, g)
+        Covariance of the logarithms.
+    gain : float
+        log p(data, u) of the linearized fit, u integrated out, without -objective / 2 - log det H / 2 of that fit.
+    settled : bool
+        Whether the fit was made with these factors.
+    """
+
+    kinds: tuple[str, ...] = ()
+    log_factors: Floats = field(default_factory=lambda: np.zeros(0))
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    gain: float = 0.0
+    settled: bool = True
+
+    @property
+    def noise(self) -> NoiseFactors:
+        """The factors."""
+        return NoiseFactors(tuple(zip(self.kinds, np.exp(self.log_factors).tolist(), strict=True)))
+
+    def to_dict(self) -> Json:
+        """Return for each kind its factor and the factor's standard deviation; null if declared."""
+        return {kind: self.of(kind) for kind in noise_kinds()}
+
+    def of(self, key: str) -> Json | None:
+        """Return the factor of a noise or of an effect's size, and its standard deviation; None if declared."""
+        if key not in self.kinds:
+            return None
+        at = self.kinds.index(key)
+        factor = float(np.exp(self.log_factors[at]))
+        return {"factor": factor, "std": factor * float(np.sqrt(self.covariance[at, at]))}
+
+
+def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool = False) -> NoiseEstimate:
+    """Estimate the undeclared noise from a fit.
+
+    Parameters
+    ----------
+    misfit : Misfit
+        Misfit with the noise of the fit.
+    at : Evaluation
+        At its optimum.
+    free : ndarray, shape (P, f)
+        Free directions of the parameters, each of unit effect on the residuals.
+    here : bool, optional
+        Keep the factors of the fit, as an estimate that did not converge.
+
+    Returns
+    -------
+    NoiseEstimate
+    """
+    if not misfit.unknown:
+        return NoiseEstimate()
+    factors = [misfit.noise.of(item.key) for item in misfit.unknown]
+    rows = [at.unknown == place for place in range(len(misfit.unknown))]
+    marginal = SizeMarginal(
+        misfit.unknown,
+        factors,
+        [at.J[own] @ free for own in rows],
+        [at.r[own] for own in rows],
+        free.T @ (at.J.T @ at.r),
+    )
+    best = marginal.start if here else optimize.minimize(marginal.negative, marginal.start, jac=True, method="BFGS").x
+    # A marginal without maximum makes the search diverge.
+    v: Floats = np.clip(best, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE)
+    covariance: Floats = np.asarray(np.linalg.inv(marginal.curvature(v)), dtype=np.float64)
+    kinds = tuple(item.key for item in misfit.unknown)
+    u, slope = marginal.log_factors(v)
+    spread = slope[:, None] * covariance * slope
+    if here:
+        local = -marginal.negative(v)[0] + 0.5 * float(np.linalg.slogdet(covariance)[1])
+        local -= float(np.sum(np.log(marginal.widths)))
+        return NoiseEstimate(kinds, u, spread, local, settled=False)
+    return NoiseEstimate(kinds, u, spread, marginal.log_integral(v, covariance))

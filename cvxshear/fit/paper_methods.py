@@ -12,8 +12,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.quality import quality
-from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions, priced
+from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions, priced, quality
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import LeastSquares, Solution
 from cvxshear.programs.formulations import CompleteTest

@@ -21,7 +21,7 @@ from cvxshear.fit.domain import Domain
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
 
 NULL = 1e-6

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from cvxshear.io.columns import LIMIT, Columns
+from cvxshear.io.columns import Columns
 from cvxshear.io.csv import preamble_of
-from cvxshear.io.formats import format_of, read_columns, read_modes_of
+from cvxshear.io.formats import LIMIT, format_of, named_after, read_columns, read_modes_of
 from cvxshear.io.guesses import (
     FORCE,
     HIT_FLOOR,
@@ -29,15 +29,14 @@ from cvxshear.io.guesses import (
     said_unit,
     time_column,
 )
-from cvxshear.io.inputs import named_after
 from cvxshear.io.record_file import FREQUENCY_NAMES
 from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, printable
 from cvxshear.util.quantities import CHANNEL_UNITS, counted
-from cvxshear.util.text import escaped, printable
 from cvxshear.util.typing import Floats
+from cvxshear.util.writing import escaped
 
 MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
 """Floor mass (kg) and story stiffness (N/m) of the example frame, and a pull at its top (N)."""

@@ -11,8 +11,8 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.effects.state import heights_of
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate, efficient
-from cvxshear.fit.expectation import EffectPrior
 from cvxshear.loop.conclusion import conclude
 from cvxshear.loop.hypotheses import Hypothesis, able_to_take_part, assumed, chosen, hypotheses
 from cvxshear.loop.numbering import Numbering

@@ -26,14 +26,11 @@ from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
 from cvxshear.loop.residual import where_it_sits
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet, LoopResult, Step
 from cvxshear.loop.search import Search, fits_alike
-from cvxshear.loop.twins import dual_fits_as_well, dual_set
+from cvxshear.loop.searches import dual_fits_as_well, dual_set
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError, NoSolutionError
-from cvxshear.util.quantities import listed, significant
-
-EXPLAINED = 0.95
-"""Smallest probability of each added effect, at its place, if the data are called explained."""
+from cvxshear.util.quantities import SURE, listed, significant
 
 NUMBERED = 1.0 - 2.0 * OVERLOOKED
 """Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
@@ -166,7 +163,7 @@ def _verdict(
     if not added and not numbering.changes:
         answered = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
         return "adequate" if answered else "ambiguous"
-    sure = min([numbering.probability, *(item.probability for item in added)]) >= EXPLAINED
+    sure = min([numbering.probability, *(item.probability for item in added)]) >= SURE
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:
         return "ambiguous"
@@ -310,7 +307,7 @@ def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> lis
         if placed in there:
             kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
             gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
-        elif placed not in linear.lacking:
+        elif placed not in linear.candidates:
             # The derivatives at the null value carry no information on the effect here.
             gain, chi2, dof = 0.0, final.chi2, final.dof - count
         else:
@@ -333,8 +330,8 @@ def _unseen(linear: Linearised, fitter: Fitter, judged: ModelClass) -> dict[Loca
     The search fits only promising effects. An effect with too small an influence to detect keeps its prior probability;
     an effect that was not fitted never gets a larger one.
     """
-    log_odds = fitter.log_priors(linear.lacking, judged.effects) + np.minimum(linear.gains, 0.0)
-    return dict(zip(linear.lacking, special.expit(log_odds).tolist(), strict=True))
+    log_odds = fitter.log_priors(linear.candidates, judged.effects) + np.minimum(linear.gains, 0.0)
+    return dict(zip(linear.candidates, special.expit(log_odds).tolist(), strict=True))
 
 
 def _quoted(names: Sequence[str]) -> str:
@@ -361,16 +358,16 @@ def _rests_on(final: Estimate) -> Iterator[str]:
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     """Yield the assumptions of the verdict that the data hardly test: sentences of effects that are not in the set."""
     states = {placed.place.state for placed in found.effects} | {None}
-    said = [each for each in search.lacking(found) if each.effect.granted and each.place.state in states]
+    said = [each for each in search.candidates(found) if each.effect.granted and each.place.state in states]
     if not said:
         return
-    invariances = search.invariances(found)
+    linear = search.linearised(found)
     untold = defaultdict[str, list[str]](list)
     for placed in said:
         # Only effects with such sentences count as alternatives. Changes of single stories or floors do not, because
         # their sum is the effect itself.
         alike = [other for other in said if other.place.state == placed.place.state]
-        if invariances.untold(placed, alike):
+        if linear.undetermined(placed, alike):
             said_of = placed.effect.granted.replace("{prior}", str(placed.place.prior))
             untold[said_of].append(str(placed.place.state))
     for statement, names in untold.items():

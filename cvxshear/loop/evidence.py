@@ -18,13 +18,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy import integrate, optimize, special
+from scipy import optimize, special
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import slices
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import EffectPrior, tailed
+from cvxshear.fit.gaussian import log_interval, log_tailed_interval
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained
 from cvxshear.util.typing import Floats
@@ -32,16 +32,8 @@ from cvxshear.util.typing import Floats
 FAR = 6.0
 """Largest distance, in standard deviations, of an inequality that cuts the Gaussian."""
 
-INTEGRAL_REACH, POINTS = 12.0, 401
-"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and number of its
-points. The tails of Student's t need a longer reach than a Gaussian."""
-
 TINY = 1e-12
 """Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
-
-SECOND_MODE = 5.0
-"""Largest log probability above the optimum. A higher point shows that the optimum is only a lower second mode, which
-lies between a large effect and its null value if the data are weak."""
 
 TOUCHING = 1e-4
 """Largest distance from an active inequality, in standard deviations."""
@@ -192,14 +184,6 @@ def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]
     return result
 
 
-def log_interval(lower: ArrayLike, upper: ArrayLike, slope: ArrayLike, std: ArrayLike) -> Floats:
-    """Return log of the integral of exp(-slope t - t^2 / 2 std^2) / (sqrt(2 pi) std) from lower to upper."""
-    slope, std = np.asarray(slope), np.asarray(std)
-    shift = slope * std
-    found: Floats = 0.5 * shift**2 + log_normal_between(lower / std + shift, upper / std + shift)
-    return found
-
-
 def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float, float]]]:
     """Yield the parameters with Student's t as prior: place in theta, deviation from null, size, degrees of freedom."""
     for placed, own in slices(estimate.effects, 2 * estimate.experiment.stories):
@@ -209,49 +193,3 @@ def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float
         for p, item, size in zip(range(own.start, own.stop), placed.effect.parameters, sizes, strict=True):
             if np.isfinite(size):
                 yield p, (float(estimate.theta[p]) - item.null, float(size), placed.effect.tail)
-
-
-def log_tailed_interval(
-    lower: float, upper: float, slope: float, std: float, deviation: float, size: float, tail: float
-) -> float:
-    """Return the log integral of a parameter with Student's prior, which replaces Laplace's Gaussian integral.
-
-    Laplace takes exp(-slope t - t^2 / 2 std^2) about the optimum, 1 / std^2 = a + w^2 with w the slope of the prior's
-    residual there. Only the likelihood, of curvature a, stays normal; the prior is exact:
-
-        integral of exp(-(r(t)^2 - r(0)^2) / 2 - (slope - r(0) w) t - a t^2 / 2) dt / (sqrt(2 pi) std).
-
-    Parameters
-    ----------
-    lower, upper : float
-        Limits of t.
-    slope, std : float
-        As in `log_interval`.
-    deviation : float
-        Deviation of the optimum from the null value.
-    size, tail : float
-        Size and degrees of freedom of the prior.
-    """
-    reach = np.arcsinh(np.clip(np.array([lower, upper]) / std, -np.sinh(INTEGRAL_REACH), np.sinh(INTEGRAL_REACH)))
-    y = np.linspace(reach[0], reach[1], POINTS)
-    t = std * np.sinh(y)
-    r, _ = tailed((deviation + t) / size, tail)
-    here, unit_slope = tailed(np.array([deviation / size]), tail)
-    w = float(unit_slope[0]) / size
-    curvature = max(1.0 / std**2 - w**2, 0.0)
-    logs = -0.5 * (r**2 - here[0] ** 2) - (slope - here[0] * w) * t - 0.5 * curvature * t**2
-    if float(np.max(logs)) > SECOND_MODE:
-        # The fit is not at the posterior's maximum along this line, so Laplace's Gaussian is the only usable form.
-        return float(log_interval(lower, upper, slope, std))
-    logs += np.log(np.cosh(y)) - 0.5 * np.log(2 * np.pi)
-    highest = float(np.max(logs))
-    return highest + float(np.log(integrate.trapezoid(np.exp(logs - highest), y)))
-
-
-def log_normal_between(a: ArrayLike, b: ArrayLike) -> Floats:
-    """Return log(Phi(b) - Phi(a)), without loss in either tail; -inf if the interval is empty."""
-    a, b = np.asarray(a), np.asarray(b)
-    high, low = special.log_ndtr(np.where(a > 0, -a, b)), special.log_ndtr(np.where(a > 0, -b, a))
-    with np.errstate(divide="ignore"):
-        found: Floats = high + np.log(-np.expm1(np.minimum(low - high, 0.0)))
-    return found

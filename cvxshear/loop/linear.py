@@ -1,12 +1,16 @@
-"""Linearised model at a fit: the change of the evidence with every further effect.
+"""Linearised model at a fit: the change of the evidence with every further effect, and the twins of an effect.
 
 All hypotheses share one fit and the factorization of its derivatives. At their null values the effects do not influence
 each other, so one evaluation with all of them gives every column.
+
+Twins are effects that can replace each other in a model without any change of the data. Effect A has the twin B if the
+derivatives of the data by A lie in the span of the derivatives by the frame and by B, to rounding. For example, if all
+floor masses of a state grow by one factor, every frequency falls in the same way as if all its stories were softer.
+Twins depend on the model and the measured quantities, not on the sets that a search visited.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,32 +18,28 @@ from scipy import special
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import slices
-from cvxshear.fit.domain import domain_of
+from cvxshear.fit.domain import EffectPrior, domain_of
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import EffectPrior
+from cvxshear.fit.gaussian import LOG_SIZES, SizeMarginal, UnknownSize, gains_by_size, log_interval, student_weights
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import log_interval
+from cvxshear.loop.evidence import free_basis
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats
 
 MOST_TAKEN = 12
 """Largest number of effects added in one sequence. More are not credible, and fits of sets of twenty or more reach
 their limit of steps without convergence."""
 
-NORMAL = ((1.0, 1.0),)
-STUDENT = ((0.8, 0.6), (1.6, 0.33), (4.0, 0.065), (12.0, 0.005))
-"""Scale mixture of normal distributions in place of Student's t with four degrees of freedom: factors on the size, with
-their weights. The mixture is accurate enough to rank the effects; the fit then uses the prior itself."""
-
 WIDE = 4.0
 """Factor on an effect's size for its first prediction."""
 
-LEAST_CURVATURE = 1e-9
-"""Least curvature, relative to the fit's, of a direction that only residuals without weight determine."""
+EXACT = 1e-5
+"""Rounding: share of an effect's derivatives outside the span of the others that counts as zero."""
 
-LOG_SIZES = np.linspace(-4.0, 4.0, 33)
-"""Trial common sizes, as logarithms of factors, in units of their width."""
+BEYOND_FRAME = 1e-3
+"""Smallest share of an effect's derivatives outside the span of the frame. An effect with less is redundant and needs
+no twin."""
 
 
 class Linearised:
@@ -48,33 +48,33 @@ class Linearised:
     Parameters
     ----------
     base : Estimate
-    lacking : sequence of LocatedEffect
+    candidates : sequence of LocatedEffect
     expectation : EffectPrior
     """
 
-    def __init__(self, base: Estimate, lacking: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
+    def __init__(self, base: Estimate, candidates: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
         self.base = base
-        self.lacking = list(lacking)
+        self.candidates = list(candidates)
         self.expectation = expectation
         self._free = base.free_directions
         self._reached = base.fit.at.J @ self._free
         self._columns = self._sensitivities()
         self._own = self._columns - self._reached @ (self._reached.T @ self._columns)
         self._slope = self._own.T @ base.fit.at.r
-        self._at = dict(slices(self.lacking, 0))
-        self._singles = _Singles(self.lacking, expectation)
+        self._at = dict(slices(self.candidates, 0))
+        self._singles = _Singles(self.candidates, expectation)
 
     def _sensitivities(self) -> Floats:
-        """Compute the derivatives by the parameters of the lacking effects, at their null values, shape (d, p)."""
+        """Compute the derivatives by the parameters of the candidates effects, at their null values, shape (d, p)."""
         base = self.base
         misfit = base.misfit
-        nulls = np.array([item.null for placed in self.lacking for item in placed.effect.parameters])
+        nulls = np.array([item.null for placed in self.candidates for item in placed.effect.parameters])
         P = len(base.theta)
-        whole = Misfit(base.experiment, (*base.effects, *self.lacking), misfit.leave_out, misfit.noise)
+        whole = Misfit(base.experiment, (*base.effects, *self.candidates), misfit.leave_out, misfit.noise)
         found = whole.evaluate(np.concatenate([base.theta, nulls]), by=slice(P, None)).J
         columns = np.zeros((len(base.fit.at.r), found.shape[1]))
         columns[: base.fit.at.measured] = found[: base.fit.at.measured]
-        for placed, own in slices(self.lacking, 0):
+        for placed, own in slices(self.candidates, 0):
             if placed.effect.releases:
                 columns[:, own] += base.fit.at.J[:, : 2 * base.experiment.stories] @ self._shift(placed)
         return columns
@@ -91,47 +91,57 @@ class Linearised:
         shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, len(base.theta) :])
         return shift
 
-    def columns(self, placed: LocatedEffect) -> Floats:
-        """Return the derivatives of the residuals by an effect's parameters and the frame's change, shape (d, p)."""
-        return self._columns[:, self._at[placed]]
-
     def gain(self, placed: LocatedEffect) -> float:
         """Return the gain in log evidence with an effect, from the linearised model."""
-        return float(self.gains[self.lacking.index(placed)])
+        return float(self.gains[self.candidates.index(placed)])
 
     @cached_property
     def gains(self) -> Floats:
-        """Gain in log evidence of each lacking effect, shape (n,)."""
+        """Gain in log evidence of each candidate, shape (n,)."""
         return self._gains(self._own, self.base.fit.at.r)
 
     def _gains(self, own: Floats, r: Floats) -> Floats:
         """Find the gains from columns orthogonal to the model's own, on the remaining residual."""
-        found = np.empty(len(self.lacking))
+        found = np.empty(len(self.candidates))
         single = self._singles
         columns = own[:, single.columns]
         found[single.at] = single.gains(-(columns.T @ r), np.sum(columns**2, axis=0))
         for at in single.others:
-            found[at] = self._gain_of_several(self.lacking[at], own[:, self._at[self.lacking[at]]], r)
+            placed = self.candidates[at]
+            if placed.effect.rescales:
+                found[at] = self._noise(placed, self._reached, r)[0]
+            else:
+                gains, _ = self._gains_by_size(placed, own[:, self._at[placed]], r)
+                found[at] = float(np.logaddexp.reduce(gains))
         return found
 
-    def _gain_of_several(self, placed: LocatedEffect, own: Floats, r: Floats) -> float:
-        """Find the gain of an effect with several parameters, with one common size, or on the accuracy of data."""
-        effect = placed.effect
-        if effect.rescales:
-            rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
-            return _gain_of_noise(self._reached[rows], r[rows], effect.size_width)
-        b, h, stds = -(own.T @ r), own.T @ own, self.expectation.of(placed)
+    def _noise(self, placed: LocatedEffect, reached: Floats, r: Floats) -> tuple[float, float]:
+        """Find the gain with open accuracy of some residuals, and the log of the most probable factor on it."""
+        rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
+        size = UnknownSize(placed.label, float(np.count_nonzero(r[rows])), placed.effect.size_width, above_one=True)
+        return SizeMarginal([size], [1.0], [reached[rows]], [r[rows]]).over_grid()
+
+    def _gains_by_size(self, placed: LocatedEffect, own: Floats, r: Floats) -> tuple[Floats, Floats]:
+        """Find the gain with each common log size of an effect's parameters, weighted by its prior; and these sizes.
+
+        The parameters of an effect with Student's prior have one size here: that is accurate enough for a ranking.
+        """
+        effect, stds = placed.effect, self._sizes(placed)
         if effect.common_size:
-            return _gain_of_common_size(b, h, stds, effect.size_width)
-        # Each parameter has its own prior: one may lie in its tail while another does not.
-        factors, weights = np.moveaxis(np.array(list(itertools.product(_parts(placed), repeat=len(stds)))), -1, 0)
-        each = factors * stds
-        h = h + np.eye(len(stds)) / each[:, None, :] ** 2
-        sign, log_det = np.linalg.slogdet(h)
-        quadratic = np.linalg.solve(h, np.broadcast_to(b[:, None], (len(h), len(b), 1)))[:, :, 0] @ b
-        constants = np.sum(_log_normal_constants(*_limits([placed]), each) + np.log(weights), axis=1)
-        parts = np.where(sign > 0, constants + 0.5 * (quadratic - log_det), -np.inf)
-        return float(np.logaddexp.reduce(parts))
+            sizes, weights = effect.size_width * LOG_SIZES, -0.5 * LOG_SIZES**2
+            weights = weights - np.logaddexp.reduce(weights)
+        else:
+            sizes, weights = LOG_SIZES, student_weights(effect.tail)
+        gains = gains_by_size(-stds * (own.T @ r), stds[:, None] * (own.T @ own) * stds, sizes)
+        lower, upper = _limits([placed])
+        cut = np.log(special.ndtr(upper / stds) - special.ndtr(lower / stds))
+        return gains + weights - float(np.sum(cut)), sizes
+
+    def _sizes(self, placed: LocatedEffect) -> Floats:
+        """Return the expected sizes of an effect's parameters; for a uniform prior its standard deviation."""
+        lower, upper = _limits([placed])
+        stds = self.expectation.of(placed)
+        return np.where(np.isinf(stds), (upper - lower) / np.sqrt(12), stds)
 
     def _likely_sizes(self, placed: LocatedEffect) -> Floats:
         """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
@@ -142,9 +152,8 @@ class Linearised:
         stds = self.expectation.of(placed)
         if not placed.effect.common_size:
             return stds if np.isinf(placed.effect.tail) else WIDE * stds
-        own = self._own[:, self._at[placed]]
-        b, h = -(own.T @ self.base.fit.at.r), own.T @ own
-        found: Floats = stds * np.exp(_best_log_size(b, h, stds, placed.effect.size_width))
+        gains, sizes = self._gains_by_size(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
+        found: Floats = stds * np.exp(sizes[np.argmax(gains)])
         return found
 
     def forward(self, log_priors: Floats) -> list[LocatedEffect]:
@@ -153,23 +162,23 @@ class Linearised:
         Parameters
         ----------
         log_priors : ndarray, shape (n,)
-            Logarithm of the prior odds of each lacking effect.
+            Logarithm of the prior odds of each candidate.
         """
         taken: list[LocatedEffect] = []
         open_to = np.array(log_priors)
         own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
-        for _ in range(min(len(self.lacking), MOST_TAKEN)):
+        for _ in range(min(len(self.candidates), MOST_TAKEN)):
             gains = self._gains(own, left) + open_to
             at = ranking.first_largest(gains)
             if not gains[at] > 0.0:
                 break
-            best = self.lacking[at]
+            best = self.candidates[at]
             taken.append(best)
             open_to[at] = -np.inf
             if best.effect.rescales:
                 # Residuals with open accuracy have less weight in all further steps.
                 rows = self.base.misfit.rescaled_rows(self.base.fit.at, best)
-                weight = np.exp(-_best_log_noise(self._reached[rows], left[rows], best.effect.size_width))
+                weight = np.exp(-self._noise(best, self._reached, left)[1])
                 basis[rows] *= weight
                 own[rows] *= weight
                 left[rows] *= weight
@@ -230,10 +239,59 @@ class Linearised:
         if own.start == own.stop:
             return np.inf
         first = self._own[:, own.start]
-        std = self.expectation.of(placed)[0]
-        item = placed.effect.parameters[0]
-        usual = std if np.isfinite(std) else (item.upper - item.lower) / np.sqrt(12)
-        return float(1.0 + (first @ first) * usual**2)
+        return float(1.0 + (first @ first) * self._sizes(placed)[0] ** 2)
+
+    @cached_property
+    def _free_columns(self) -> tuple[Floats, tuple[LocatedEffect | None, ...]]:
+        """Derivatives of the data by the directions that the declarations do not fix, and the effect of each direction.
+
+        The effect is None for directions of the frame.
+        """
+        estimate = self.base
+        basis = free_basis(estimate, self.expectation)
+        n2 = 2 * estimate.experiment.stories
+        owners = [
+            placed
+            for placed, own in slices(estimate.effects, n2)
+            if not placed.fixed
+            for _ in range(own.start, own.stop)
+        ]
+        frame: list[LocatedEffect | None] = [None] * (basis.shape[1] - len(owners))
+        return estimate.fit.at.J[: estimate.fit.at.measured] @ basis, (*frame, *owners)
+
+    def twins(self, placed: LocatedEffect) -> list[LocatedEffect]:
+        """List the candidates that can replace an effect of the model without any change of the data."""
+        free, owners = self._free_columns
+        own = np.array([owner is placed for owner in owners])
+        if not own.any():
+            return []
+        basis = _basis(free[:, ~own])
+        wanted = _without(basis, free[:, own])
+        size = np.linalg.norm(free[:, own], axis=0)
+        if np.max(np.linalg.norm(wanted, axis=0) / np.where(size > 0, size, 1.0)) <= BEYOND_FRAME:
+            return []
+        found = []
+        for other in self.candidates:
+            columns = self._measured(other)
+            if 0 < columns.shape[1] <= int(own.sum()) and _beyond(_without(basis, columns), wanted) < EXACT:
+                found.append(other)
+        return found
+
+    def undetermined(self, placed: LocatedEffect, others: Sequence[LocatedEffect]) -> bool:
+        """Whether an effect of its expected size changes all data together by less than one standard deviation.
+
+        Changes that the frame, the effects of the model, or the given others can also make do not count.
+        """
+        columns = self._measured(placed) * placed.effect.expected_sizes(self.base.scale)
+        if not columns.shape[1]:
+            return False
+        more = [self._measured(other) for other in others if other is not placed]
+        left = _without(_basis(np.hstack([self._free_columns[0], *more])), columns)
+        return bool(np.all(np.linalg.norm(left, axis=0) < 1.0))
+
+    def _measured(self, placed: LocatedEffect) -> Floats:
+        """Return the derivatives of the data and the soft priors by an effect's parameters."""
+        return self._columns[: self.base.fit.at.measured, self._at[placed]]
 
 
 class _Singles:
@@ -242,7 +300,7 @@ class _Singles:
     Attributes
     ----------
     at, others : ndarray of int
-        Places of these effects, and of the others, among the lacking effects.
+        Places of these effects, and of the others, among the candidates.
     columns : ndarray of int
         Places of the parameters.
     lower, upper : ndarray, shape (n,)
@@ -251,23 +309,19 @@ class _Singles:
         Precisions of the normal parts of each prior, and the logarithms of their weights with the priors' constants.
     """
 
-    def __init__(self, lacking: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
+    def __init__(self, candidates: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
         alone = np.array(
-            [len(p.effect.parameters) == 1 and not (p.effect.common_size or p.effect.rescales) for p in lacking],
+            [len(p.effect.parameters) == 1 and not (p.effect.common_size or p.effect.rescales) for p in candidates],
             dtype=bool,
         )
         self.at, self.others = np.flatnonzero(alone), np.flatnonzero(~alone)
-        self.columns = np.array([own.start for _, own in slices(lacking, 0)], dtype=np.int64)[alone]
-        single = [placed for placed, of_one in zip(lacking, alone, strict=True) if of_one]
+        self.columns = np.array([own.start for _, own in slices(candidates, 0)], dtype=np.int64)[alone]
+        single = [placed for placed, of_one in zip(candidates, alone, strict=True) if of_one]
         self.lower, self.upper = _limits(single)
-        stds = np.array([expectation.of(placed)[0] for placed in single])
-        factors, weights = np.ones((2, len(STUDENT), len(single)))
-        weights[1:] = 0.0
-        tailed = [np.isfinite(placed.effect.tail) for placed in single]
-        factors[:, tailed], weights[:, tailed] = np.array(STUDENT).T[:, :, None]
-        self.precision = 1.0 / (factors * stds) ** 2
-        with np.errstate(divide="ignore"):
-            self.constants = np.log(weights) + _log_normal_constants(self.lower, self.upper, factors * stds)
+        sizes = np.exp(LOG_SIZES)[:, None] * np.array([expectation.of(placed)[0] for placed in single])
+        weights = np.array([student_weights(placed.effect.tail) for placed in single]).reshape(-1, len(LOG_SIZES)).T
+        self.precision = 1.0 / sizes**2
+        self.constants = weights + _log_normal_constants(self.lower, self.upper, sizes)
 
     def gains(self, b: Floats, h: Floats) -> Floats:
         """Find the gain of each effect, shape (n,), from its slope b and its curvature h, which narrows the prior."""
@@ -279,11 +333,6 @@ class _Singles:
         even = self.constants + np.log(np.where(untouched, self.upper - self.lower, 1.0)) - 0.5 * np.log(2 * np.pi)
         found: Floats = np.logaddexp.reduce(np.where(untouched, even, parts), axis=0)
         return found
-
-
-def _parts(placed: LocatedEffect) -> tuple[tuple[float, float], ...]:
-    """Return the normal distributions that approximate the prior of an effect."""
-    return NORMAL if np.isinf(placed.effect.tail) else STUDENT
 
 
 def _limits(effects: Sequence[LocatedEffect]) -> tuple[Floats, Floats]:
@@ -302,56 +351,27 @@ def _log_normal_constants(lower: Floats, upper: Floats, stds: Floats) -> Floats:
     return np.where(flat, even, normal)
 
 
-def _log_evidence_by_size(b: Floats, h: Floats, stds: Floats, width: float) -> tuple[Floats, Floats]:
-    """Return the logarithms of common sizes and the gain in log evidence with each, parameters integrated out.
-
-    In units of the sizes the information is V diag(l) V', the slope V c. With the factor e^u the gain is sum (c^2 e^2u
-    / (1 + l e^2u) - log(1 + l e^2u)) / 2, and u is normal about zero.
-    """
-    values, vectors = np.linalg.eigh(stds[:, None] * h * stds)
-    c = vectors.T @ (stds * b)
-    u = width * LOG_SIZES
-    square = np.exp(2.0 * u)[:, None]
-    gained = 0.5 * np.sum(c**2 * square / (1.0 + np.maximum(values, 0.0) * square), axis=1)
-    gained -= 0.5 * np.sum(np.log1p(np.maximum(values, 0.0) * square), axis=1)
-    return u, gained - 0.5 * LOG_SIZES**2
+def _basis(columns: Floats) -> Floats:
+    """Return orthonormal columns that span the given columns, to rounding."""
+    lengths = np.linalg.norm(columns, axis=0)
+    unit = columns[:, lengths > 0] / lengths[lengths > 0]
+    left, values, _ = np.linalg.svd(unit, full_matrices=False)
+    return left[:, values > EXACT * values[0]] if len(values) else left
 
 
-def _gain_of_common_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """Compute the gain in log evidence by parameters of one common size, with the size integrated out."""
-    _, gained = _log_evidence_by_size(b, h, stds, width)
-    return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
+def _without(basis: Floats, columns: Floats) -> Floats:
+    """Return the part of each column outside the span of a basis; zero if that part is rounding."""
+    left: Floats = columns - basis @ (basis.T @ columns)
+    rounding = np.linalg.norm(left, axis=0) <= EXACT * np.linalg.norm(columns, axis=0)
+    return np.where(rounding, 0.0, left)
 
 
-def _best_log_size(b: Floats, h: Floats, stds: Floats, width: float) -> float:
-    """Find the logarithm of the most probable common size under the linearised model."""
-    u, gained = _log_evidence_by_size(b, h, stds, width)
-    return float(u[np.argmax(gained)])
-
-
-def _log_evidence_by_noise(reached: Floats, r: Floats, width: float) -> tuple[Floats, Floats]:
-    """Return logarithms u of factors on the deviation of some residuals, and the gain in log evidence with each.
-
-    e^u = sqrt(1 + s^2) with the common size s. The fit follows: let m be these rows of the free directions, G = m'm, g
-    = m'r and w = e^-2u. Then chi-square changes by (w - 1) r'r - (w - 1)^2 g' (1 + (w - 1) G)^-1 g.
-    """
-    values, vectors = np.linalg.eigh(reached.T @ reached)
-    c = vectors.T @ (reached.T @ r)
-    u = 0.5 * np.logaddexp(0.0, 2.0 * width * LOG_SIZES)
-    change = np.expm1(-2.0 * u)[:, None]
-    left = np.maximum(1.0 + change * values, LEAST_CURVATURE)
-    chi2 = change[:, 0] * float(r @ r) - np.sum(change**2 * c**2 / left, axis=1)
-    gained = -0.5 * chi2 - 0.5 * np.sum(np.log(left), axis=1) - np.count_nonzero(r) * u - 0.5 * LOG_SIZES**2
-    return u, gained
-
-
-def _gain_of_noise(reached: Floats, r: Floats, width: float) -> float:
-    """Compute the gain in log evidence with open accuracy of some residuals, with the factor integrated out."""
-    _, gained = _log_evidence_by_noise(reached, r, width)
-    return float(np.logaddexp.reduce(gained) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
-
-
-def _best_log_noise(reached: Floats, r: Floats, width: float) -> float:
-    """Find the logarithm of the most probable factor on the deviation of some residuals."""
-    u, gained = _log_evidence_by_noise(reached, r, width)
-    return float(u[np.argmax(gained)])
+def _beyond(columns: Floats, wanted: Floats) -> float:
+    """Return the largest share of a wanted column outside the span of the given columns."""
+    size = np.linalg.norm(wanted, axis=0)
+    if columns.shape[1] == 1 and np.any(columns):
+        unit = columns / np.linalg.norm(columns)
+        left = wanted - unit @ (unit.T @ wanted)
+    else:
+        left = _without(_basis(columns), wanted)
+    return float(np.max(np.linalg.norm(left, axis=0) / np.where(size > 0, size, 1.0), initial=0.0))

@@ -58,16 +58,16 @@ def promising(model: ModelClass, linear: Linearised, fitter: Fitter, behind: flo
     behind : float
         Distance of the set from the best in log probability; the added effects must close this distance.
     """
-    odds = fitter.log_priors(linear.lacking, model.effects)
+    odds = fitter.log_priors(linear.candidates, model.effects)
     gains = linear.gains + odds
     order = ranking.order(gains)
     floor = max(float(gains[order[0]]), 0.0, behind) - WITHIN
     # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
     least = MOST_FURTHER if _far_off(model) else LEAST_FURTHER
-    single = [linear.lacking[i] for at, i in enumerate(order[:MOST_FURTHER]) if at < least or gains[i] > floor]
+    single = [linear.candidates[i] for at, i in enumerate(order[:MOST_FURTHER]) if at < least or gains[i] > floor]
     if model.improbable:
         # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.
-        by_gain = [linear.lacking[i] for i in ranking.order(linear.gains)]
+        by_gain = [linear.candidates[i] for i in ranking.order(linear.gains)]
         single += [placed for placed in by_gain if placed.effect.rescales][:RESCALING]
     several = model.effects.union(linear.forward(odds))
     return [*(model.effects | {placed} for placed in single), several]

@@ -8,13 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.data import Frequencies, Shapes
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.separation import Disagreement, disagreement, imagined
+from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
+from cvxshear.fit.gaussian import separation
+from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.results import InJson
-from cvxshear.util.typing import Ints
+from cvxshear.util.typing import Floats, Ints
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
 """Candidate added masses, as fractions of the mean floor mass."""
@@ -70,7 +73,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
 
     The accepted model simulates the test for each testable state (the last of declared states), each floor and several
     masses, with the sensors and noise of the state's first configuration. The result is compared with the prediction of
-    each rival (`fit/separation.py`).
+    each rival (`fit/gaussian.py`).
 
     The criterion is the smallest distance over the rivals. Rivals that no such test distinguishes do not count if other
     rivals can be distinguished. If the distance stays below `CLEAR`, more floors receive a sensor, the best first,
@@ -167,3 +170,97 @@ def _with_sensors(accepted: Estimate, rivals: Sequence[Estimate], test: NextTest
     return dataclasses.replace(
         test, standard_deviations=distance, measured_floors=tuple(int(floor) + 1 for floor in floors)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """Two fits in a test that was not made.
+
+    Parameters
+    ----------
+    expected : ExpectedTest
+        Its first column is the difference of the predictions, the others the uncertainty of the fits.
+    """
+
+    expected: ExpectedTest
+
+    def at(self, floors: Ints) -> float:
+        """Count the standard deviations between the fits with sensors at these floors, zero-based."""
+        rows = self.expected.at(floors)
+        return float(np.sqrt(separation(rows[:, :1], rows[:, 1:])[0, 0]))
+
+
+def disagreement(accepted: Estimate, rival: Estimate, test: Configuration, first: Configuration) -> Disagreement:
+    """Compare the predictions of two fits for a test.
+
+    Parameters
+    ----------
+    accepted, rival : Estimate
+        Fits of one frame.
+    test : Configuration
+        Test from `imagined`.
+    first : Configuration
+        The configuration that it repeats with other masses.
+
+    Raises
+    ------
+    NoModesError
+        If a model buckles under these masses.
+    """
+    mine, other = (
+        data_rows(test, tested_model(each.experiment, test, each.effects, each.theta)) for each in (accepted, rival)
+    )
+    # An entry that was not measured at an instrumented floor will not be measured there again.
+    seen = np.full(test.mode_shapes.shape, bool(first.measured.any()))
+    seen[:, first.measured_floors - 1] = first.measured
+    columns = [(other.r - mine.r)[:, None], _carried(mine.J, accepted), _carried(other.J, rival)]
+    return Disagreement(ExpectedTest(test, np.hstack(columns), seen, not first.mass_normalized))
+
+
+def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Configuration:
+    """Make a configuration with these masses, measured at every floor as a fit predicts.
+
+    Parameters
+    ----------
+    accepted : Estimate
+    first : Configuration
+        Configuration with the state, modes and noise of the test; floors without a sensor get the mean noise.
+    added_mass : ndarray, shape (N,)
+        kg, in all.
+
+    Raises
+    ------
+    NoModesError
+        If the model buckles under these masses.
+    """
+    noise = accepted.misfit.noise
+    blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
+    model = tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
+    frequencies, shapes = predicted_modes(blank, model)
+    measured = dataclasses.replace(
+        blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
+    )
+    frequency = 1.0 if first.frequency_std is not None else noise.of(Frequencies.noise.name)
+    shape = 1.0 if first.mode_shape_std is not None else noise.of(Shapes.noise.name)
+    stds = frequency * first.log_frequency_std, shape * _everywhere(measured, shapes)
+    return expected_configuration(blank, frequencies, shapes, *stds)
+
+
+def _everywhere(measured: Configuration, shapes: Floats) -> Floats:
+    """Return the standard deviations of a mode's entries at every floor over its largest entry, shape (m, N)."""
+    std = np.full(shapes.shape, np.nan)
+    std[:, measured.measured_floors - 1] = np.where(measured.measured, measured.entry_std, np.nan)
+    relative = std / np.max(np.abs(shapes), axis=1, keepdims=True)
+    known = np.isfinite(relative)
+    if not known.any():
+        return np.full(shapes.shape, DEFAULT_MODE_SHAPE_STD)
+    overall = float(relative[known].mean())
+    own = [float(row[some].mean()) if some.any() else overall for row, some in zip(relative, known, strict=True)]
+    return np.where(known, relative, np.array(own)[:, None])
+
+
+def _carried(J: Floats, estimate: Estimate) -> Floats:
+    """Return the changes of predictions by the uncertainty of a fit, one standard deviation per column."""
+    values, axes = np.linalg.eigh(estimate.uncertainty.covariance())
+    result: Floats = J @ (axes * np.sqrt(np.maximum(values, 0.0)))
+    return result

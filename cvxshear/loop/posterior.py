@@ -15,7 +15,7 @@ from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, log_odds
 from cvxshear.loop.numbering import Changes, NumberingProbability
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -69,7 +69,7 @@ class Posterior:
     models : iterable of ModelClass
     hypotheses : sequence of Hypothesis
     twins : mapping of LocatedEffect to sequence of LocatedEffect, optional
-        Twins of each effect of the best set (`loop/twins.py`).
+        Twins of each effect of the best set (`loop/linear.py`).
     """
 
     def __init__(

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.noise import NoiseEstimate
-from cvxshear.fit.quality import Quality
-from cvxshear.fit.results import IdentifiedFrame
+from cvxshear.fit.misfit import NoiseEstimate
+from cvxshear.fit.results import IdentifiedFrame, Quality
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.numbering import Changes, NumberingProbability, changes_to_dict
 from cvxshear.loop.posterior import Rival

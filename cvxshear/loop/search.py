@@ -34,7 +34,6 @@ from cvxshear.loop.neighbors import (
     with_companions,
     with_motions,
 )
-from cvxshear.loop.twins import Invariances, invariances
 from cvxshear.util import ranking
 from cvxshear.util.typing import Floats
 
@@ -236,7 +235,7 @@ class Search:
         sets = [
             (best.effects - {placed}) | {other}
             for placed in best.effects
-            for other in self.lacking(best)
+            for other in self.candidates(best)
             if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
         ]
         order = [item.placed for item in self.fitter.hypotheses]
@@ -253,7 +252,7 @@ class Search:
         for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
             if not model.effects or not self._worth_following(model):
                 continue
-            found = self.invariances(model)
+            found = self.linearised(model)
             for placed in model.effects:
                 rest = model.effects - {placed}
                 new = [rest | {twin} for twin in found.twins(placed) if rest | {twin} not in self.visited]
@@ -264,22 +263,18 @@ class Search:
                 if base.estimate is not None:
                     self._visit(base.estimate, self.linearised(base), new, FULL)
 
-    def invariances(self, model: ModelClass) -> Invariances:
-        """Find the invariances of the data at the fit of a set."""
-        return invariances(self.linearised(model))
-
     def linearised(self, model: ModelClass) -> Linearised:
         """Linearise the model at the fit of a set, with all effects that the set lacks; the latest result is kept."""
         assert model.estimate is not None, "only sets with a fit are linearised"
         if self._last is None or self._last.base is not model.estimate:
-            self._last = Linearised(model.estimate, self.lacking(model), self.fitter.expectation)
+            self._last = Linearised(model.estimate, self.candidates(model), self.fitter.expectation)
         return self._last
 
     def twins(self, model: ModelClass, placed: LocatedEffect) -> list[LocatedEffect]:
         """List the twins of an effect in a set whose fit with the twin is equally good."""
         assert model.estimate is not None
         found = []
-        for twin in self.invariances(model).twins(placed):
+        for twin in self.linearised(model).twins(placed):
             other = self.visited.get((model.effects - {placed}) | {twin})
             found += [twin] if other is not None and fits_alike(other, model) else []
         return found
@@ -328,7 +323,7 @@ class Search:
             better.effects < model.effects and better.score > model.score + TIE for better in self.beam
         )
 
-    def lacking(self, model: ModelClass) -> list[LocatedEffect]:
+    def candidates(self, model: ModelClass) -> list[LocatedEffect]:
         """List the effects that a set lacks and that the linearised model at its fit can judge."""
         there = {"", *(placed.effect.name for placed in (*model.effects, *self.fitter.assumed))}
         return [
@@ -342,7 +337,7 @@ class Search:
     def _expand(self, model: ModelClass) -> None:
         """Visit the most promising sets with one or two more effects."""
         self.expanded.add(model.effects)
-        if not self.lacking(model) or model.estimate is None:
+        if not self.candidates(model) or model.estimate is None:
             return
         linear = self.linearised(model)
         further = promising(model, linear, self.fitter, self.best.score - model.score)
@@ -369,7 +364,7 @@ class Search:
         """Fit these sets; each holds the effects of a fit and some that the fit lacks."""
         proposals = []
         for effects in dict.fromkeys(sets):
-            new = [placed for placed in linear.lacking if placed in effects]
+            new = [placed for placed in linear.candidates if placed in effects]
             motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
             predicted = [] if motions else [linear.predicted(new)]
             proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
@@ -406,7 +401,7 @@ class Search:
             # in turn.
             barred = group if rest else frozenset()
             self._fit_without(model, [rest])
-            firsts = self._with_one_of(self.lacking(self.visited[rest]), self.visited[rest], barred)
+            firsts = self._with_one_of(self.candidates(self.visited[rest]), self.visited[rest], barred)
             if len(group) > 1:
                 causes = [each for each in firsts if not holds_open(each.effects - rest)]
                 firsts = ranking.ranked(causes, lambda each: each.score, same=ranking.SAME_ODDS)[:1]
@@ -414,7 +409,7 @@ class Search:
                 at, best = None, first
                 while best is not at and len(best.effects - rest) < MOST_CAUSES:
                     at = best
-                    others = [each for each in self.lacking(at) if len(group) > 1 or each.effect.kind != OPEN]
+                    others = [each for each in self.candidates(at) if len(group) > 1 or each.effect.kind != OPEN]
                     best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
 
     def _with_one_of(self, effects: Sequence[LocatedEffect], model: ModelClass, barred: Set) -> list[ModelClass]:

@@ -2,8 +2,13 @@
 
 Effects cannot correct a wrong mode number, and a search that tries this is long. So the shear model is fitted under
 every numbering first. The most promising numberings then receive the effects that their linearised models predict. Only
-numberings near the best are searched to the end. If frequencies alone admit a second frame (`loop/twins.py`), sets of
-effects are also visited from this frame.
+numberings near the best are searched to the end.
+
+Frequencies alone also admit a second frame. A chain of N stories k_i and floors m_i has the eigenvalues of the chain
+with stories 1 / m_(N+1-i) and floors 1 / k_(N+1-i), up to scale. So every set of effects has a dual that fits equally
+well, in which a loss in story j is a mass on floor N+1-j (`Effect.dual`). With added mass in some tests the dual fits
+worse or better, and lies near its own minimum. No fit from the first frame reaches this minimum, so sets of effects are
+also visited from this frame.
 """
 
 from __future__ import annotations
@@ -16,8 +21,8 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expectation import EffectPrior
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
@@ -26,7 +31,6 @@ from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.neighbors import holds_open
 from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.loop.search import REACH, Search
-from cvxshear.loop.twins import dual_fits_as_well, dual_frame, dual_set, few_floors_seen
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoSolutionError
@@ -250,3 +254,50 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     assert a.estimate is not None, "the shear model was fitted"
     assert b.estimate is not None, "the shear model was fitted"
     return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))
+
+
+def few_floors_seen(experiment: Experiment) -> bool:
+    """Whether no test measured more than half of the floors: very different frames may fit such data equally well."""
+    return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
+
+
+def dual_fits_as_well(experiment: Experiment) -> bool:
+    """Whether only frequencies were measured, without added mass.
+
+    Such data do not distinguish a frame from its dual.
+    """
+    return not experiment.static and not any(
+        each.measured.any() or np.any(each.added_mass) for each in experiment.configurations
+    )
+
+
+def dual_frame(frame: Floats) -> Floats:
+    """Return the masses and stiffnesses of the dual frame of the same total mass, shape (2N,).
+
+    Parameters
+    ----------
+    frame : ndarray, shape (2N,)
+        Floor masses and story stiffnesses, kg and N/m.
+    """
+    floor_mass, story_stiffness = np.split(frame, 2)
+    scale = floor_mass.sum() / np.sum(1.0 / story_stiffness)
+    dual: Floats = scale * np.concatenate([1.0 / story_stiffness[::-1], 1.0 / floor_mass[::-1]])
+    return dual
+
+
+def dual_set(
+    effects: frozenset[LocatedEffect], known: Sequence[LocatedEffect], stories: int
+) -> frozenset[LocatedEffect] | None:
+    """Find the effects of the dual frame that give the same frequencies; None if an effect has no dual.
+
+    Parameters
+    ----------
+    effects : frozenset of LocatedEffect
+    known : sequence of LocatedEffect
+        All effects that are looked for.
+    stories : int
+    """
+    by_place = {(placed.effect.name, placed.place): placed for placed in known}
+    found = [placed.effect.dual(placed.place, stories) for placed in effects]
+    duals = [by_place.get(each) if each is not None else None for each in found]
+    return frozenset(each for each in duals if each is not None) if None not in duals else None

@@ -2,7 +2,7 @@
 
 In a linear model with Gaussian noise, the data determine the effects by y = G x + e. Here x are the effects' values
 relative to their expected sizes, G is the information about the effects with the frame's masses and stiffnesses
-marginalized, and cov(e) = G (`fit/separation.py`). The evidence of each single effect and even prior odds give the
+marginalized, and cov(e) = G (`fit/gaussian.py`). The evidence of each single effect and even prior odds give the
 probability of each effect. If an effect is present, the verdict is right if this effect has a probability of 95 %. If
 no effect is present, the verdict is right if all effects stay below 50 %, the limit for adding an effect.
 """
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.effects import LocatedEffect, Place, Scale, named
-from cvxshear.fit.separation import log_evidence
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Frame
 from cvxshear.util import checks
@@ -214,7 +214,7 @@ def _right(targets: Sequence[Target], G: Floats) -> list[float]:
     result = []
     for truth in range(len(targets) + 1):
         y = noise if truth == 0 else noise + G[:, truth - 1]
-        found = [log_evidence(float(G[i, i]), y[:, i], t.mean, t.std, t.side) for i, t in enumerate(targets)]
+        found = [log_evidence_of_one(float(G[i, i]), y[:, i], t.mean, t.std, t.side) for i, t in enumerate(targets)]
         evidence = np.stack([np.zeros(DRAWS), *found], axis=1)
         likely = weigh(evidence)
         right = likely[:, truth] >= SURE if truth else likely[:, 1:].max(axis=1) < ADDED

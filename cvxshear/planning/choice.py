@@ -12,7 +12,7 @@ gives a choice, and exchanges of candidates improve this choice.
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
-from cvxshear.planning.candidates import Candidates
-from cvxshear.planning.criteria import Criterion, Reduced
+from cvxshear.planning.criteria import MOST_IN_PROGRAM, Candidates, Criterion, Reduced
 from cvxshear.util import checks, ranking
 from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Floats, Ints
@@ -41,43 +40,11 @@ TELLING = 1e-3
 """Least share of a direction's information that the candidates must give for a direction in the program. The standard
 deviations along the other directions change by less than 0.05 %."""
 
-DIRECTIONS_ASKED = 16
-"""Largest number of directions of the goal's parameters in the program, and largest number of other directions. The
-time grows with the fourth power of this number."""
-
 IMPROVES = 1e-9
 """Least relative gain of an exchange; a smaller gain is rounding."""
 
 AT_ONCE = 2_000_000
 """Largest number of entries of the information matrices that are formed together: 16 MB."""
-
-FEW = 20_000
-"""Largest number of choices that are all tried, for information with `TYPICAL` rows: 6 of 18 floors."""
-
-TYPICAL = 45
-"""Rows of the information of an 18-story frame with three modes. The cost of a choice grows with the cube of the
-rows."""
-
-AT_LAST = 2
-"""Factor on `FEW` if windows leave a gap; all choices of a few sensors on a tall frame are then tried."""
-
-CLOSE_ENOUGH = 0.05
-"""Relative gap that ends the search for a closer bound; the noise is not known more accurately."""
-
-WIDTHS = (4, 6, 8, 10)
-"""Numbers of floors in the windows of the closer bound; they are tried in turn while the time allows."""
-
-MOST_WORK = 6e7
-"""Largest product of parameters, choices in a window and numbers per choice: two seconds."""
-
-ROUNDING_SEED = 2009
-"""Seed of the drawn choices; a fixed seed makes plans repeatable."""
-
-ROUNDINGS, FEWER_ROUNDINGS = 8, 1
-"""Number of choices drawn with the weights as odds; fewer for more than `MANY` candidates, because each takes long."""
-
-MANY = 24
-"""Largest number of candidates with fast exchanges; the time of a round grows with the cube of this number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +75,7 @@ class Choice:
 
 
 def choose(
-    problem: Candidates,
-    number: int,
-    by: Criterion,
-    solver: str = "clarabel",
-    enumerate_up_to: int = FEW,
-    widths: Sequence[int] = WIDTHS,
+    problem: Candidates, number: int, by: Criterion, solver: str = "clarabel", enumerate_up_to: float = 4e7
 ) -> Choice:
     """Find the best choice by trying all, or a good choice by rounding and exchanges if there are too many.
 
@@ -124,28 +86,13 @@ def choose(
         Number of candidates to choose.
     by : Criterion
     solver : str, optional
-    enumerate_up_to : int, optional
-        Largest number of choices that are all tried.
-    widths : sequence of int, optional
-        Widths of the windows for a closer bound, which is computed while the gap exceeds `CLOSE_ENOUGH`; empty if
-        only the choice is required.
+    enumerate_up_to : float, optional
+        Largest number of entries of all choices' information matrices for which every choice is tried: some seconds.
     """
-    frames, rows, _ = problem.base.shape
-    work = comb(problem.count, number) * frames * (rows / TYPICAL) ** 3
-    if work <= enumerate_up_to:
+    if comb(problem.count, number) * problem.base.size <= enumerate_up_to:
         return _best_of_all(problem, number, by)
     weights, bound = relaxed(problem, number, by, solver)
-    value, chosen = min(exchanged(problem, start, by) for start in _roundings(weights, number))
-    # The program may give no weight to whole parts of the frame, and the tangent bound is poor at such weights.
-    evened = (weights + number / problem.count) / 2
-    for width in _affordable(widths, problem):
-        if value <= (1 + CLOSE_ENOUGH) * bound:
-            break
-        higher, start = by.windowed(problem, evened, number, width, value / (1 + CLOSE_ENOUGH))
-        bound = max(bound, higher)
-        value, chosen = min((value, chosen), exchanged(problem, start, by))
-    if widths and value > (1 + CLOSE_ENOUGH) * bound and work <= AT_LAST * enumerate_up_to:
-        return _best_of_all(problem, number, by)
+    value, chosen = min(exchanged(problem, start, by) for start in roundings(weights, number))
     return Choice(np.array(chosen), value, min(bound, value), float(by.value(problem, problem.base)))
 
 
@@ -168,27 +115,21 @@ def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criteri
     return np.concatenate(parts)
 
 
-def _affordable(widths: Sequence[int], problem: Candidates) -> list[int]:
-    """List the widths of the windows whose choices can all be tried in a few seconds."""
-    frames, n, d, _ = problem.rows.shape
-    work = problem.asked.shape[1] * n * d**2 * frames
-    return [width for width in widths if width <= n and 2**width * work <= MOST_WORK]
-
-
 def equally_spaced(floors: int, number: int) -> list[int]:
     """List `number` floors at equal distances, including the top floor; zero-based."""
     return [round((place + 1) * floors / number) - 1 for place in range(number)]
 
 
-def _roundings(weights: Floats, number: int) -> list[list[int]]:
-    """List starting choices: the largest weights, equal distances, and a few drawn with the weights as odds."""
-    rng = np.random.default_rng(ROUNDING_SEED)
+def roundings(weights: Floats, number: int, drawn: int = 4, seed: int = 2009) -> list[list[int]]:
+    """List starting choices: the largest weights, equal distances, and a few drawn with the weights as odds.
+
+    A fixed seed makes plans repeatable.
+    """
     count = len(weights)
     # The largest values of log(weight) + Gumbel noise are a draw without replacement with the weights as odds.
-    odds = np.log(np.maximum(weights, 1e-6))
-    drawn = [odds + rng.gumbel(size=count) for _ in range(ROUNDINGS if count <= MANY else FEWER_ROUNDINGS)]
-    largest = [ranking.order(each)[:number] for each in (weights, *drawn)]
-    return [*largest, equally_spaced(count, number)]
+    noise = np.random.default_rng(seed).gumbel(size=(drawn, count))
+    scores = [weights, *(np.log(np.maximum(weights, 1e-6)) + noise)]
+    return [*(ranking.order(each)[:number] for each in scores), equally_spaced(count, number)]
 
 
 def exchanged(problem: Candidates, start: Sequence[int], by: Criterion) -> tuple[float, list[int]]:
@@ -269,7 +210,12 @@ def relaxed(problem: Candidates, number: int, by: Criterion, solver: str = "clar
     found = [(by.bound(problem, weights, number, mixture), weights)]
     if not reduced.whole:
         total = LinearConstraint(np.ones((1, problem.count)), number, number)
-        improved = descended(partial(by.smooth, problem), weights, total, rounds=100, tolerance=1e-8)
+        smooth = partial(by.smooth, problem)
+        descent = minimize(
+            smooth, weights, jac=True, method="SLSQP", bounds=Bounds(0.0, 1.0), constraints=total,
+            options={"maxiter": 100, "ftol": 1e-8},
+        )  # fmt: skip
+        improved = np.clip(descent.x, 0.0, 1.0)
         found.append((by.bound(problem, improved, number), improved))
     bound, weights = max(found, key=lambda pair: pair[0])
     return weights, bound
@@ -294,8 +240,8 @@ def _telling(whole: Floats) -> tuple[Floats, bool]:
     """Return orthonormal directions with information of the candidates, the largest first; and whether all are used."""
     values, vectors = np.linalg.eigh(whole)
     many = max(1, int(np.sum(values > TELLING)))
-    used = ranking.order(values)[: min(many, DIRECTIONS_ASKED)]
-    return vectors[:, used], many <= DIRECTIONS_ASKED
+    used = ranking.order(values)[: min(many, MOST_IN_PROGRAM)]
+    return vectors[:, used], many <= MOST_IN_PROGRAM
 
 
 def _as_mixture(matrix: Floats) -> Floats:
@@ -303,35 +249,3 @@ def _as_mixture(matrix: Floats) -> Floats:
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     values = np.maximum(values, 0.0)
     return np.asarray((vectors * (values / values.sum())) @ vectors.T)
-
-
-def descended(
-    function: Callable[[Floats], tuple[float, Floats]],
-    start: Floats,
-    within: LinearConstraint,
-    rounds: int,
-    tolerance: float,
-) -> Floats:
-    """Minimize a function of weights between 0 and 1, or at least reduce it from the start (scipy's SLSQP).
-
-    Parameters
-    ----------
-    function : callable
-        Value and gradient, shape (n,), at weights of shape (n,).
-    start : ndarray, shape (n,)
-    within : LinearConstraint
-    rounds : int
-        Maximum number of steps.
-    tolerance : float
-        Tolerance of the value.
-    """
-    found = minimize(
-        function,
-        start,
-        jac=True,
-        method="SLSQP",
-        bounds=Bounds(0.0, 1.0),
-        constraints=within,
-        options={"maxiter": rounds, "ftol": tolerance},
-    )
-    return np.asarray(np.clip(found.x, 0.0, 1.0))

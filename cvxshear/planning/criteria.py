@@ -1,33 +1,182 @@
-"""Criteria that compare choices: one number from the covariance of the parameters of the plan's goal.
+"""Candidates of a plan, and the criteria that compare choices of them.
 
-Each criterion is convex in the weights of the candidates. Each is reported as a standard deviation: of a typical
-parameter (D, A), of the worst combination of parameters (E), or of the worst parameter. Over several frames, the
-variances (A, E, worst) or their logarithms (D) are averaged, which keeps the criteria convex.
+The information of the parameters is a sum over the chosen candidates, floors or tests,
 
-A criterion also has a program for conic solvers, with linear matrix inequalities in w. For D, a matrix S with
+    M(w) = M_0 + sum over j of w_j G_j,   G_j = J_j' J_j,
+
+with w_j = 1 for a chosen candidate. The scale of every measured shape is unknown. Eliminating the scale from each shape
+would spoil the sum, so the scale is a parameter here, and the criteria use the covariance with the other parameters
+marginalized. If the design values are uncertain, every matrix has a version for each of several allowed frames, and a
+criterion is an average over these frames: of variances (A, E, worst) or of their logarithms (D).
+
+A criterion is one number from the covariance of the parameters of the plan's goal, convex in the weights. It is
+reported as a standard deviation: of a typical parameter (D, A), of the worst combination of parameters (E), or of the
+worst parameter. It also has a program for conic solvers, with linear matrix inequalities in w. For D, a matrix S with
 [[M_aa - S, M_ab], [M_ba, M_bb]] >= 0 is at most the information of z_a with the others marginalized, and log det S is
 maximized. For the other criteria, [[T, F 0], [(F 0)', M]] >= 0 makes T at least the covariance.
 """
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy import linalg
 
-from cvxshear.planning.candidates import Candidates
-from cvxshear.planning.windows import least_of_largest, least_of_sum, log_volume, variance
 from cvxshear.util import checks, ranking
-from cvxshear.util.typing import Floats
+from cvxshear.util.decorators import cached_property
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
+
+KNOWN_EXACTLY = 1e-12
+"""Largest length of a row of the question, with each parameter relative to its size, for an exactly known parameter."""
 
 POWER = 24
 """Exponent of the power mean (sum of v^24)^(1/24), which replaces the largest variance if a derivative is needed. For s
 parameters, the power mean is larger by at most a factor of s^(1/24)."""
 
-MOST_PARAMETERS = 16
-"""Largest number of parameters in the program for the worst one; the program keeps the least known. The time grows with
-the fourth power of this number."""
+MOST_IN_PROGRAM = 16
+"""Largest number of directions of the goal's parameters in a conic program, and of the other directions. The time grows
+with the fourth power of this number."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Prior information and the information of each candidate, in well-scaled coordinates.
+
+    The goal's parameters are x = F z_a; z_a are the first of these coordinates z. The information of all
+    candidates with equal weights is the identity.
+
+    Parameters
+    ----------
+    base : ndarray, shape (q, p, p)
+        Information without any candidate, for each of q frames.
+    rows : ndarray, shape (q, n, d, p)
+        J_j of each candidate.
+    asked : ndarray, shape (q, s, a)
+        F.
+    """
+
+    base: Floats
+    rows: Floats
+    asked: Floats
+
+    @staticmethod
+    def averaged(frames: Sequence[Candidates]) -> Candidates:
+        """Return the candidates on several frames; a criterion is an average over these frames."""
+        parts = [[each.base for each in frames], [each.rows for each in frames], [each.asked for each in frames]]
+        return Candidates(*map(np.concatenate, parts))
+
+    @cached_property
+    def added(self) -> Floats:
+        """Information that each candidate adds, G_j, shape (q, n, p, p)."""
+        return self.rows.swapaxes(2, 3) @ self.rows
+
+    @cached_property
+    def log_volume(self) -> Floats:
+        """log det of the covariance of the goal's parameters if the covariance of z_a is the identity."""
+        return np.asarray(np.sum(np.log(np.linalg.svd(self.asked, compute_uv=False) ** 2), axis=-1))
+
+    @property
+    def count(self) -> int:
+        """Number of candidates."""
+        return int(self.rows.shape[1])
+
+    def information(self, weights: Floats) -> Floats:
+        """Compute M(w), shape (..., q, p, p), for weights w of shape (..., n)."""
+        return np.asarray(self.base + np.tensordot(weights, self.added, axes=(-1, 1)))
+
+    def subset(self, chosen: Ints | list[int]) -> Floats:
+        """Return the information of the chosen candidates, shape (q, p, p)."""
+        return np.asarray(self.base + self.added[:, chosen].sum(axis=1))
+
+    def own(self, information: Floats) -> Floats:
+        """Compute the covariance of z_a with all others marginalized, shape (..., q, a, a)."""
+        a = self.asked.shape[-1]
+        return np.asarray(np.linalg.inv(information), dtype=np.float64)[..., :a, :a]
+
+    def own_with_each(self, chosen: Ints | list[int], others: Ints | list[int]) -> Floats:
+        """Compute the covariance of z_a with the chosen candidates and each one of the others, shape (k, q, a, a).
+
+        C - C J' (1 + J C J')^-1 J C needs only one inverse for all of them.
+        """
+        a = self.asked.shape[-1]
+        covariance = np.linalg.inv(self.subset(chosen))
+        J = self.rows[:, others]
+        seen = J @ covariance[:, None]
+        inner = np.eye(J.shape[2]) + seen @ J.swapaxes(2, 3)
+        columns = seen[..., :a]
+        result: Floats = covariance[:, None, :a, :a] - columns.swapaxes(2, 3) @ np.linalg.solve(inner, columns)
+        return result.swapaxes(0, 1)
+
+    def covariance(self, own: Floats) -> Floats:
+        """Compute the covariance of the goal's parameters, (..., s, s), from the covariances of z_a, as a mean."""
+        return np.asarray(np.mean(self.asked @ own @ self.asked.swapaxes(1, 2), axis=-3))
+
+    def slopes(self, information: Floats, weight: Floats) -> Floats:
+        """Differentiate the frames' mean of tr(weight C_aa) by the weights, shape (n,); C is the whole covariance.
+
+        The derivative for one frame is -tr(weight C_a. G_j C_.a).
+
+        Parameters
+        ----------
+        information : ndarray, shape (q, p, p)
+        weight : ndarray, shape (q, a, a)
+        """
+        a = self.asked.shape[-1]
+        columns = np.linalg.inv(information)[..., :a]
+        spread = columns @ weight @ columns.swapaxes(1, 2)
+        return np.asarray(-np.tensordot(self.added, spread, axes=([0, 2, 3], [0, 1, 2])) / len(spread))
+
+
+def candidates(known: Floats, fixed: Floats, rows: Floats, question: Floats, weight: float) -> Candidates:
+    """Build the candidates on one frame in well-scaled coordinates.
+
+    Parameters
+    ----------
+    known : ndarray, shape (k, p)
+        Rows of the prior information, in standard deviations: K'K is its information.
+    fixed : ndarray, shape (e, p)
+        Rows whose product with every allowed change is zero: exact knowledge.
+    rows : ndarray, shape (n, d, p)
+        Derivatives of each candidate's data in standard deviations.
+    question : ndarray, shape (s, p)
+        Rows that compute the goal's parameters from all p parameters.
+    weight : float
+        Weight of every candidate in the coordinates' scaling: this information becomes the identity.
+
+    Raises
+    ------
+    InputError
+        If the goal's parameters are all known exactly.
+    """
+    free = free_changes(fixed)
+    left, sizes, right = np.linalg.svd(question @ free)
+    rank = int(np.sum(sizes > KNOWN_EXACTLY * max(1.0, sizes[0] if len(sizes) else 1.0)))
+    if not rank or sizes[0] <= KNOWN_EXACTLY:
+        raise InputError("what the plan is for is known exactly already; plan for something that is not")
+    basis = free @ right.T
+    known, rows = known @ basis, rows @ basis
+    scale = _lower(np.concatenate([known, np.sqrt(weight) * rows.reshape(-1, rows.shape[2])]))
+    known, rows = known @ scale, rows @ scale
+    asked = left[:, :rank] * sizes[:rank] @ scale[:rank, :rank]
+    return Candidates((known.T @ known)[None], rows[None], asked[None])
+
+
+def free_changes(fixed: Floats) -> Floats:
+    """Find an orthonormal basis, shape (p, f), of the changes of p parameters with zero products with fixed rows."""
+    return np.asarray(linalg.null_space(fixed, rcond=1e-12)) if len(fixed) else np.eye(fixed.shape[1])
+
+
+def _lower(whole: Floats) -> Floats:
+    """Find lower triangular L with (whole L)'(whole L) = 1: the first coordinates depend only on the first of z."""
+    # QR of the columns in reverse order gives whole' whole = U U' with U upper triangular; L is U^-T.
+    triangle = np.asarray(np.linalg.qr(whole[:, ::-1], mode="r"))
+    upper = triangle.T[::-1, ::-1]
+    return np.asarray(linalg.solve_triangular(upper, np.eye(len(upper))).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,31 +248,6 @@ class Criterion(ABC):
         """
 
     @abstractmethod
-    def windowed(
-        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
-    ) -> tuple[float, list[int]]:
-        """Compute a tighter lower bound, by trying every choice within windows of neighboring candidates.
-
-        Parameters
-        ----------
-        problem : Candidates
-        weights : ndarray, shape (n,)
-            The bound is tight near these weights.
-        number : int
-        width : int
-            Number of candidates in a window.
-        enough : float
-            The search for a higher bound may end at this standard deviation.
-
-        Returns
-        -------
-        bound : float
-            A standard deviation.
-        chosen : list of int
-            The choice with the least bound; an exchange can start from this choice.
-        """
-
-    @abstractmethod
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
         """Return the criterion's program for a conic solver; the information is affine in the weights."""
 
@@ -146,13 +270,6 @@ class Determinant(Criterion):
     def bound(self, problem: Candidates, weights: Floats, number: int, hardest: Floats | None = None) -> float:
         volume, slopes = self.smooth(problem, weights)
         return float(self._std(problem, volume + _least(slopes, weights, number)))
-
-    def windowed(
-        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
-    ) -> tuple[float, list[int]]:
-        terms, constant = log_volume(problem, weights)
-        least, chosen = least_of_sum(terms, weights, number, width)
-        return float(self._std(problem, least + constant + float(np.mean(problem.log_volume)))), chosen
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
         a = reduced.asked.shape[1]
@@ -200,14 +317,6 @@ class Trace(_Mixture):
         mean = np.mean(np.sum(own * inner, axis=(-2, -1)), axis=-1)
         return np.asarray(np.sqrt(mean / problem.asked.shape[1]))
 
-    def windowed(
-        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
-    ) -> tuple[float, list[int]]:
-        s = problem.asked.shape[1]
-        terms = [term for each in np.eye(s) for term in variance(problem, each)]
-        least, chosen = least_of_sum(terms, weights, number, width)
-        return float(np.sqrt(max(least, 0.0) / s)), chosen
-
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         s = len(covariance)
         return np.eye(s) / s, float(np.trace(covariance)) / s
@@ -218,21 +327,7 @@ class Trace(_Mixture):
         return cp.Minimize(cp.trace(T)), [above], None
 
 
-class _Largest(_Mixture):
-    """Criteria that are the largest of many variances."""
-
-    def windowed(
-        self, problem: Candidates, weights: Floats, number: int, width: int, enough: float
-    ) -> tuple[float, list[int]]:
-        least, chosen = least_of_largest(problem, self.largest, weights, number, width, enough**2)
-        return float(np.sqrt(least)), chosen
-
-    @abstractmethod
-    def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
-        """Return the largest variance, shape (...), of covariances (..., s, s), and its mixture, shape (..., s)."""
-
-
-class Eigenvalue(_Largest):
+class Eigenvalue(_Mixture):
     """E: the standard deviation of the worst combination of the parameters."""
 
     name = "E"
@@ -241,24 +336,20 @@ class Eigenvalue(_Largest):
     def value_at(self, problem: Candidates, own: Floats) -> Floats:
         return np.asarray(np.sqrt(np.linalg.eigvalsh(problem.covariance(own))[..., -1]))
 
-    def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
-        values, axes = np.linalg.eigh(covariance)
-        return values[..., -1], axes[..., -1]
-
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         values, axes = np.linalg.eigh(covariance)
         weights, mean = _power_mean(values)
         return (axes * weights) @ axes.T, mean
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
-        axes = np.linalg.eigh(reduced.asked @ reduced.asked.T + reduced.left)[1][:, ::-1][:, :MOST_PARAMETERS]
+        axes = np.linalg.eigh(reduced.asked @ reduced.asked.T + reduced.left)[1][:, ::-1][:, :MOST_IN_PROGRAM]
         T, above = _above(cp, axes.T @ reduced.asked, information)
         t = cp.Variable()
         below = t * np.eye(axes.shape[1]) - axes.T @ reduced.left @ axes - T >> 0
         return cp.Minimize(t), [above, below], lambda: axes @ below.dual_value @ axes.T
 
 
-class Worst(_Largest):
+class Worst(_Mixture):
     """Largest relative standard deviation of a parameter: the worst coefficient of variation."""
 
     name = "worst"
@@ -268,17 +359,13 @@ class Worst(_Largest):
         variances = np.mean(np.sum((problem.asked @ own) * problem.asked, axis=-1), axis=-2)
         return np.asarray(np.sqrt(np.max(variances, axis=-1)))
 
-    def largest(self, covariance: Floats) -> tuple[Floats, Floats]:
-        variances = np.diagonal(covariance, axis1=-2, axis2=-1)
-        return np.max(variances, axis=-1), np.eye(variances.shape[-1])[np.argmax(variances, axis=-1)]
-
     def hardest(self, covariance: Floats) -> tuple[Floats, float]:
         weights, mean = _power_mean(np.diag(covariance))
         return np.diag(weights), mean
 
     def program(self, cp: Any, reduced: Reduced, information: Any) -> Program:
         variances = np.diag(reduced.asked @ reduced.asked.T + reduced.left)
-        least_known = ranking.order(variances)[:MOST_PARAMETERS]
+        least_known = ranking.order(variances)[:MOST_IN_PROGRAM]
         T, above = _above(cp, reduced.asked[least_known], information)
         t = cp.Variable()
         below = cp.diag(T) + np.diag(reduced.left)[least_known] <= t

@@ -22,7 +22,7 @@ from cvxshear.screening import close_loop
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, Ints
 
 FRAME_QUANTITIES = ("floor_mass", "story_stiffness")
 """Quantities of a frame, in the order of the parameters."""
@@ -141,12 +141,13 @@ class Design:
             self.frame, total_mass=None, total_mass_std=None, total_mass_placeholder=False, reference=None
         )
         frame = dataclasses.replace(unsaid, floor_masses=self.floor_mass)
-        return Experiment(frame, (self.blank(np.zeros(self.stories)),))
+        return Experiment(frame, (self.blank(np.zeros(self.stories), np.array([1])),))
 
-    def blank(self, added_mass: Floats) -> Configuration:
-        """Make a configuration with these added masses and without measurements."""
-        nothing = np.full((1, self.stories), np.nan)
-        return Configuration(np.array([1.0]), nothing, "planned test", self.state or "", np.array(added_mass))
+    def blank(self, added_mass: Floats, modes: Ints) -> Configuration:
+        """Make a configuration with these added masses and modes, 1 the lowest, and without measurements."""
+        return Configuration(
+            modes.astype(float), name="planned test", state=self.state or "", added_mass=added_mass, modes=modes
+        )
 
     def fixed(self) -> Floats:
         """Return rows whose product with every relative change of masses and stiffnesses is zero, shape (e, 2N)."""

@@ -33,7 +33,7 @@ EXCITATIONS = ("ambient", "shaker", "hammer")
 
 HAMMER = 0.35
 """Factor on the unrecorded part of a shaker's force. Between blows a hammer's force is known to be zero. In the study
-`python -m tests.benchmarks.records`, frequencies of hammer records scatter 0.22 to 0.34 times the value of the law with
+`python -m tests.studies records`, frequencies of hammer records scatter 0.22 to 0.34 times the value of the law with
 the whole noise."""
 
 BAND_WIDTH = 10.0

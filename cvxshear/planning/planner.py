@@ -1,7 +1,6 @@
 """Plan a test: choose the floors to measure and the masses to add.
 
-The masses are chosen from a grid of tests, then refined between the grid's points. Floors and masses are chosen in
-turn.
+The masses are chosen from a grid of tests. Floors and masses are chosen in turn until they stay.
 """
 
 from __future__ import annotations
@@ -11,18 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import LinearConstraint
 
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning.chances import chances, target
-from cvxshear.planning.choice import SOLVERS, Choice, choose, descended
+from cvxshear.planning.choice import SOLVERS, Choice, choose
 from cvxshear.planning.criteria import Criterion, criterion_named
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.expected_noise import Declared, TestNoise
 from cvxshear.planning.results import ExpectedAccuracy, Plan
 from cvxshear.planning.tested_model import AveragedModel, Test, TestModel
 from cvxshear.util import checks
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
@@ -38,23 +36,8 @@ USUAL_MODES = 4
 MOST_TESTS = 50
 """Largest number of tests; the time of the program grows with it."""
 
-TURNS = 3
-"""Number of choices of floors and masses, each given the other; the third choice seldom changes anything."""
-
 PARTS = (0.5, 1.0)
 """Added masses of the grid, as fractions of the limit of a floor."""
-
-MOST_REFINED = 60
-"""Largest number of masses, over all tests, that are refined between the points of the grid."""
-
-DESCENT_STEPS = 15
-"""Maximum number of steps of the refinement; its gradient needs a test's modes for each mass."""
-
-MASS_STEP = 1e-3
-"""Step of a mass in the difference quotients of that gradient, as a fraction of the limit of its floor."""
-
-MASS_DIGITS = 2
-"""Decimals of a refined mass in percent of its limit; scales are not more accurate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +84,6 @@ class MassLimits:
     def _within(self, test: Floats) -> Floats:
         """Scale the test down if its total exceeds the limit."""
         return np.asarray(test * min(1.0, self.total / max(float(test.sum()), 1e-300)))
-
-    def practical(self, test: Floats) -> Floats:
-        """Round the masses to practical values, within the limits."""
-        largest = float(self.floor.max())
-        result: Floats = np.minimum(np.round(test / largest, MASS_DIGITS) * largest, self.floor)
-        return self._within(result)
 
 
 @usual_arithmetic
@@ -234,75 +211,13 @@ def _masses(
         raise InputError(f"tests = {count} are more than the {len(grid)} that these added masses give; plan fewer")
     expected = [model.expected(test) for test in grid]
     floors = np.arange(n)
-    for _ in range(TURNS):
+    tried: list[tuple[int, ...]] = []
+    while number < n and tuple(floors) not in tried:
+        tried.append(tuple(floors))
         found = choose(model.choices(expected, floors, count), count, by, backend)
-        if number == n:
-            break
-        before = floors
-        # Intermediate choices need no bound.
-        problem = model.sensors([expected[i] for i in found.chosen], number)
-        floors = choose(problem, number, by, backend, widths=()).chosen
-        if np.array_equal(floors, before):
-            break
-    tests = refined(model, [grid[i] for i in found.chosen], floors, by, limits)
-    return sorted(tests, key=lambda test: float(test.sum()))
-
-
-def value_of(model: AveragedModel, tests: Sequence[Test], floors: Ints, by: Criterion) -> float:
-    """Evaluate the criterion of these tests at these floors."""
-    problem = model.choices(tests, floors, len(tests))
-    return float(by.value(problem, problem.information(np.ones(len(tests)))))
-
-
-def refined(
-    model: AveragedModel, tests: Sequence[Floats], floors: Ints, by: Criterion, limits: MassLimits
-) -> list[Floats]:
-    """Move the masses of the tests between the grid's points if this improves the criterion.
-
-    The search uses the frame as designed; the comparison uses all frames that the design values allow.
-
-    Parameters
-    ----------
-    model : AveragedModel
-    tests : sequence of ndarray, shape (N,)
-        Added masses, kg.
-    floors : ndarray of int
-        Measured floors, zero-based.
-    by : Criterion
-    limits : MassLimits
-    """
-    free = np.flatnonzero(limits.floor > 0)
-    count, size = len(tests), len(free)
-    if not size or count * size > MOST_REFINED:
-        return list(tests)
-    scale = limits.floor[free]
-    designed = AveragedModel(model.frames[:1])
-
-    def masses(x: Floats) -> list[Floats]:
-        result = np.zeros((count, len(limits.floor)))
-        result[:, free] = np.clip(x.reshape(count, size), 0.0, 1.0) * scale
-        return list(result)
-
-    def value(expected: Sequence[Test]) -> float:
-        return float(np.log(value_of(designed, expected, floors, by)))
-
-    def both(x: Floats) -> tuple[float, Floats]:
-        here = [designed.expected(test) for test in masses(x)]
-        now, slope = value(here), np.zeros(len(x))
-        for place in range(len(x)):
-            # Move into the interior, so that no mass becomes negative or too large.
-            step = MASS_STEP if x[place] < 0.5 else -MASS_STEP
-            moved, test = x.copy(), place // size
-            moved[place] += step
-            there = [*here[:test], designed.expected(masses(moved)[test]), *here[test + 1 :]]
-            slope[place] = (value(there) - now) / step
-        return now, slope
-
-    start = np.concatenate([test[free] / scale for test in tests])
-    within = LinearConstraint(np.kron(np.eye(count), scale), -np.inf, limits.total)
-    better = [limits.practical(test) for test in masses(descended(both, start, within, DESCENT_STEPS, tolerance=1e-4))]
-    before, after = ([model.expected(test) for test in some] for some in (tests, better))
-    return better if value_of(model, after, floors, by) < value_of(model, before, floors, by) else list(tests)
+        floors = choose(model.sensors([expected[i] for i in found.chosen], number), number, by, backend).chosen
+    found = choose(model.choices(expected, floors, count), count, by, backend)
+    return sorted((grid[i] for i in found.chosen), key=lambda test: float(test.sum()))
 
 
 def _finished(

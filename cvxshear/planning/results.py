@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import MeasuredFrequency
-from cvxshear.planning.tested_model import AveragedModel, Expected, TestModel
+from cvxshear.planning.tested_model import AveragedModel, TestModel
 from cvxshear.util.quantities import column_name, listed
 from cvxshear.util.results import InJson, Shown, data_frame
 from cvxshear.util.typing import Floats, Ints, Json
@@ -190,13 +191,12 @@ class Plan(Shown):
     @property
     def expected_modes(self) -> tuple[ExpectedMode, ...]:
         """Modes of the first test, and their expected standard deviations."""
-        which, noise = self.model.which, self.model.noise
-        first = self.model.expected(self.tests[0])
-        frequencies = first.found.frequencies[which]
-        damping_std = noise.damping_std(frequencies)
-        stds = first.frequency_std.tolist(), first.shape_std[:, 0].tolist()
-        of_damping = [None] * len(which) if damping_std is None else damping_std.tolist()
-        columns = zip((which + 1).tolist(), frequencies.tolist(), *stds, of_damping, strict=True)
+        test = self.model.expected(self.tests[0]).test
+        damping_std = self.model.noise.damping_std(test.frequencies)
+        of_damping = [None] * len(test.modes) if damping_std is None else damping_std.tolist()
+        assert test.mode_shape_std is not None, "an expected test declares its noise"
+        stds = test.log_frequency_std.tolist(), test.mode_shape_std[:, 0].tolist()
+        columns = zip(test.modes.tolist(), test.frequencies.tolist(), *stds, of_damping, strict=True)
         return tuple(ExpectedMode(*each) for each in columns)
 
     @property
@@ -289,7 +289,7 @@ def predicted(plan: Plan) -> Experiment:
     """
     floors = plan.chosen.floors - 1
     tests = tuple(
-        _configuration(plan, name, masses, plan.model.expected(masses), floors)
+        _at_sensors(plan.model.expected(masses).test, name, floors)
         for name, masses in zip(plan.names, plan.tests, strict=True)
     )
     design = plan.model.design
@@ -297,19 +297,19 @@ def predicted(plan: Plan) -> Experiment:
     return Experiment(design.frame, (*before, *tests), design.priors, design.name)
 
 
-def _configuration(plan: Plan, name: str, masses: Floats, test: Expected, floors: Ints) -> Configuration:
-    which, shapes = plan.model.which, test.shapes[:, floors]
-    return Configuration(
-        frequencies=test.found.frequencies[which],
-        mode_shapes=shapes,
+def _at_sensors(test: Configuration, name: str, floors: Ints) -> Configuration:
+    """Return a planned test as it would be declared with sensors at these floors, each shape's largest entry 1."""
+    entries = test.mode_shapes / np.max(np.abs(test.mode_shapes), axis=1, keepdims=True)
+    shapes, std = entries[:, floors], test.mode_shape_std
+    assert std is not None, "an expected test declares its noise"
+    return dataclasses.replace(
+        test,
         name=name,
-        state=plan.model.design.state or "",
-        added_mass=masses,
+        mode_shapes=shapes,
         measured_floors=floors + 1,
-        modes=which + 1,
-        frequency_std=test.frequency_std,
+        mass_normalized=False,
         # A file declares the deviation relative to a mode's largest measured entry.
-        mode_shape_std=test.shape_std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
+        mode_shape_std=std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
     )
 
 

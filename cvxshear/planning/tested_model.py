@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects import LocatedEffect, compose
-from cvxshear.fit.separation import separation
-from cvxshear.model.shear import Modes, mode_derivatives, modes
-from cvxshear.planning.candidates import Candidates, candidates, free_changes
+from cvxshear.effects import LocatedEffect
+from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
+from cvxshear.fit.gaussian import separation
 from cvxshear.planning.chances import Target
+from cvxshear.planning.criteria import Candidates, candidates, free_changes
 from cvxshear.planning.design import UNKNOWN_STD, Design
 from cvxshear.planning.expected_noise import TestNoise
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRM = 0.1
@@ -27,7 +27,7 @@ larger than at the design values, and twice as large in some stories. The differ
 MOST_PAIRS, FEWEST_PAIRS = 16, 4
 """Largest and smallest number of pairs of frames around uncertain design values over which a plan is averaged. With 16
 pairs and stiffnesses known to 30 %, expected deviations are on average within 2 % of the mean over 200 frames
-(`python -m tests.benchmarks.planning vague`)."""
+(`python -m tests.studies planning vague`)."""
 
 STORIES_DRAWN = 160
 """Number of stories in all pairs together. Tall frames get fewer pairs, because each pair takes longer and draws more
@@ -39,51 +39,6 @@ PAIRS_SEED = 2024
 UNKNOWN_STDS = 10.0
 """Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
 single sensor, finite standard deviations to compare."""
-
-
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """Expected modes of a test, and their derivatives by all P parameters, each relative to the parameter's size.
-
-    Parameters
-    ----------
-    found : Modes
-        Modes of the frame with the test's masses.
-    frequency_std : ndarray, shape (m,)
-        Relative.
-    shapes, shape_std : ndarray, shape (m, N)
-        Measured modes at every floor, largest entry 1, and the entries' standard deviations.
-    frequency_rows : ndarray, shape (m, P)
-        Derivatives of the frequencies, divided by their standard deviations.
-    shape_rows : ndarray, shape (N, m, P)
-        Derivatives of the shapes, divided by their standard deviations; one block per floor.
-    """
-
-    found: Modes
-    frequency_std: Floats
-    shapes: Floats
-    shape_std: Floats
-    frequency_rows: Floats
-    shape_rows: Floats
-
-    @property
-    def entries(self) -> Floats:
-        """Derivatives of the entries by the logarithm of their mode's scale, over the entries' deviations, (N, m)."""
-        return np.asarray((self.shapes / self.shape_std).T)
-
-    def at(self, floors: Ints) -> Floats:
-        """Return the rows for sensors at these floors (zero-based), free of each shape's scale, shape (m + m n, P)."""
-        rows, entries = self.shape_rows[floors], self.entries[floors]
-        length = np.linalg.norm(entries, axis=0)
-        unit = entries / np.where(length > 0, length, 1.0)
-        own = rows - unit[:, :, None] * np.einsum("jm,jmp->mp", unit, rows)
-        return np.concatenate([self.frequency_rows, own.reshape(-1, rows.shape[2])])
-
-    def without(self, first: int) -> Expected:
-        """Return the test with the derivatives by the first `first` parameters only."""
-        return dataclasses.replace(
-            self, frequency_rows=self.frequency_rows[:, :first], shape_rows=self.shape_rows[:, :, :first]
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,48 +116,44 @@ class TestModel:
         """Rows of `learned`, and a weak prior of every parameter (`UNKNOWN_STDS`), shape (k + P, P)."""
         return np.concatenate([self.learned, np.eye(len(self.units)) / UNKNOWN_STDS])
 
-    def expected(self, added_mass: Floats) -> Expected:
-        """Predict the modes of a test with these added masses."""
-        state = compose(self.design.shell(), self.design.blank(added_mass), self.effects, self.theta)
-        found = modes(state.system.M, state.system.K)
-        dlam, dphi = mode_derivatives(found, state.system, self.which)
-        frequency_std, mode_std = self.noise.of(found, np.diag(state.system.M).copy(), self.which)
-        psi = state.observation.shown(found.shapes[self.which])
-        dpsi = state.observation.shown_slopes(found.shapes[self.which], dphi, slice(None))
-        largest = np.max(np.abs(psi), axis=1, keepdims=True)
-        std = np.repeat(mode_std[:, None], psi.shape[1], axis=1)
-        frequency = dlam * self.units[:, None] / (2 * found.eigenvalues[self.which]) / frequency_std
-        shape = dpsi * self.units[:, None, None] / largest / std
-        return Expected(found, frequency_std, psi / largest, std, frequency.T, shape.transpose(2, 1, 0))
+    def expected(self, added_mass: Floats) -> ExpectedTest:
+        """Predict a test with these added masses; derivatives are relative to the parameters' sizes."""
+        blank = self.design.blank(added_mass, self.numbers)
+        model = tested_model(self.design.shell(), blank, self.effects, self.theta)
+        stds = self.noise.of(model.modes, np.diag(model.state.system.M), model.paired)
+        frequencies, shapes = predicted_modes(blank, model)
+        shape_std = np.repeat(stds[1][:, None], shapes.shape[1], axis=1)
+        test = expected_configuration(blank, frequencies, shapes, stds[0], shape_std)
+        return ExpectedTest(test, data_rows(test, model).J * self.units, test.measured)
 
-    def sensors(self, tests: Sequence[Expected], number: int) -> Candidates:
+    def sensors(self, tests: Sequence[ExpectedTest], number: int) -> Candidates:
         """Return the floors as candidates; each floor is measured in all of these tests."""
         m, scales, P = len(self.which), len(self.which) * len(tests), len(self.units)
         n = self.design.stories
         rows = np.zeros((n, scales, P + scales))
         for t, test in enumerate(tests):
             own = slice(t * m, (t + 1) * m)
-            rows[:, own, :P] = test.shape_rows
-            rows[:, np.arange(own.start, own.stop), P + np.arange(own.start, own.stop)] = test.entries
+            rows[:, own, :P] = test.shape_rows.swapaxes(0, 1)
+            rows[:, np.arange(own.start, own.stop), P + np.arange(own.start, own.stop)] = test.entries.T
         known = linalg.block_diag(
             np.concatenate([self.known, *(test.frequency_rows for test in tests)]), np.eye(scales) / UNKNOWN_STDS
         )
         wide = [np.hstack([part, np.zeros((len(part), scales))]) for part in (self.fixed, self.question)]
         return candidates(known, wide[0], rows, wide[1], number / n)
 
-    def choices(self, tests: Sequence[Expected], floors: Ints, number: int) -> Candidates:
+    def choices(self, tests: Sequence[ExpectedTest], floors: Ints, number: int) -> Candidates:
         """Return the tests as candidates; each test is measured at these floors."""
         rows = np.array([test.at(floors) for test in tests])
         return candidates(self.known, self.fixed, rows, self.question, number / len(tests))
 
-    def covariance(self, tests: Sequence[Expected], floors: Ints) -> Floats:
+    def covariance(self, tests: Sequence[ExpectedTest], floors: Ints) -> Floats:
         """Covariance of all parameters, relative to their sizes, after these tests at these floors, shape (P, P)."""
         rows = np.concatenate([self.known, *(test.at(floors) for test in tests)])
         free = free_changes(self.fixed)
         half = free @ np.linalg.inv(np.linalg.qr(rows @ free, mode="r"))
         return np.asarray(half @ half.T)
 
-    def of_targets(self, tests: Sequence[Expected], floors: Ints) -> Floats:
+    def of_targets(self, tests: Sequence[ExpectedTest], floors: Ints) -> Floats:
         """Compute the information about the targets after these tests at these floors, shape (e, e).
 
         The frame's parameters are unknown, too. For a single target, the information is the square of its size in
@@ -215,7 +166,7 @@ class TestModel:
         return found + np.eye(len(found)) / UNKNOWN_STDS**2
 
 
-Test = tuple[Expected, ...]
+Test = tuple[ExpectedTest, ...]
 """Expected results of one test, for each frame that the design values allow."""
 
 
@@ -256,7 +207,7 @@ class AveragedModel:
         variances = []
         for each, own in self._by_frame(tests):
             shear = dataclasses.replace(each, targets=(), quantities=())
-            bare = [test.without(each.certain) for test in own]
+            bare = [dataclasses.replace(test, rows=test.rows[:, : each.certain]) for test in own]
             variances.append(np.diag(shear.covariance(bare, floors))[: 2 * each.design.stories])
         return np.asarray(np.sqrt(np.mean(variances, axis=0)))
 
@@ -264,7 +215,7 @@ class AveragedModel:
         """Compute the information about the targets on each frame, shape (q, e, e)."""
         return np.array([each.of_targets(own, floors) for each, own in self._by_frame(tests)])
 
-    def _by_frame(self, tests: Sequence[Test]) -> list[tuple[TestModel, list[Expected]]]:
+    def _by_frame(self, tests: Sequence[Test]) -> list[tuple[TestModel, list[ExpectedTest]]]:
         return [(each, [test[place] for test in tests]) for place, each in enumerate(self.frames)]
 
 

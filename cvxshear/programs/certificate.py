@@ -5,13 +5,13 @@ residual is a difference of terms and is divided by their sizes; the quotient ha
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -42,8 +42,9 @@ class Certificate(InJson):
     duality_gap : float
         Primal less dual objective.
     error_bound : float or None
-        Largest error of an unknown, relative to its size; None before it is computed. `Solution.errors` has the
-        bounds of all unknowns in their own units.
+        Largest error of an unknown, relative to its size; None before it is computed, and for the closed forms.
+    errors : ndarray, shape (n,), or None
+        Bound on the error of each unknown, in its unit: it lies within this of the exact minimizer.
 
     Notes
     -----
@@ -70,6 +71,7 @@ class Certificate(InJson):
     dual_residual: float
     duality_gap: float
     error_bound: float | None = None
+    errors: Floats | None = field(default=None, compare=False)
 
     @property
     def worst(self) -> float:
@@ -131,30 +133,6 @@ class Point:
     w: Floats
 
 
-class HasArrays(Protocol):
-    """The arrays of a program that certificates need."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of each unknown, or an empty tuple."""
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns n."""
-
-    @property
-    def weighted(self) -> tuple[Floats, Floats]:
-        """W R and W s."""
-
-    @property
-    def equalities(self) -> tuple[Floats, Floats]:
-        """A and b."""
-
-    @property
-    def inequalities(self) -> tuple[Floats, Floats]:
-        """G and h, the finite bounds among the rows."""
-
-
 class Assembled:
     """A program's arrays, bounds among the inequalities, with the lengths of its columns.
 
@@ -174,8 +152,8 @@ class Assembled:
         Name of each unknown in messages.
     """
 
-    def __init__(self, program: HasArrays) -> None:
-        self.program: Any = program
+    def __init__(self, program: Any) -> None:
+        self.program = program
         self.R, self.s = program.weighted
         self.A, self.b = program.equalities
         self.G, self.h = program.inequalities

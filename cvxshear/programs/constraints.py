@@ -164,30 +164,6 @@ def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     return bool(found.status != 2)
 
 
-def plainly_feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
-    """Return whether the statements obviously have a feasible point, without a linear program.
-
-    This is the case if they are lower bounds and at most one weighted sum that is greater than the same sum of the
-    bounds.
-    """
-    lower = np.full(size, -np.inf)
-    sums: list[tuple[Floats, float]] = []
-    for part in parts:
-        stated = part.constraints
-        if stated.upper is not None or stated.G is not None:
-            return False
-        if stated.lower is not None:
-            lower = np.maximum(lower, stated.lower)
-        if stated.A is not None and stated.b is not None:
-            sums += [(row, float(side)) for row, side in zip(stated.A[:2], stated.b[:2], strict=True)]
-        if len(sums) > 1:
-            return False
-    if not sums:
-        return True
-    row, side = sums[0]
-    return bool(np.all(row > 0) and np.all(np.isfinite(lower)) and row @ lower < side)
-
-
 def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
     """Raise if the statements cannot all be true.
 
@@ -203,7 +179,7 @@ def refuse_contradictions(parts: Sequence[NamedConstraints], size: int) -> None:
     """
     for part in parts:
         part.constraints.check(size, part.name)
-    if plainly_feasible(parts, size) or feasible(parts, size):
+    if feasible(parts, size):
         return
     core = list(parts)
     for part in parts:

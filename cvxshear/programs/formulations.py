@@ -17,7 +17,7 @@ from cvxshear.programs.constraints import NamedConstraints, constrained, refuse_
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.programs.pair_rows import mass_rows, normalized, one_shot_rows, stiffness_rows
 from cvxshear.util import checks
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Floats
@@ -225,9 +225,7 @@ class CompleteTest:
             program = softened(plain, self.experiment.priors, "floor_mass", at, self.mass_row_std, step=False)
         return constrained(program, self.of_masses, start).replace(title=self._title("one-shot masses"))
 
-    def story_stiffnesses(
-        self, mass: Floats, at: Floats | None = None, origin: Floats | None = None
-    ) -> LeastSquares:
+    def story_stiffnesses(self, mass: Floats, at: Floats | None = None, origin: Floats | None = None) -> LeastSquares:
         """Write Eq. 24 with all that is known, at floor masses with added mass or at a full mass matrix.
 
         Parameters

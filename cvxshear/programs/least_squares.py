@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point, certify
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import ask
 from cvxshear.util.typing import Floats
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
 RANK_TOLERANCE = 1e-12
-"""Smallest singular value, relative to the largest, of scaled rows of full rank: a few thousand roundings."""
+"""Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
+shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,8 +304,6 @@ class Solution:
         Why `backend` is not `requested`; None if it is.
     acceptance : Acceptance
         Whether the solver's answer was accepted as given, polished or replaced.
-    errors : ndarray, shape (n,), optional
-        Bound on the error of each unknown, in its unit: x lies within these of the exact minimizer.
     status : str
         The solver's own status.
     iterations : int or None
@@ -320,7 +319,6 @@ class Solution:
     backend: str
     replaced: str | None = None
     acceptance: Acceptance = Acceptance.AS_GIVEN
-    errors: Floats | None = None
     status: str = "closed form"
     iterations: int | None = None
     seconds: float = 0.0
@@ -329,6 +327,11 @@ class Solution:
     def x(self) -> Floats:
         """The unknowns, shape (n,)."""
         return self.point.x
+
+    @property
+    def errors(self) -> Floats | None:
+        """Bound on the error of each unknown, shape (n,), in its unit; None for the closed forms."""
+        return self.certificate.errors
 
     @property
     def objective(self) -> float:

@@ -31,7 +31,7 @@ from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
 from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
-from cvxshear.util.arithmetic import usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.quantities import SURE
 from cvxshear.util.typing import Json

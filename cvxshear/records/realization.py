@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 

@@ -18,11 +18,10 @@ from cvxshear.response import Fitted, Reconstruction, RecordPrediction, Response
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.uncertain import Damped
-from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.results import as_json
-from cvxshear.util.text import json_text, printable
 from cvxshear.util.typing import Floats, Json
-from cvxshear.util.writing import ending_of, write_file
+from cvxshear.util.writing import ending_of, json_text, write_file
 
 
 def write_model(path: str | Path, result: RecordPrediction) -> None:

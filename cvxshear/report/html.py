@@ -9,7 +9,7 @@ import numpy as np
 
 from cvxshear.backends import Comparison
 from cvxshear.fit.identification import compare_backends
-from cvxshear.io.inputs import read_bytes
+from cvxshear.io.formats import read_bytes
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.declaration import Heading
 from cvxshear.records import ModalResult

@@ -10,8 +10,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cvxshear.util.text import json_text, printable
+from cvxshear.util.errors import printable
 from cvxshear.util.typing import Json
+from cvxshear.util.writing import json_text
 from cvxshear.version import __version__
 
 PACKAGES = (

@@ -26,8 +26,8 @@ from cvxshear.report.describe.identified import damping_section
 from cvxshear.report.describe.vocabulary import plain_rows
 from cvxshear.response import IdentifiedDamping
 from cvxshear.screening import FileFinding
+from cvxshear.util.errors import printable
 from cvxshear.util.quantities import AUTOMATIC, Units
-from cvxshear.util.text import printable
 
 COLUMN_GAP = 2
 """Number of spaces between columns."""

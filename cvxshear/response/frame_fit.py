@@ -35,7 +35,7 @@ from cvxshear.response.frame_prior import (
 )
 from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
 from cvxshear.response.varied_frame import GAIN_UNIT
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats, Ints
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000

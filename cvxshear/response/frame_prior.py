@@ -25,7 +25,7 @@ from cvxshear.response.innovations import Likelihood
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import GAIN_UNIT, OTHER_DAMPING_STD, VariedFrame
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 AMPLITUDE_STD = 0.15

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import signal
 
-from cvxshear.response.damped import DampedModel, Response, driven_poles
+from cvxshear.response.damped import DampedModel
+from cvxshear.response.state_space import Response
 from cvxshear.util import ranking
 from cvxshear.util.quantities import column_name
 from cvxshear.util.results import InJson, as_json, data_frame
@@ -184,14 +186,17 @@ def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, dampin
         Hz.
     damping : float, optional
     """
-    omega = 2 * np.pi * frequencies
-    s = omega * (-damping + 1j * np.sqrt(1 - damping**2))
-    factor = -(s**2) / (1j * s.imag)
-    peaks = [
-        np.max(np.abs((factor[:, None] * driven_poles(s, floor, step)).real), axis=1)
-        for floor in np.ascontiguousarray(acceleration.T)
-    ]
-    return FloorSpectra(frequencies, damping, np.array(peaks))
+    poles = 2 * np.pi * frequencies * (-damping + 1j * np.sqrt(1 - damping**2))
+    peaks = np.empty((acceleration.shape[1], len(frequencies)))
+    for place, s in enumerate(poles):
+        # z' = s z + p from rest, with p linear between samples: a filter with one pole.
+        x = s * step
+        whole = np.expm1(x) / x
+        now = step * (whole - 1) / x
+        start = -now * acceleration[:1]
+        z = signal.lfilter([now, step * whole - now], [1.0, -np.exp(x)], acceleration, axis=0, zi=start)[0]
+        peaks[:, place] = np.max(np.abs((-(s**2) / (1j * s.imag) * z).real), axis=0)
+    return FloorSpectra(frequencies, damping, peaks)
 
 
 def largest_spectra(model: DampedModel, accelerations: Sequence[Floats], step: float) -> FloorSpectra:

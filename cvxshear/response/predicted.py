@@ -15,7 +15,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
-from cvxshear.response.damped import DampedModel, Response, response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
 from cvxshear.response.recording import recording_of
 from cvxshear.response.sensor_checks import as_predicted
@@ -32,9 +32,9 @@ from cvxshear.response.sources import (
     state_of,
     state_remarks,
 )
+from cvxshear.response.state_space import Response, response
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
-from cvxshear.util.arithmetic import usual_arithmetic
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats

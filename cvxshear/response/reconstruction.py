@@ -19,7 +19,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel, Response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
@@ -27,10 +27,10 @@ from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
 from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
+from cvxshear.response.state_space import Response
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
-from cvxshear.util.arithmetic import usual_arithmetic
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
@@ -72,7 +72,7 @@ without a quieter part, the line changes peaks by up to four standard deviations
 ROUGH_DRIFT = 0.1
 """Relative standard deviation of drifts if the record does not fit a linear frame, the fit does not converge, or the
 tests do not determine the frame. The drift of a yielding story is 3 to 17 % too low, and of its neighbors up to 9 % too
-high (``tests.benchmarks.reconstruction``)."""
+high (``tests.studies.reconstruction``)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

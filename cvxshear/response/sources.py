@@ -29,7 +29,7 @@ from cvxshear.records.record import FrfRecord, TimeRecord
 from cvxshear.response.recording import Recording
 from cvxshear.screening import close_loop
 from cvxshear.util import checks
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.quantities import listed, percent
 from cvxshear.util.results import InJson, as_json

@@ -22,7 +22,7 @@ import numpy as np
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
 OTHER_DAMPING_STD = 0.3

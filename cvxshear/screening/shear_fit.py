@@ -7,7 +7,7 @@ Floor masses and story stiffnesses are those that minimize
 
 the scale of each shape eliminated, by Gauss-Newton (`fit.gauss_newton`). Declared masses are not used: one
 configuration determines masses only up to a common factor, and the declaration may be wrong. The last two sums say how
-far floors and stories of one frame differ, as in the loop (`fit.expectation`); they decide where the measurement does
+far floors and stories of one frame differ, as in the loop (`fit.domain`); they decide where the measurement does
 not.
 
 A story that is a thousand times softer, or a floor that is a thousand times heavier, has a local minimum that an even
@@ -26,8 +26,7 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.data.pairing import scaled
-from cvxshear.fit.domain import Domain
-from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH
+from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.fit.start import START_PASSES, solved_story_equations

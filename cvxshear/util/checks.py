@@ -146,11 +146,13 @@ def number(value: object, where: str, *, above: float = -math.inf, least: float 
     return result
 
 
-def whole(value: object, where: str, *, least: int, most: int) -> int:
+def whole(value: object, where: str, *, least: int, most: int | None = None) -> int:
     """Check a whole number from `least` to `most`."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise InputError(f"{where} must be a whole number, not {shown(value)}")
-    if not least <= value <= most:
+    if most is None and value < least:
+        raise InputError(f"{where} = {shown(int(value))} must be at least {least}")
+    if most is not None and not least <= value <= most:
         raise InputError(f"{where} = {shown(int(value))} must lie between {least} and {most}")
     return int(value)
 

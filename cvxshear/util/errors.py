@@ -1,4 +1,4 @@
-"""The exceptions that cvxshear raises.
+"""The exceptions that cvxshear raises, with printable messages.
 
 Every exception derives from `CvxshearError`, so a caller can catch them all at once. `InputError` means that the
 caller must change the input. `NoSolutionError` means that the input was valid and a solver failed.
@@ -9,7 +9,15 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from cvxshear.util.text import printable
+
+def printable(text: str) -> str:
+    """Write a text in one line without terminal control: each unprintable character becomes its escape.
+
+    These are control characters, line breaks, marks that change the writing direction, and lone surrogates.
+    """
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text)
 
 
 class CvxshearError(Exception):

@@ -30,7 +30,6 @@ logger = logging.getLogger(__name__)
 Item = TypeVar("Item")
 Done = TypeVar("Done")
 
-MOST_JOBS = 4096
 TASKS_A_JOB = 8
 """Number of chunks for each process: enough to balance the load, and few enough to keep the transfer cheap."""
 
@@ -65,7 +64,7 @@ def each(
     """
     todo = list(items)
     if jobs != -1:
-        checks.whole(jobs, "jobs", least=1, most=MOST_JOBS)
+        checks.whole(jobs, "jobs", least=1)
     chunks = _chunks(todo, jobs, seen=progress is not None)
     results: list[Done] = []
     options: dict[str, Any] = {} if jobs == 1 else {"initializer": end_with, "initargs": (os.getpid(),)}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cvxshear import InfeasibleError, InputError, NoSolutionError, UnsuitableError, backends
-from cvxshear.backends import Answer, Backend, cvxpy_backend
+from cvxshear.backends import Answer, Backend
 from cvxshear.backends.canonical import canonical
 from cvxshear.backends.installed import Auto
 from cvxshear.programs import LeastSquares
@@ -81,12 +81,13 @@ def test_optimality_conditions_hold_with_active_bounds(name, seed):
 def test_a_direction_that_only_bounds_determine_is_solved(name):
     """R determines x1 + x2 alone; x1 >= 3 and x2 >= 0 leave one solution for a sum that should be 1."""
     program = LeastSquares(np.array([[1.0, 1.0]]), np.array([1.0]), lower=np.array([3.0, 0.0]))
-    if name == "quadprog":
-        # Goldfarb and Idnani's method refuses a Hessian that is not positive definite.
-        with pytest.raises(NoSolutionError, match=name):
-            backends.get(name).solve(program)
+    try:
+        found = backends.get(name).solve(program).x
+    except NoSolutionError:
+        # Goldfarb and Idnani's method needs a positive definite Hessian; rounding decides whether this one is.
+        assert name == "quadprog"
         return
-    np.testing.assert_allclose(backends.get(name).solve(program).x, [3.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose(found, [3.0, 0.0], atol=1e-5)
 
 
 @pytest.mark.parametrize("name", BOUNDED)
@@ -157,13 +158,6 @@ def test_a_certificate_is_computed_and_never_believed():
     assert backends.get(Careless(1e-9)).solve(program).certificate.worst > 1e-10
 
 
-def test_a_backend_of_ones_own_is_listed_once_registered(monkeypatch):
-    monkeypatch.setattr("cvxshear.backends.installed._registered", {})
-    backends.register(Careless(0.0))
-    assert "careless" in backends.available()
-    assert backends.get("careless").name == "careless"
-
-
 def test_an_unknown_backend_is_refused_with_the_nearest_name():
     with pytest.raises(InputError, match=r"no backend named 'clarable' is installed here; did you mean 'clarabel'\?"):
         backends.get("clarable")
@@ -178,17 +172,6 @@ def test_a_far_bound_changes_neither_the_answer_nor_the_scaling():
             kkt_by_hand(program) / sizes,
             atol=1e-6 * np.max(np.abs(kkt_by_hand(program) / sizes)),
         )
-
-
-def test_cvxpy_compiles_a_shape_once(monkeypatch):
-    compiled = []
-    original = cvxpy_backend.parametrised
-    monkeypatch.setattr(cvxpy_backend, "parametrised", lambda *shape: compiled.append(shape) or original(*shape))
-    backend = cvxpy_backend.Cvxpy("CLARABEL")
-    for seed in range(4):
-        backend.solve(random_program(seed)[0])
-    backend.solve(random_program(0, n=4)[0])
-    assert compiled == [(6, 1, 0, False), (4, 1, 0, False)]
 
 
 def test_the_scaled_program_has_unit_hessian_and_unit_rows():

@@ -206,7 +206,7 @@ def test_an_answer_beyond_its_accuracy_is_replaced_and_one_within_it_is_left():
         assert bool(found.reason) != left
         np.testing.assert_allclose(found.point.x, [1.0, 2.0], atol=1e-6)
         assert found.certificate.error_bound < 1e-6
-        assert np.all(np.abs(found.point.x - [1.0, 2.0]) <= found.errors + 1e-10)
+        assert np.all(np.abs(found.point.x - [1.0, 2.0]) <= found.certificate.errors + 1e-10)
 
 
 @pytest.mark.parametrize("name", BOUNDED)
@@ -333,9 +333,9 @@ def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
         np.testing.assert_allclose(backends.get("auto").solve(program).x, [5.0, 1.0], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (102, 0), (102, 3)])
+@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (102, 3)])
 def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
-    """Evaluate delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d explicitly; beyond a hundred unknowns use row lengths."""
+    """Evaluate delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d explicitly."""
     rng = np.random.default_rng(n + constraints)
     R, s = rng.standard_normal((2 * n, n)) * rng.uniform(1e-2, 1e2, n), rng.standard_normal(2 * n)
     A, b = rng.standard_normal((constraints, n)), rng.standard_normal(constraints)
@@ -358,11 +358,7 @@ def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
     u = 4 * np.finfo(float).eps
     f = u * np.sqrt(n) * (np.abs(C) @ np.abs(z) + np.abs(s))
     g = u * np.sqrt(2 * n) * np.abs(C).T @ np.abs(residual)
-    if n <= 100:
-        expected = np.abs(inverse @ C.T) @ f + np.abs(inverse) @ g
-    else:
-        reach = np.sqrt(np.diag(inverse))
-        expected = reach * (np.linalg.norm(f) + reach @ g)
+    expected = np.abs(inverse @ C.T) @ f + np.abs(inverse) @ g
     expected += np.abs(P) @ (u * np.sqrt(n) * (np.abs(B) @ np.abs(z) + np.abs(c)))
     # Add the last correction, which is of the size of rounding.
     np.testing.assert_allclose(found.errors, D * expected, rtol=0.2)

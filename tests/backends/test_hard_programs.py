@@ -6,8 +6,8 @@ import pytest
 from cvxshear import Experiment, NoModesError, NoSolutionError, UnsuitableError, backends, identify
 from cvxshear.programs import LeastSquares
 from tests import frames
-from tests.benchmarks import hard_frames
-from tests.benchmarks.hard_programs import KINDS, exactly, study
+from tests.studies import hard_frames
+from tests.studies.hard_programs import KINDS, exactly, study
 
 
 @pytest.fixture(scope="module")

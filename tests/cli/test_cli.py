@@ -11,7 +11,7 @@ import typer
 from typer.main import get_command
 
 import cvxshear
-from cvxshear import __version__, backends
+from cvxshear import backends
 from cvxshear.backends.acceptance import Tolerances
 from cvxshear.cli import app
 from cvxshear.planning import Declared, Recorded
@@ -183,7 +183,7 @@ def test_an_unknown_option_is_status_two(run):
 def test_the_version_is_the_packages(run):
     status, out, _ = run("--version")
     assert status == 0
-    assert __version__ in out
+    assert cvxshear.__version__ in out
 
 
 def test_help_gives_an_example_for_every_command(run):
@@ -213,7 +213,7 @@ def test_json_says_where_it_comes_from(run, tmp_path, monkeypatch):
         status, out, _ = run(command[0], path, *command[1:], "--json", "-")
         assert status == 0
         said = json.loads(out)["about"]
-        assert (said["cvxshear"], said["date"]) == (__version__, "2023-11-14T22:13:20+00:00")
+        assert (said["cvxshear"], said["date"]) == (cvxshear.__version__, "2023-11-14T22:13:20+00:00")
         assert said["sha256"] == digest
         assert said["files"] == [{"name": str(path), "sha256": digest}]
         assert said["title"] in ("a", None)
@@ -236,7 +236,7 @@ def test_verbose_and_quiet(run, tmp_path):
         [sys.executable, "-m", "cvxshear", "-v", "identify", str(EXAMPLES / "three_story.toml"), "--json", "-"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert "cvxshear.io.inputs: read " in found.stderr
+    assert "cvxshear.io.formats: read " in found.stderr
     json.loads(found.stdout)
     assert "give --quiet or --verbose, not both" in run("-q", "-v", "identify", "paper")[2]
 

@@ -493,6 +493,33 @@ def replace_frequencies(measured):
     )
 
 
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("slenderness", [0.5, 2.5, 8.0])
+def test_wall(slenderness, number):
+    """The formula is exact for a Bernoulli beam beside the frame, from a wall with some columns to a frame with a
+    slender wall."""
+    w = slenderness**-2
+    assert_same(modes_with([placed("wall")], w, number=number), sway_modes(fe.with_wall(building(number), w)))
+
+
+@pytest.mark.parametrize("slenderness", [0.5, 2.5, 8.0])
+def test_a_wall_beside_joints_that_turn_under_weight_with_a_changed_story(slenderness):
+    """The wall keeps its stiffness if a story changes, and softens with the frame in a softer state."""
+    effects = [
+        placed("joint_rotation"),
+        placed("wall"),
+        placed("story_change", story=2, state="loaded"),
+        placed("state_stiffness", state="loaded"),
+    ]
+    w = slenderness**-2
+    frame = fe.with_softer_state(fe.with_wall(fe.with_turning_joints(building(1), 0.6), w), -0.1)
+    frame = fe.with_story_change(frame, -0.3, 2)
+    assert_same(modes_with(effects, 0.6, w, -0.3, -0.1, number=1), sway_modes(frame))
+    straight = [placed("wall"), placed("gravity"), effects[2]]
+    frame = fe.with_gravity(fe.with_story_change(fe.with_wall(building(1), w), -0.3, 2), 1.1)
+    assert_same(modes_with(straight, w, 1.1, -0.3, number=1), sway_modes(frame))
+
+
 def test_many_effects_at_once():
     """The formulas are exact together: a rocking frame with flexible beams, weight on props, a spring, a load and
     damage."""

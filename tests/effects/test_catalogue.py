@@ -18,7 +18,6 @@ from cvxshear.effects import (
     open_classes,
     register,
 )
-from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.loop.hypotheses import hypotheses
 from cvxshear.measurement.experiment import Experiment, Frame
@@ -44,6 +43,7 @@ ACTING = [
     "load_scale",
     "joint_release",
     "soft_feet",
+    "wall",
 ]
 BESIDE_OTHERS = ["bracing"]
 """Effects that change a matrix only together with another effect."""
@@ -75,20 +75,21 @@ UNITS = {
     "joint_release": [("rho", ""), ("loss", "")],
     "soft_feet": [("rho", "")],
     "bracing": [("beta", "")],
+    "wall": [("w", "")],
     "wrong_prior": [],
     "shape_scale": [("g", "")],
     "force_scale": [("g", "")],
 }
 NEVER_NEGATIVE = [
     "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "mass_coupling", "spring", "joint_release",
-    "soft_feet", "bracing",
+    "soft_feet", "bracing", "wall",
 ]  # fmt: skip
 EITHER_SIGN = [
     "added_mass", "sensor_gain", "story_change", "state_stiffness", "state_mass", "load_scale", "floor_mass",
     "shape_scale", "force_scale",
 ]  # fmt: skip
 SEVERAL_STATES = ["added_mass", "story_change", "state_stiffness", "state_mass", "joint_release"]
-RATIOS_OF_HEIGHTS = ["joint_rotation", "axial_columns", "base_rocking", "joint_release", "soft_feet"]
+RATIOS_OF_HEIGHTS = ["joint_rotation", "axial_columns", "base_rocking", "joint_release", "soft_feet", "wall"]
 FOUR = [1, 2, 3, 4]
 
 
@@ -363,7 +364,7 @@ class Damper(Effect):
 @pytest.fixture
 def own_catalogue(monkeypatch):
     """Provide a catalogue to which a test can add effects; restore the original afterwards."""
-    monkeypatch.setattr(registry_module, "_catalogue", dict(registry_module._catalogue))
+    monkeypatch.setattr("cvxshear.effects._catalogue", {effect.name: effect for effect in catalogue()})
 
 
 @pytest.mark.usefixtures("own_catalogue")
@@ -544,6 +545,10 @@ SAID = [
     (
         "attached_mass", {"floor": 4, "state": "after"}, (1.5, 6.0), (0.1, 0.2),
         'a mass of 1.50 ± 0.10 kg swings on floor 4 at 6.00 ± 0.20 Hz of its own in "after"',
+    ),
+    (
+        "wall", {}, 0.25, 0.02,
+        "a wall or core bends beside the frame, with EI = 0.250 ± 0.020 times H^2 mean(k h) (lambda H = 2)",
     ),
     ("bracing", {}, 0.4, 0.02, "braces make up 40.0 ± 2.0 % of the stiffness of every story"),
     # If one end of two columns is hinged, each has the stiffness 1 - (rho / 4) / (1 + 2 rho / 3).

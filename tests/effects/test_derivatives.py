@@ -26,6 +26,7 @@ CASES = {
     "soft_feet": (placed("soft_feet"), 0.6),
     "joint_release": (placed("joint_release", floor=2, state="loaded"), (0.6, 0.1)),
     "bracing": (placed("bracing"), 0.2),
+    "wall": (placed("wall"), 0.15),
 }
 SCALES = {
     "gravity": 1.0,
@@ -45,6 +46,7 @@ SCALES = {
     "soft_feet": 1.0,
     "joint_release": 1.0,
     "bracing": 1.0,
+    "wall": 1.0,
 }
 """Scale of each parameter: a small change. The step is a fraction of it."""
 STEP = 1e-4

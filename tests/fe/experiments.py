@@ -340,6 +340,7 @@ def practical_size(effect: str, frame: Building) -> float:
         "spring": 0.1 * float(np.mean(frame.story_stiffness)),
         "joint_release": 0.5,
         "soft_feet": 0.5,
+        "wall": 0.1,
     }[effect]
 
 
@@ -392,7 +393,12 @@ def with_story_change(frame: Building, change: float, at: int) -> Building:
 
 def with_softer_state(frame: Building, e: float, at: int | None = None) -> Building:
     beams = None if frame.beam_bending is None else frame.beam_bending * (1.0 + e)
-    return dataclasses.replace(frame, story_stiffness=frame.story_stiffness * (1.0 + e), beam_bending=beams)
+    return dataclasses.replace(
+        frame,
+        story_stiffness=frame.story_stiffness * (1.0 + e),
+        beam_bending=beams,
+        wall_bending=frame.wall_bending * (1.0 + e),
+    )
 
 
 def with_tie(frame: Building, spring: float, floors: tuple[int, int]) -> Building:
@@ -427,6 +433,12 @@ def with_soft_feet(frame: Building, rho: float, _at: int | None) -> Building:
     return with_loose_joints(frame, rho, 0)
 
 
+def with_wall(frame: Building, w: float, at: int | None = None) -> Building:
+    """Add a wall with EI = w H^2 mean(k h)."""
+    bending = w * float(frame.heights.sum()) ** 2 * float(np.mean(frame.story_stiffness * frame.heights))
+    return dataclasses.replace(frame, wall_bending=bending)
+
+
 CHANGES: dict[str, Callable[..., Building]] = {
     "gravity": with_gravity,
     "joint_rotation": with_turning_joints,
@@ -440,6 +452,7 @@ CHANGES: dict[str, Callable[..., Building]] = {
     "joint_release": with_loose_joints,
     "soft_feet": with_soft_feet,
     "bracing": with_braces,
+    "wall": with_wall,
 }
 """Function of each effect that changes the frame. A sensor's gain changes the reading, not the frame."""
 

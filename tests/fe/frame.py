@@ -63,6 +63,8 @@ class Building:
         EA of each of the two crossing diagonals of a story, hinged between the first and the last column, N.
     attached : tuple of (int, float, float), optional
         Masses on springs that floors carry: floor, mass, kg, and the spring, N/m.
+    wall_bending : float, optional
+        EI of a wall without mass, clamped at the ground, whose nodes sway with the floors, N m2; 0 for none.
     """
 
     heights: Floats
@@ -84,6 +86,7 @@ class Building:
     ties: tuple[tuple[int, int, float], ...] = ()
     brace_axial: Floats | None = None
     attached: tuple[tuple[int, float, float], ...] = ()
+    wall_bending: float = 0.0
 
     @property
     def stories(self) -> int:
@@ -153,6 +156,15 @@ def assemble(building: Building) -> Model:
             model.member(below[-1], above[0], section)
     for low, high, axial in building.ties:
         model.member(joints[low][0], joints[high][-1], Section(bending=0.0, axial=axial))
+    if building.wall_bending:
+        levels = range(building.stories + 1)
+        nodes = [
+            Node(0.0, elevation(building, level), {("sway", level): 1.0}, {}, {("wall", level): 1.0})
+            for level in levels
+        ]
+        nodes[0] = Node(0.0, 0.0, {}, {}, {})
+        for below, above in pairwise(nodes):
+            model.member(below, above, Section(bending=building.wall_bending, axial=0.0))
     hold_base(model, building, joints[0])
     return model
 

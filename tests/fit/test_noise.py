@@ -11,8 +11,8 @@ from cvxshear import Experiment, backends, close_loop, identify
 from cvxshear.data import NoiseFactors
 from cvxshear.fit import efficient as efficient_module
 from cvxshear.fit.efficient import efficient
-from cvxshear.fit.misfit import Misfit, UnknownSize
-from cvxshear.fit.noise import NoiseMarginal, estimated_noise, marginal_curvature
+from cvxshear.fit.gaussian import SizeMarginal, UnknownSize
+from cvxshear.fit.misfit import Misfit, estimated_noise
 from cvxshear.priors import Value
 from tests.frames import configuration, experiment
 
@@ -39,16 +39,17 @@ def experiment_with(seed, frequency, shape, *, declare=(), frame=None, prior=())
     return Experiment.from_dict(experiment(MASS, STIFFNESS, *tables, frame=frame, prior=prior))
 
 
-def marginal_of(of, noise=None):
-    estimate = efficient(of, backends.get("auto"))
-    misfit = estimate.misfit if noise is None else estimate.misfit.replaced(noise=noise)
-    at = misfit.evaluate(estimate.theta)
-    return NoiseMarginal(misfit, at, estimate.uncertainty.root_of(at.triangle[0]))
+def marginal_of(misfit, at, free):
+    rows = [at.unknown == place for place in range(len(misfit.unknown))]
+    factors = [misfit.noise.of(item.key) for item in misfit.unknown]
+    parts = [at.J[own] @ free for own in rows], [at.r[own] for own in rows]
+    return SizeMarginal(misfit.unknown, factors, *parts, free.T @ (at.J.T @ at.r))
 
 
 @pytest.mark.parametrize("u", [[0.0, 0.0], [1.1, -0.4], [-0.8, 0.9]])
 def test_the_marginal_s_derivative(u):
-    of = marginal_of(experiment_with(1, 0.004, 0.008))
+    estimate = efficient(experiment_with(1, 0.004, 0.008), backends.get("auto"))
+    of = marginal_of(estimate.misfit, estimate.fit.at, estimate.free_directions)
     at = of.here + np.array(u)
     _, gradient = of.negative(at)
     step = 1e-5
@@ -65,7 +66,7 @@ def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
     at = estimate.misfit.evaluate(estimate.theta)
     free = estimate.uncertainty.root_of(at.triangle[0])
     kinds = tuple(estimate.misfit.open_noises)
-    marginal = NoiseMarginal(estimate.misfit, at, free)
+    marginal = marginal_of(estimate.misfit, at, free)
     counts = [estimate.misfit.open_noises[kind] for kind in kinds]
 
     def direct(u):
@@ -232,9 +233,8 @@ def test_the_curvature_of_the_marginal_has_an_inverse(values, floored):
     vectors = np.linalg.qr(np.array([[1.0, 2.0], [3.0, -1.0]]))[0]
     bent = (vectors * values) @ vectors.T
     marginal = SimpleNamespace(widths=np.array([0.7, 1.5]), negative=lambda v: (0.5 * v @ bent @ v, bent @ v))
-    np.testing.assert_allclose(
-        marginal_curvature(marginal, np.array([0.3, -0.2])), (vectors * floored) @ vectors.T, rtol=1e-6, atol=1e-6
-    )
+    found = SizeMarginal.curvature(marginal, np.array([0.3, -0.2]))
+    np.testing.assert_allclose(found, (vectors * floored) @ vectors.T, rtol=1e-6, atol=1e-6)
 
 
 def test_factors_taken_as_they_are_have_the_gain_of_laplace_there():
@@ -251,7 +251,7 @@ def test_factors_taken_as_they_are_have_the_gain_of_laplace_there():
     assert estimated_noise(misfit, at, free).settled
     np.testing.assert_allclose(found.log_factors, np.log([1.7, 0.9]), rtol=1e-9)
     assert dict(found.noise.factors) == pytest.approx({"frequency": 1.7, "mode_shape": 0.9})
-    marginal, u, h = NoiseMarginal(misfit, at, free), np.log([1.7, 0.9]), 1e-3
+    marginal, u, h = marginal_of(misfit, at, free), np.log([1.7, 0.9]), 1e-3
     points = [u + h * np.array([i, j]) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     value = marginal.values(np.array(points)).reshape(3, 3)
     across = (value[2, 2] - value[2, 0] - value[0, 2] + value[0, 0]) / 4

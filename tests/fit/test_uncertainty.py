@@ -6,8 +6,8 @@ from scipy import linalg, stats
 
 from cvxshear import Experiment
 from cvxshear.effects import LocatedEffect, Place, Scale, named, open_classes
-from cvxshear.fit.domain import Domain
-from cvxshear.fit.expectation import EffectPrior, tailed
+from cvxshear.fit.domain import Domain, EffectPrior
+from cvxshear.fit.gaussian import tailed
 from cvxshear.fit.uncertainty import uncertainty
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
@@ -121,8 +121,8 @@ def put(name, **place):
 
 
 def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_documented():
-    """Logarithms of masses have the deviation 1, of stiffnesses 2; effects have Student's t; a common size has a normal
-    prior."""
+    """Logarithms of masses have the deviation 1, of stiffnesses 2 about their mean; effects have Student's t; a common
+    size has a normal prior."""
     scale = Scale(10.0, 5e3, np.full(2, 3.0))
     gain, mass = put("sensor_gain", floor=1), put("added_mass", floor=2, state="x")
     (other_gains,) = (each for each in open_classes() if each.name == "other_gains")
@@ -134,7 +134,8 @@ def test_what_is_expected_of_a_frame_and_its_effects_is_the_density_that_is_docu
     expectation = EffectPrior(scale, sizes)
     label = open_class.label
     (r, J), keys, (frame_r, frame_J) = expectation.residuals(theta, effects, {label: 3.0, gain.label: 9.0})
-    np.testing.assert_allclose(frame_r, [np.log(0.8), np.log(1.3), np.log(0.8) / 2, np.log(1.8) / 2])
+    apart = np.log(9 / 4) / 2
+    np.testing.assert_allclose(frame_r, [np.log(0.8), np.log(1.3), -apart / 2, apart / 2])
     assert keys == ["", "", label, label]
     width = expectation.of(open_class)
     np.testing.assert_array_equal(width, open_class.effect.expected_sizes(scale))

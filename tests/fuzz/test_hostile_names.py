@@ -23,8 +23,8 @@ from cvxshear import compare_backends
 from cvxshear.io.toml import load
 from cvxshear.records import identify_modes
 from cvxshear.screening.screen import mistakes
-from cvxshear.util.text import cell_text
-from tests.campaign.shared import write_records
+from cvxshear.util.writing import cell_text
+from tests.io.campaign import write_records
 
 NAMES = (
     # Spreadsheets read these as formulas; some hide the formula.

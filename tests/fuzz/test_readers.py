@@ -66,7 +66,6 @@ def test_a_mutated_file_is_read_or_refused(kind, fuzz_budget, tmp_path):
     read(path)
     counts = {"read": 0, "refused": 0}
 
-
     @seed(13)
     @settings(
         max_examples=fuzz_budget,

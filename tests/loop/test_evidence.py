@@ -9,18 +9,12 @@ from scipy import integrate, special, stats
 
 from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import LocatedEffect, Place, Scale, catalogue, open_classes
+from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior
 from cvxshear.fit.efficient import fitted
-from cvxshear.fit.expectation import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior
 from cvxshear.fit.gauss_newton import Accuracy
+from cvxshear.fit.gaussian import log_interval, log_normal_between
 from cvxshear.fit.misfit import WIDTH, Misfit
-from cvxshear.loop.evidence import (
-    _log_constant,
-    _tailed_priors,
-    free_basis,
-    log_evidence,
-    log_interval,
-    log_normal_between,
-)
+from cvxshear.loop.evidence import _log_constant, _tailed_priors, free_basis, log_evidence
 from tests.frames import chain, configuration, experiment
 
 MASS, STIFFNESS = np.array([11.0, 9.0]), np.array([24e3, 20e3])
@@ -117,7 +111,8 @@ def sampled(of, estimate, effect, seed, *, undeclared=False):
         mass, stiffness = np.where(good[:, None], mass, 10.0), np.where(good[:, None], stiffness, 22e3)
         logs = np.log(mass / 10.0), np.log(stiffness / 22e3)
         value = prior - sum(each.sum(axis=1) for each in logs)
-        value -= 0.5 * np.sum((logs[0] / MASS_WIDTH) ** 2 + (logs[1] / STIFFNESS_WIDTH) ** 2, axis=1)
+        about_mean = logs[1] - logs[1].mean(axis=1, keepdims=True)
+        value -= 0.5 * np.sum((logs[0] / MASS_WIDTH) ** 2 + (about_mean / STIFFNESS_WIDTH) ** 2, axis=1)
         chi2 = chi2s(of, mass, stiffness, effect, np.where(good, x, 0.0))
         if undeclared:
             u = z[:, -2:]

@@ -1,17 +1,15 @@
 """Compare the linearized model with fits, evidences and finite differences."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
 from cvxshear import Experiment, backends
-from cvxshear.effects import LocatedEffect, Parameter, Place, Scale, SensorGain, named
+from cvxshear.effects import LocatedEffect, Place, Scale, named
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
-from cvxshear.fit.expectation import EffectPrior
+from cvxshear.fit.gaussian import LOG_SIZES, SizeMarginal, UnknownSize, gains_by_size, student_weights
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop import linear as module
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
 from tests.frames import configuration, experiment, modes_of
@@ -62,43 +60,11 @@ def refitted(base, *effects):
     return fitted_with(misfit, np.concatenate([base.theta, own]), backends.get("auto"))
 
 
-def test_a_candidate_s_own_column_gives_the_slope_of_chi_square(base):
-    """Compare with finite differences. The column excludes the part that the free scales of the shapes follow."""
-    column = Linearised(base, [MASS_3], EXPECTED)._columns
-    misfit = Misfit(base.experiment, [MASS_3])
-    ahead, behind = (misfit.evaluate(np.append(base.theta, at), derivatives=False).chi2 for at in (1.0, -1.0))
-    at = base.fit.at
-    assert 2 * column[: at.measured, 0] @ at.r[: at.measured] == pytest.approx((ahead - behind) / 2, rel=1e-4)
-
-
 @pytest.mark.parametrize("placed", LACKING, ids=lambda placed: placed.label)
 def test_the_gain_is_the_difference_of_evidences(base, linear, placed):
     """The difference is at most a tenth of a log unit, caused by the model's curvature; the gains are some units."""
     expected = log_evidence(refitted(base, placed), EXPECTED) - log_evidence(base, EXPECTED)
     assert linear.gain(placed) == pytest.approx(expected, abs=0.1)
-
-
-class Alike(SensorGain):
-    """An effect of three parameters."""
-
-    name = "alike"
-    parameters = tuple(Parameter(name, "", lower=-1.0, upper=1.0) for name in "abc")
-
-
-def test_parameters_that_the_data_cannot_part_promise_nothing():
-    """One parameter equals a combination of the others, and rounding makes their curvature negative in that
-    direction."""
-    rng = np.random.default_rng(0)
-    own = next(
-        columns
-        for rows in (rng.standard_normal((6, 2)) for _ in range(50))
-        if np.linalg.slogdet((columns := np.column_stack([rows, rows.sum(axis=1)])).T @ columns)[0] < 0
-    )
-    placed = LocatedEffect(Alike(), Place(floor=1))
-    # The priors are uniform between the bounds, so they add no curvature.
-    linear = SimpleNamespace(expectation=EffectPrior(SCALE, {placed: np.full(3, np.inf)}))
-    for r in rng.standard_normal((3, 6)):
-        assert Linearised._gain_of_several(linear, placed, own, r) == -np.inf
 
 
 def test_the_promised_decrease_and_the_predicted_minimum_are_those_of_the_fit_for_a_small_effect(base, linear):
@@ -123,9 +89,8 @@ def test_the_predicted_minimum_with_a_total_mass_keeps_what_it_says(base, linear
 
 def test_the_prediction_keeps_an_effect_within_its_bounds(linear):
     (parameter,) = SPRING_2.effect.parameters
-    free = -linear._slope[linear._at[SPRING_2].start]
     assert linear.predicted([SPRING_2])[-1] >= parameter.lower
-    assert (linear.predicted([SPRING_2])[-1] == parameter.lower) == (free < 0)
+    assert (linear.predicted([SPRING_2])[-1] == parameter.lower) == (linear.decrease(SPRING_2) == 0.0)
 
 
 def test_the_triangle_of_an_evaluation_stands_for_its_rows(base):
@@ -184,38 +149,23 @@ def over_log_sizes(log_gain, points=4001):
     return np.log(integrate.trapezoid(np.exp(logs - logs.max()), t)) + logs.max(), t[np.argmax(logs)]
 
 
-def gain_of_two(seed, *, tail=np.inf, lower=-np.inf):
-    """Return the linearized model's gain for an effect of these two parameters; the first has a lower bound."""
-    columns, r, stds = drawn_columns(seed)
-    parameters = [SimpleNamespace(lower=each, upper=np.inf, null=1.0) for each in (lower, -np.inf)]
-    effect = SimpleNamespace(rescales=(), common_size=False, tail=tail, parameters=parameters)
-    own = SimpleNamespace(expectation=SimpleNamespace(of=lambda placed: stds))
-    return Linearised._gain_of_several(own, SimpleNamespace(effect=effect), columns, r)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_gain_by_several_parameters_is_the_integral_over_them(seed):
-    b, h, stds = drawn_normal(seed)
-    assert gain_of_two(seed) == pytest.approx(gained(b, h, stds), rel=1e-9)
-    # A bound at half a deviation increases the prior density by the truncated part.
-    bounded = gained(b, h, stds) - stats.norm.logcdf(0.5)
-    assert gain_of_two(seed, lower=1.0 - 0.5 * stds[0]) == pytest.approx(bounded, rel=1e-9)
-    # Integrate Student's t with four degrees of freedom by quadrature.
-    x = np.linspace(-25.0, 25.0, 2001)
-    first, second = np.meshgrid(x * stds[0], x * stds[1], indexing="ij")
-    logs = b[0] * first + b[1] * second - 0.5 * (h[0, 0] * first**2 + h[1, 1] * second**2) - h[0, 1] * first * second
-    logs += stats.t.logpdf(x, 4)[:, None] + stats.t.logpdf(x, 4)
-    expected = logs.max() + np.log(np.exp(logs - logs.max()).sum() * (x[1] - x[0]) ** 2)
-    assert gain_of_two(seed, tail=4.0) == pytest.approx(expected, abs=0.1)
-
-
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("width", [0.5, 1.5])
 def test_a_common_size_is_integrated_out(seed, width):
     b, h, stds = drawn_normal(seed)
     expected, best = over_log_sizes(lambda t: gained(b, h, np.exp(width * t) * stds))
-    assert module._gain_of_common_size(b, h, stds, width) == pytest.approx(expected, abs=1e-3)
-    assert module._best_log_size(b, h, stds, width) == pytest.approx(width * best, abs=0.13 * width)
+    found = gains_by_size(stds * b, stds[:, None] * h * stds, width * LOG_SIZES) - 0.5 * LOG_SIZES**2
+    integral = np.logaddexp.reduce(found) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2)
+    assert integral == pytest.approx(expected, abs=1e-3)
+    assert LOG_SIZES[np.argmax(found)] == pytest.approx(best, abs=0.13)
+
+
+@pytest.mark.parametrize("tail", [3.0, 4.0, 10.0, np.inf])
+@pytest.mark.parametrize("distance", [0.0, 1.0, 20.0])
+def test_students_distribution_is_a_mixture_of_normal_ones(tail, distance):
+    parts = student_weights(tail) + stats.norm.logpdf(distance, scale=np.exp(LOG_SIZES))
+    expected = stats.norm.logpdf(distance) if np.isinf(tail) else stats.t.logpdf(distance, tail)
+    assert np.logaddexp.reduce(parts) == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0, 6.0])
@@ -235,6 +185,6 @@ def test_an_accuracy_that_is_left_open_is_integrated_out_the_fit_following(size,
         return 0.5 * (r @ r - left @ left) - 0.5 * np.linalg.slogdet(rows.T @ rows)[1] - 5 * u
 
     expected, best = over_log_sizes(log_gain, 1001)
-    assert module._gain_of_noise(Q[:5], r[:5], width) == pytest.approx(expected, abs=1e-2)
-    found = module._best_log_noise(Q[:5], r[:5], width)
-    assert np.log(np.expm1(2 * found)) / 2 == pytest.approx(width * best, abs=0.13 * width)
+    found, factor = SizeMarginal([UnknownSize("", 5, width, above_one=True)], [1.0], [Q[:5]], [r[:5]]).over_grid()
+    assert found == pytest.approx(expected, abs=1e-2)
+    assert np.log(np.expm1(2 * factor)) / 2 == pytest.approx(width * best, abs=0.13 * width)

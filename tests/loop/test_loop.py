@@ -12,9 +12,9 @@ from cvxshear import Experiment, InputError, close_loop
 from cvxshear.effects import Effect, LocatedEffect, Parameter, Place, catalogue, named
 from cvxshear.priors import Ratio
 from tests import closed
-from tests.calibration import HIDDEN, Trial, experiment_of, place
 from tests.fe.experiments import simulated, simulated_attachment
 from tests.frames import chain, configuration, experiment, modes_of, shared
+from tests.studies.calibration import HIDDEN, Trial, experiment_of, place
 
 MASS = np.array([21e3, 19e3, 19.5e3, 18e3, 17e3])
 STIFFNESS = np.array([30e6, 36e6, 33e6, 27e6, 22e6])

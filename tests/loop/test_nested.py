@@ -1,8 +1,8 @@
-"""Compare log Z with nested sampling on three problems of tests/benchmarks/nested.py with few points."""
+"""Compare log Z with nested sampling on three problems of tests/studies/nested.py with few points."""
 
 import pytest
 
-from tests.benchmarks.nested import PROBLEMS, compared
+from tests.studies.nested import PROBLEMS, compared
 
 LIVE, DRAWS = 100, 2000
 APPROXIMATION = 0.1

@@ -12,19 +12,19 @@ from scipy import integrate, stats
 from cvxshear import Experiment, InputError, backends, close_loop
 from cvxshear.effects import LocatedEffect, Place, Scale, catalogue, compose, named, open_classes
 from cvxshear.effects.composition import slices
+from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import fitted_with
-from cvxshear.fit.expectation import EffectPrior, tailed
+from cvxshear.fit.gaussian import log_tailed_interval, tailed
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import log_tailed_interval
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.neighbors import named_entries
 from cvxshear.loop.numbering import Numbering
-from cvxshear.loop.twins import dual_frame
+from cvxshear.loop.searches import dual_frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.fe.experiments import with_loose_joints, with_turning_joints
 from tests.fe.frame import Building, sway_modes
-from tests.outside import simulated
+from tests.studies.outside import simulated
 
 N = 5
 SEEDS = (25, 27, 30)
@@ -573,7 +573,7 @@ def test_a_load_that_was_written_down_wrongly_is_found_in_its_test(lay, off, sta
 
 
 def test_a_neighbor_on_the_ground_is_found_by_both_of_its_parts():
-    """The neighbor is tied to a floor by 0.15 of a story. One part of it alone does not fit (`tests.outside`)."""
+    """The neighbor is tied to a floor by 0.15 of a story. One part of it alone does not fit."""
     declared, true = simulated("neighbor on the ground", 1000)
     found = close_loop(Experiment.from_dict(declared))
     assert found.verdict == "explained"

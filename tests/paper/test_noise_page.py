@@ -7,14 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cvxshear.paper.scatter import SIGMAS
-from cvxshear.paper.setups import bound, six_story, three_story
+from cvxshear.paper import paper_setups
+from cvxshear.paper.setups import bound, six_story
 from cvxshear.report.describe.studied import in_percent
 
 DOCUMENTED = (Path(__file__).parents[2] / "docs" / "noise-study.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("setup", [*map(three_story, SIGMAS), six_story()], ids=[*map(str, SIGMAS), "six stories"])
+@pytest.mark.parametrize(
+    "setup", [*paper_setups(), six_story()], ids=lambda each: f"{each.stories}-{each.mode_shape_std}"
+)
 def test_the_bounds(setup):
     assert f"Cramér-Rao bound, % | {' | '.join(in_percent(bound(setup) / setup.truth))} |" in DOCUMENTED
 

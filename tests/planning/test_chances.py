@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.integrate import quad
 
-from cvxshear.effects import Gravity, GroundSpring, JointRotation, LocatedEffect, Place, Scale
-from cvxshear.fit.separation import log_evidence
+from cvxshear.effects import Gravity, GroundSpring, JointRotation, LocatedEffect, Place, Scale, SensorGain
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.measurement.experiment import Frame
 from cvxshear.planning.chances import NONE, Target, chances, target
 from cvxshear.util.errors import InputError
@@ -27,7 +28,7 @@ def test_the_evidence_is_the_integral_over_the_effects_values(of, y):
 
     low = 0.0 if of.side else of.mean - 12 * of.std
     integral = quad(likely, low, of.mean + 12 * of.std, limit=200)[0]
-    assert log_evidence(own, np.array(y), of.mean, of.std, of.side) == pytest.approx(np.log(integral), abs=1e-8)
+    assert log_evidence_of_one(own, np.array(y), of.mean, of.std, of.side) == pytest.approx(np.log(integral), abs=1e-8)
 
 
 def test_a_sure_test_gives_the_right_verdict_and_an_empty_one_none():
@@ -98,3 +99,21 @@ def test_physics_lets_joints_and_springs_be_on_one_side_and_gravity_near_its_val
     assert pytest.approx((item.upper - item.lower) / np.sqrt(12) / 1.1) == GRAVITY.std
     for one_sided in (ROTATION, SPRING):
         assert (one_sided.mean, one_sided.std, one_sided.side) == (0.0, 1.0, 1)
+
+
+def test_the_probability_of_a_right_verdict_is_that_of_a_normal_number():
+    """For an effect of unit size and either sign with information g, the evidence is y^2 / 2 (1 + g) - log(1 + g) / 2.
+
+    Odds of 19 or more name the effect; odds below 1 name no effect.
+    """
+    g = 25.0
+    gain = Target(LocatedEffect(SensorGain(), Place(floor=3)), 0.05)
+
+    def beyond(log_odds):
+        return np.sqrt(2 * (1 + g) / g * (log_odds + 0.5 * np.log(1 + g)))
+
+    none, there = (each.probability for each in chances([gain], np.array([[[g]]])))
+    limit = [beyond(each) for each in (0.0, np.log(19.0))]
+    normal = stats.norm
+    assert none == pytest.approx(1 - 2 * normal.sf(limit[0]), abs=0.006)
+    assert there == pytest.approx(normal.sf(limit[1] - np.sqrt(g)) + normal.cdf(-limit[1] - np.sqrt(g)), abs=0.006)

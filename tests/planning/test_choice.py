@@ -10,8 +10,8 @@ from cvxshear.planning.choice import choose, equally_spaced, exchanged, relaxed,
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.planner import MassLimits
 from cvxshear.util.errors import InputError
-from tests.benchmarks.planning import OTHERS, beside_others, floors_of, random_frame
 from tests.planning.common import exhaustive, frame_model, tapered
+from tests.studies.planning import OTHERS, beside_others, floors_of, random_frame
 
 NAMES = tuple(CRITERIA)
 
@@ -137,6 +137,12 @@ def test_a_test_weighs_no_more_than_each_floor_and_all_together_can_carry():
         [0, 2, 3],
     ):
         assert np.sum(np.all(np.isclose(grid, wanted), axis=1)) == 1, wanted
-    # Masses are whole percents of the heaviest, within each floor's own limit.
-    np.testing.assert_allclose(limits.practical(np.array([3.3337, 4.004, 0.5049])), [3.3, 4.0, 0.5])
-    np.testing.assert_allclose(limits.practical(np.array([9.996, 4.0, 6.0])), np.array([10.0, 4.0, 6.0]) * 0.6)
+
+
+def test_limits_are_of_each_floor_and_of_all_together():
+    assert not MassLimits.of(None, None, 3).any
+    assert MassLimits.of(2.0, None, 3).total == 6.0
+    assert MassLimits.of([1.0, 2.0], 9.0, 2).total == 3.0
+    assert MassLimits.of([1.0, 2.0], 2.5, 2).total == 2.5
+    two = MassLimits(np.array([2.0, 0.0]), 2.0).grid()
+    assert sorted(map(tuple, two)) == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]

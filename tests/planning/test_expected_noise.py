@@ -51,7 +51,7 @@ def test_four_times_the_record_halves_every_standard_deviation():
     ],
 )
 def test_the_laws_are_what_simulated_records_scatter_by(kind, duration, frequency, entries):
-    """The expected root mean square errors (%) of twenty seeds with 5 % noise come from `tests.benchmarks.records`."""
+    """The expected root mean square errors (%) of twenty seeds with 5 % noise come from `tests.studies.records`."""
     expected = Recorded(kind, duration, damping=0.01, sensor_noise=0.05).of(paper_modes(), PAPER_FRAME.masses, WHICH)
     for law, seen in zip(expected, (frequency, entries), strict=True):
         ratio = np.array(seen) / (100 * law)

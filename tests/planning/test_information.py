@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cvxshear.planning.candidates import candidates
 from cvxshear.planning.chances import target
+from cvxshear.planning.criteria import candidates
 from cvxshear.planning.design import Design
 from cvxshear.planning.tested_model import UNKNOWN_STDS
 from cvxshear.util.errors import InputError

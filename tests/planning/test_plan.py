@@ -11,15 +11,14 @@ import cvxshear
 from cvxshear.cli import main
 from cvxshear.planning import Declared, MassLimits, Recorded, plan, predicted, read_design, write_template
 from cvxshear.planning.criteria import criterion_named
-from cvxshear.planning.planner import value_of
 from cvxshear.planning.tested_model import possible
 from cvxshear.report import figures
 from cvxshear.util.errors import InputError
 from tests import closed
-from tests.benchmarks.planning import paper_design, right_verdicts, scatter, vague_designs
 from tests.frames import configuration, experiment
 from tests.planning.common import NOISE, design, tapered
 from tests.report.test_figures import assert_readable
+from tests.studies.planning import paper_design, right_verdicts, scatter, vague_designs
 
 DESIGN = """
 [frame]
@@ -94,6 +93,12 @@ def test_what_was_measured_before_counts_unless_told_otherwise():
     before = plan("paper", goal="masses")
     fresh = plan("paper", goal="masses", fresh=True)
     assert before.objective < fresh.objective
+
+
+def value_of(averaged, tests, floors, by):
+    """Return the criterion of these tests with sensors at these floors."""
+    problem = averaged.choices(tests, floors, len(tests))
+    return float(by.value(problem, problem.information(np.ones(len(tests)))))
 
 
 def test_masses_stay_within_what_can_be_carried_and_beat_the_grid():

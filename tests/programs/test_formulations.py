@@ -235,8 +235,7 @@ def test_one_of_several_configurations_is_named():
 
 
 @pytest.mark.parametrize(
-    ("masses", "message"),
-    [([1.0, 2.0], "masses"), ([1.0, 2.0, -3.0], "masses"), ([1.0, np.nan, 2.0], "masses")],
+    ("masses", "message"), [([1.0, 2.0], "masses"), ([1.0, 2.0, -3.0], "masses"), ([1.0, np.nan, 2.0], "masses")]
 )
 def test_masses_that_make_no_sense_are_refused(three, masses, message):
     with pytest.raises(InputError, match=message):

@@ -10,7 +10,7 @@ import pytest
 
 DATA = Path(os.environ.get("CVXSHEAR_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
 SEEDS = int(os.environ.get("CVXSHEAR_SEEDS", "2"))
-"""Number of simulated records per test; `python -m tests.benchmarks.records` uses twenty."""
+"""Number of simulated records per test; `python -m tests.studies records` uses twenty."""
 
 needs_mini_table = pytest.mark.skipif(
     not (DATA / "mini-shake-table").is_dir(),

@@ -18,8 +18,8 @@ from cvxshear.records.prepare import in_step, struck
 from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
-from tests.benchmarks.record_faults import only
 from tests.records.shared import TWO_STORY_FREQUENCIES, two_story_frf
+from tests.studies.record_faults import only
 
 QUIET = {"clock offset", "sign", "swapped channels", "amplitude", "reciprocity", "dead channel", "clipped channel"}
 

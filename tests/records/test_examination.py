@@ -21,8 +21,8 @@ from cvxshear.report import terminal
 from cvxshear.response.sources import load_unscaled
 from cvxshear.screening import Screening
 from cvxshear.util.errors import InputError
-from tests.benchmarks.record_faults import INPUTS, NAMED_BY, case_of, judged, only, sound_record
 from tests.frames import modes_of
+from tests.studies.record_faults import INPUTS, NAMED_BY, case_of, judged, only, sound_record
 
 
 @pytest.mark.parametrize("kind", INPUTS)

@@ -15,9 +15,9 @@ from cvxshear.records.estimate import jackknife
 from cvxshear.records.mode_shapes import possible_changes, sign_changes
 from cvxshear.records.prepare import source_of
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
-from tests.benchmarks.records import scatter
 from tests.records.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS
 from tests.response.common import matrices
+from tests.studies.records import scatter
 
 PAPER_FREQUENCIES = [1.0336, 2.2099, 3.2812]
 """Frequencies printed in the paper."""

@@ -14,7 +14,8 @@ import cvxshear
 from cvxshear import effects
 from cvxshear.effects import LocatedEffect
 from cvxshear.io.uff import read_uff
-from cvxshear.paper.three_story import ThreeStory
+from cvxshear.paper.reproduction import exact_modes
+from cvxshear.paper.setups import three_story
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.handover import matrices, series, write_model, write_series
 from cvxshear.response import Fitted, Models, predict
@@ -31,12 +32,11 @@ NEEDS_OPENSEES = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def three():
     """Return the paper's three-story model with damping and known masses, and its prediction."""
-    of = ThreeStory("auto")
-    table = of.experiment.to_dict()
+    table = exact_modes().to_dict()
     table["frame"]["story_heights"] = 3.0
     table["configuration"][0]["damping_ratios"] = RATIOS
     experiment = cvxshear.Experiment.from_dict(table, name="three = stories")
-    theta = np.concatenate([of.truth.floor_mass, of.truth.story_stiffness])
+    theta = three_story(0.01).truth
     fitted = Fitted(experiment, (), theta, np.diag((1e-3 * theta) ** 2))
     motion = DrivenRecord((DrivenRun(shaking(600)),), 100.0)
     return fitted, motion, {kind: predict(Models(None, fitted), motion, damping=kind) for kind in ("modal", "story")}

@@ -249,7 +249,6 @@ def test_a_mixture_of_answers_has_their_mean_square_about_the_best():
     assert alone == pytest.approx(-0.5 * 54.0 - 30.0 * 0.03 - np.log(0.6))
 
 
-
 def test_a_frame_that_is_not_fitted_again_without_a_sensor_stays_as_it_was():
     frame = fitted()
     prior = FramePrior(frame.errors.varied, 3, frame.prior.identified, 0.4, 0.05, 0.1, 0.02, None)

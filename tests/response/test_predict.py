@@ -19,12 +19,12 @@ from cvxshear.report.describe import describe
 from cvxshear.report.handover import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import compared, peak
-from cvxshear.response.damped import Response
 from cvxshear.response.peaks import peaks_of
 from cvxshear.response.sources import state_of
+from cvxshear.response.state_space import Response
 from cvxshear.util.errors import InputError
-from tests.benchmarks.response_coverage import coverage, linear_over_sampled
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
+from tests.studies.response_coverage import coverage, linear_over_sampled
 
 RATE = 100.0
 
@@ -96,7 +96,7 @@ def test_deviations_of_peaks_are_those_of_samples():
 
 @pytest.mark.parametrize(("stories", "kind", "trials"), [(3, "modal", 40), (3, "story", 40), (8, "story", 20)])
 def test_intervals_hold_the_truth_as_often_as_they_say(stories, kind, trials):
-    """Run a seeded part of `tests.benchmarks.response_coverage`: trials with 7 or 17 dependent peaks."""
+    """Run a seeded part of `tests.studies.response_coverage`: trials with 7 or 17 dependent peaks."""
     share, deviations = coverage(stories, kind, trials)
     assert 0.88 <= share <= 0.99
     assert abs(deviations.mean()) < 0.4

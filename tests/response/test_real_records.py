@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cvxshear.response import reconstruct, reconstruction
-from tests.benchmarks.response_amplitude import crossed, decay, off
-from tests.benchmarks.response_records import models, predicted
 from tests.records.shared import mini_table, needs_mini_table
+from tests.studies.response_amplitude import crossed, decay, off
+from tests.studies.response_records import models, predicted
 
 
 @needs_mini_table
@@ -81,7 +81,7 @@ def test_the_damping_is_what_makes_the_flexible_frame_s_earthquake_too_strong():
 def test_the_middle_floor_from_the_other_two(frame, largest, tmp_path, monkeypatch):
     """With modes from the earthquake, reconstruct 40 seconds of the sine without the sensor of floor 2.
 
-    `tests.benchmarks.response_records.sensors` also omits floors 1 and 3, over the whole record.
+    `tests.studies.response_records.sensors` also omits floors 1 and 3, over the whole record.
     """
     checked, passed = reconstruction.checked, SimpleNamespace(floor=0, error=0.0, stated=1.0)
     monkeypatch.setattr(reconstruction, "checked", lambda *given: checked(*given) if given[3] == 1 else passed)

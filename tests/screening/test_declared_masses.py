@@ -5,9 +5,9 @@ import pytest
 
 from cvxshear import Experiment
 from cvxshear.screening import screen
-from tests.calibration import EFFECTS
 from tests.fe.experiments import simulated
 from tests.frames import configuration, experiment
+from tests.studies.calibration import EFFECTS
 
 
 def floor_masses_declared(effect=None, stories=5, configurations=2, seed=3):

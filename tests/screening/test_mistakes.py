@@ -7,10 +7,10 @@ from cvxshear import Experiment, InputError, load
 from cvxshear.measurement.declaration import MISTAKES as NAMES
 from cvxshear.measurement.declaration import NAMES as ALL_NAMES
 from cvxshear.screening import refuse_mistakes, screen
-from tests.calibration import EFFECTS
 from tests.fe.experiments import simulated
 from tests.frames import EXAMPLES, configuration, experiment
-from tests.mistakes import MISTAKES, with_mistake
+from tests.screening.mistakes import MISTAKES, with_mistake
+from tests.studies.calibration import EFFECTS
 
 MASS = np.array([12.0, 10.0, 9.0, 8.0])
 STIFFNESS = np.array([26e3, 24e3, 21e3, 20e3])

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from tests import calibration, outside
+from tests.studies import calibration, outside
 
 SURE = 0.95
 
@@ -49,7 +49,7 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame of the set: `source` is "placed" or a kind of `tests.outside`."""
+    """One frame of the set: `source` is "placed" or a kind of `tests.studies.outside`."""
 
     source: str
     number: int

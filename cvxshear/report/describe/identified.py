@@ -7,8 +7,7 @@ from functools import partial
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
-from cvxshear.fit.quality import Quality
-from cvxshear.fit.results import Identification, IdentifiedFrame, SingleIdentification
+from cvxshear.fit.results import Identification, IdentifiedFrame, Quality, SingleIdentification
 from cvxshear.programs.certificate import ActiveConstraint
 from cvxshear.report.describe import vocabulary
 from cvxshear.report.describe.measured import declared, units_for

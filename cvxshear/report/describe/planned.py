@@ -86,7 +86,7 @@ def grid(result: Plan) -> list[Sentence]:
         return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
     said = (
         "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
-        f"{_value(result.grid_bound)} at best; what lies between was tried, too."
+        f"{_value(result.grid_bound)} at best."
     )
     return [Sentence(said)]
 

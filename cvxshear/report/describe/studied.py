@@ -9,7 +9,7 @@ import numpy as np
 from cvxshear.backends import Comparison, ProgramKind
 from cvxshear.backends.benchmark import BackendResult
 from cvxshear.paper import tables as printed
-from cvxshear.paper.reproduce import Reproduction
+from cvxshear.paper.reproduction import Reproduction
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
 from cvxshear.report.describe.vocabulary import (

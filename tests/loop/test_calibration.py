@@ -1,0 +1,80 @@
+"""Compare a small seeded part of the calibration study (`tests/studies/calibration.py`) with limits of chance."""
+
+import pytest
+from scipy import stats
+
+from tests.studies.calibration import Trial, coverage, outcome
+from tests.studies.drawn import chance
+
+SEED = 7_000_000
+TALLEST = 4
+"""Maximum number of stories: taller frames take longer and are no harder."""
+
+FOUND = (
+    "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "added_mass", "mass_coupling", "sensor_gain",
+    "story_change", "gravity",
+)  # fmt: skip
+BARELY = 0.85
+"""Success rate of a bad loop: these tests let it pass with the seeds below in at most one case in twenty."""
+
+LEVEL = 0.05
+"""Probability that such a loop passes a test. The seeds are fixed, so one loop passes always or never."""
+
+
+def trials():
+    several = [Trial((name,), 3, SEED + at, None, TALLEST) for at, name in enumerate(FOUND)]
+    pairs = [Trial(("ground_spring", "story_change"), 3, SEED + 50, None, TALLEST)]
+    nothing = [
+        Trial((), 3, SEED + 100 * at + i, noise, TALLEST)
+        for at, noise in enumerate((None, (0.01, 0.01), (0.002, 0.002)), 1)
+        for i in range(4)
+    ]
+    return [*several, *pairs, *nothing]
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    return [outcome(trial) for trial in trials()]
+
+
+def most_wrong(count):
+    """Return the largest allowed number of wrong answers: a loop with success rate `BARELY` stays below it with
+    probability `LEVEL`."""
+    return int(stats.binom.ppf(LEVEL, count, 1.0 - BARELY)) - 1
+
+
+def test_the_limit_fails_a_loop_that_is_barely_right_and_passes_a_good_one():
+    count = len(trials())
+    assert stats.binom.cdf(most_wrong(count), count, 1.0 - BARELY) <= LEVEL
+    assert stats.binom.cdf(most_wrong(count), count, 0.005) > 0.85
+
+
+def test_what_is_there_is_found_exactly_and_nothing_is_claimed_where_there_is_nothing(outcomes):
+    """An additional named effect counts as wrong unless the verdict is `ambiguous`: then its probability is below 95
+    %."""
+    wrong = [
+        (item.trial.effects, item.word, item.verdict, sorted(item.found, key=str))
+        for item in outcomes
+        if item.word != "exact" and not (item.word == "extra" and item.verdict == "ambiguous")
+    ]
+    assert len(wrong) <= most_wrong(len(outcomes)), wrong
+
+
+def test_little_is_added_where_there_is_nothing(outcomes):
+    nothing = [item for item in outcomes if not item.trial.effects]
+    assert sum(bool(item.found) for item in nothing) <= int(stats.binom.isf(LEVEL, len(nothing), 0.05))
+
+
+def test_probabilities_are_honest(outcomes):
+    """The number of real effects among the named ones agrees with the sum of their probabilities."""
+    odds = [item for each in outcomes for item in each.odds]
+    assert len(odds) >= 10
+    assert chance([p for p, _ in odds], sum(there for _, there in odds)) > LEVEL
+
+
+def test_standard_deviations_of_the_averaged_frame_cover_the_truth(outcomes):
+    """Each interval contains the truth in 95 of 100 cases. The errors in one frame are correlated: eight values count
+    like four."""
+    covered, count = coverage(outcomes)
+    assert covered / count > 0.95 - 2 * (2 * 0.05 * 0.95 / count) ** 0.5 > BARELY
+    assert covered / count < 1.0
