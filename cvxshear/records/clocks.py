@@ -19,7 +19,7 @@ from scipy import special
 from cvxshear.records.prepare import in_step, only, struck
 from cvxshear.records.record import Finding, TimeRecord, finding
 from cvxshear.util import ranking
-from cvxshear.util.cached import cached_property
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.odds import weigh
 from cvxshear.util.quantities import SURE, significant
 from cvxshear.util.typing import Complexes, Floats, Ints
@@ -37,14 +37,14 @@ STEADY = 0.02
 PHASES = 50
 """Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
 lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure."""
-LIVE, BY_CHANCE = 0.5, 0.3
+LIVE, MOTIONLESS = 0.5, 0.3
 """Standard deviations of the log odds of a channel's agreement with the others: of a live one about the usual agreement
 of the record, of one without motion about what chance makes."""
 SEGMENT = 20.0
 """s; long beside the longest delay, short enough that a record has many."""
 GROUPS = 12
 """Parts of a record in which the delay is estimated by itself."""
-BANDS = 8
+DELAY_BANDS = 8
 """Parts of the spectrum, of equal weight, in each of which the delay is estimated by itself."""
 NOISE_FLOOR = 10.0
 """Times the tenth of a channel's lines that hold least: below it a line counts little."""
@@ -216,7 +216,7 @@ class Phases:
 
     @cached_property
     def _best_line(self) -> tuple[float, float, float]:
-        """The largest agreement on a grid, with its delay at the mean time and its drift."""
+        """Find the largest agreement on a grid, with its delay at the mean time and its drift."""
         step, most = self._steps_of_drift
         best = (-np.inf, 0.0, 0.0)
         for slope in sorted(step * np.arange(-most, most + 1), key=abs):
@@ -238,7 +238,7 @@ class Phases:
         for _ in range(2):
             turned = self.squares * np.exp(2j * np.outer(late + slope * around, omega))
             loud = np.cumsum(np.abs(self.squares).sum(axis=0))
-            edges = np.searchsorted(loud, np.arange(BANDS) / BANDS * loud[-1], side="right")
+            edges = np.searchsorted(loud, np.arange(DELAY_BANDS) / DELAY_BANDS * loud[-1], side="right")
             edges = np.unique(np.minimum(edges, len(omega) - 1))
             cells, sizes = (np.add.reduceat(each, edges, axis=1) for each in (turned, np.abs(turned)))
             middles = np.add.reduceat(np.abs(turned) * omega, edges, axis=1) / np.maximum(sizes, 1e-300)
@@ -373,7 +373,7 @@ def _is_silent(common: Floats, clock: int, by_chance: float) -> bool:
     """Whether a channel has no more in common with the others than the best of many lines shows by chance."""
     usual = float(np.median(np.delete(common, clock)))
     own, live, dead = special.logit(np.clip([common[clock], usual, by_chance], 1e-6, 1.0 - 1e-6))
-    spread = np.array([LIVE, BY_CHANCE])
+    spread = np.array([LIVE, MOTIONLESS])
     off = np.array([own - live, max(own - dead, 0.0)]) / spread
     return bool(weigh(-0.5 * off**2 - np.log(spread), np.log([1.0 - FAULTY, FAULTY]))[1] >= SURE)
 

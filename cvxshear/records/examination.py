@@ -216,9 +216,10 @@ FALLING = 0.9
 """A channel's ratio to the base falls if the upper half of such lines has less than this fraction of the lower half."""
 SAME_RATIO = 0.2
 """Relative standard deviation of a level at low frequency, and of a ratio to another unit."""
-REVERSED, OTHER_UNIT, UNEXPLAINED = 0.02, 0.005, 0.001
-"""Probabilities beforehand that a channel is reversed, that it is in another unit than declared, and that neither
-explains its level."""
+REVERSED, OTHER_UNIT = 0.02, 0.005
+"""Probabilities beforehand that a channel is reversed, and that it is in another unit than declared."""
+NEITHER = 1e-6
+"""Density of levels that neither explains: one channel in a thousand, of a level up to a thousand."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -283,7 +284,7 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     # Rows: the input as declared, and reversed; then the channels; then the factors that mend a channel.
     spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))
     off = (np.outer([1.0, -1.0], level)[:, :, None] - 1.0 / factors) / spread
-    likely = np.exp(-0.5 * off**2) / spread * priors + UNEXPLAINED * 1e-3
+    likely = np.exp(-0.5 * off**2) / spread * priors + NEITHER
     turned = int(weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, REVERSED]))[1] >= SURE)
     findings, changes = [], {}
     if turned:
