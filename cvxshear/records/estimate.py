@@ -18,7 +18,6 @@ from cvxshear.records.mode_shapes import (
     real_shape,
     rms_phase,
     sign_changes,
-    signed_projection,
     undone,
 )
 from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
@@ -96,8 +95,6 @@ class Replication:
     quantity : str
     shift : float
         Decay that an exponential window added, 1/s.
-    rule : str
-        For the real normal mode.
     base : bool
         Whether the input is a base acceleration.
     """
@@ -107,7 +104,6 @@ class Replication:
     floors: Ints
     quantity: str
     shift: float
-    rule: str
     base: bool
 
     @property
@@ -169,11 +165,7 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     clocks = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
-    # The projection uses the record with its offsets; the signs are those without offsets.
-    if setting.rule == "magnitude":
-        real = np.array([real_shape(shape) for shape in straight])
-    else:
-        real = np.array([signed_projection(*both) for both in zip(values.shapes, straight, strict=True)])
+    real = np.array([real_shape(shape) for shape in straight])
     places = ranking.largest(np.abs(real if reference is None else reference.real))
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None

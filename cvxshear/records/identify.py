@@ -22,7 +22,6 @@ from cvxshear.records.estimate import (
 )
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.functions import measured_functions
-from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.records.placement import findings_of, weighed
 from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, default_method, scaled, source_of
@@ -109,13 +108,11 @@ class Options:
     blocks: int = BLOCKS
     criteria: Criteria = field(default_factory=Criteria)
     count: int | None = None
-    rule: str = "magnitude"
     accept_swapped: bool = False
     seed: int = 0
     pick: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        checks.choice(self.rule, RULES, "rule")
         if self.method is not None:
             checks.choice(self.method, MODAL_METHODS, "method")
         if self.pick and self.count is not None:
@@ -130,7 +127,6 @@ def identify_modes(
     blocks: int = BLOCKS,
     criteria: Criteria | None = None,
     count: int | None = None,
-    rule: str = "magnitude",
     accept_swapped: bool = False,
     seed: int = 0,
     pick: Sequence[float] | None = None,
@@ -150,9 +146,6 @@ def identify_modes(
     criteria : Criteria, optional
     count : int, optional
         Most modes; one a story where None.
-    rule : str, optional
-        Real normal mode: "magnitude", each entry's modulus with the sign of its real part; "projection", the
-        real part itself on the shape's main axis.
     accept_swapped : bool, optional
         Report channels that look swapped as a finding, not as an error.
     seed : int, optional
@@ -176,7 +169,7 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
-    options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
+    options = Options(method, blocks, criteria or Criteria(), count, accept_swapped, seed, picked)
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
@@ -220,7 +213,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
     while sweep.chosen:
-        setting = Replication(parts, sweep, record.floors, record.quantity, shift, options.rule, base)
+        setting = Replication(parts, sweep, record.floors, record.quantity, shift, base)
         of_leakage = settle_truncation(record, setting, _chosen(sweep))
         full = details(setting, _chosen(sweep), None)
         spread, how, lost = covariance(setting, full, options.seed)

@@ -12,9 +12,6 @@ from cvxshear.measurement.reading import fewest_changes, most_changes
 from cvxshear.util import ranking
 from cvxshear.util.typing import Bools, Complexes, Floats
 
-RULES = ("magnitude", "projection")
-"""Ways to make a complex shape real: each entry's modulus with a sign, or its part along the shape's main axis."""
-
 
 def collinearity(shape: Complexes) -> float:
     """Modal phase collinearity (MPC): 1 where all entries lie on one line through the origin, 0 for a circle.
@@ -49,23 +46,6 @@ def real_shape(shape: Complexes) -> Floats:
     """
     turned = main_axis(shape)
     return np.abs(turned) * np.where(turned.real < 0, -1.0, 1.0)
-
-
-def signed_projection(shape: Complexes, straight: Complexes) -> Floats:
-    """Find the least-squares real shape: the part on the main axis, with the signs that true clocks would show.
-
-    Parameters
-    ----------
-    shape : array of complex, shape (n,)
-        As recorded.
-    straight : array of complex, shape (n,)
-        Clock offsets undone.
-
-    Returns
-    -------
-    array, shape (n,)
-    """
-    return np.abs(main_axis(shape).real) * np.where(main_axis(straight).real < 0, -1.0, 1.0)
 
 
 def lost_phase(shape: Complexes) -> float:
