@@ -209,15 +209,9 @@ def _given(value: ArrayLike | None, shape: tuple[int, ...], where: str) -> Float
     return array
 
 
-SAME_FREQUENCY = 0.05
-"""Largest relative difference between the frequencies of one mode by two methods."""
-
-
-SAME_MODE_MAC = 0.9
-"""Least MAC between the shapes of one mode by two methods; usual in the correlation of tests and models."""
-
-
-def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
+def second_opinion(
+    result: ModalResult, other: ModalResult, *, frequency_change: float = 0.05, least_mac: float = 0.9
+) -> list[Finding]:
     """Report what another identification of the same test says of each mode.
 
     Parameters
@@ -225,6 +219,8 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
     result : ModalResult
     other : ModalResult
         By another method, or of a peer by `from_pyoma`, `from_sdypy` or `from_arrays`.
+    frequency_change, least_mac : float, optional
+        Largest relative difference of the frequencies, and least MAC of the shapes, of one mode.
 
     Returns
     -------
@@ -241,7 +237,7 @@ def second_opinion(result: ModalResult, other: ModalResult) -> list[Finding]:
     for row, (mode, frequency) in enumerate(zip(result.modes.tolist(), result.frequencies.tolist(), strict=True)):
         changes = other.frequencies / frequency - 1.0
         alike = np.array([mac(own[row], shape) for shape in its])
-        near = np.flatnonzero((np.abs(changes) < SAME_FREQUENCY) & (alike > SAME_MODE_MAC))
+        near = np.flatnonzero((np.abs(changes) < frequency_change) & (alike > least_mac))
         numbers = {"mode": mode, "method": other.name}
         if not near.size:
             closest = int(np.argmin(np.abs(changes)))

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from cvxshear.records.clocks import Segments
+from cvxshear.records.clocks import FAULTY, Segments
 from cvxshear.records.deviations import SENSOR_STD, jackknife
 from cvxshear.records.estimate import SURROGATES, Details, Replication
 from cvxshear.records.examination import ROTATES
 from cvxshear.records.frf import FrfSource, ImpulseSource
+from cvxshear.records.mode_shapes import LONGEST
 from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, Parts, PoleCandidate, Values
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, ModalResult
@@ -70,10 +71,6 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
 
-CLOCK_CERTAIN = 4.5
-"""Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
-STRAIGHT = 0.5
-"""Share of a channel's phases that a clock's straight line may leave: it explains three quarters of their squares."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
@@ -136,9 +133,11 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
         turn = float(np.degrees(highest * abs(late)))
-        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or std <= 0.0:
             continue
-        if left > STRAIGHT * before:
+        # The deviation holds the phases that the straight line leaves. Delays are equally probable up to the longest.
+        gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * LONGEST))
+        if weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY]))[1] < SURE:
             continue
         if segments is not None:
             place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
@@ -149,14 +148,11 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
             if not segments.against(place, [beside]).nearer(float(late_by[place] - late_by[beside])):
                 continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
-        # Beside a damper, the reference clock itself may be off.
-        third = np.delete(full.clocks.before, [names.index(name), full.clocks.reference])
-        beyond_doubt = bool(np.any(third <= STRAIGHT * before))
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
             late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
-            which="" if beyond_doubt else "; which of the two is off no third clock tells",
+            which="" if len(names) > 2 else "; which of the two is off no third clock tells",
         )  # fmt: skip
 
 

@@ -24,18 +24,13 @@ from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep,
 from cvxshear.records.realization import DampedModes, Impulse, Source
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import ModalResult
+from cvxshear.records.stabilization import Criteria
 from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
-LARGEST_SHAPE_STD = 0.3
-"""Largest standard deviation of a shape entry, relative to the mode's largest entry."""
-LARGEST_FREQUENCY_STD = 0.02
-"""Largest relative standard deviation of a frequency. A mode's deviation is a part of its half-power
-bandwidth, twice its damping ratio, and smaller by the root of the number of decays in the record."""
 
-
-def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
+def scattering(parts: Parts, chosen: Sequence[PoleCandidate], criteria: Criteria) -> Doubts:
     """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
 
     Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
@@ -62,16 +57,17 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
             continue
         std = np.sqrt(np.diag(spread))
         of_shape = np.hypot(*np.split(std[1:], 2)).max() / np.abs(item.shape).max()
-        doubts |= doubted(item, float(of_shape), float(std[0]))
+        doubts |= doubted(item, float(of_shape), float(std[0]), criteria)
     return doubts
 
 
-def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts:
+def doubted(item: PoleCandidate, of_shape: float, of_frequency: float, criteria: Criteria) -> Doubts:
     """Doubt a mode if the standard deviation of its shape or its frequency is too large."""
-    if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
+    steady = of_frequency <= criteria.largest_frequency_std
+    if of_shape <= criteria.largest_shape_std and steady:
         return {}
     scatter = f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} %"
-    return {item.members: (f"{scatter} over the record's pieces", of_frequency <= LARGEST_FREQUENCY_STD)}
+    return {item.members: (f"{scatter} over the record's pieces", steady)}
 
 
 SURROGATES = 20

@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from cvxshear.records.clocks import with_right_clocks
+from cvxshear.records.functions import welch
 from cvxshear.records.prepare import AnyRecord, detrended, impulsive, only, scaled, with_responses
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
@@ -348,17 +349,14 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     length = min(int(20 * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
     if length < 64:
         return None
-    record = detrended(record)
-    lines_of = length // 2 + 1
-    cross = np.zeros((lines_of, len(record.channels)), dtype=np.complex128)
-    power, base, frequencies = np.zeros(cross.shape), np.zeros((lines_of, 1)), np.zeros(lines_of)
-    for run in record.runs:
+    columns = len(record.channels) + 1
+    cross, power = np.zeros((length // 2 + 1, columns), dtype=np.complex128), np.zeros((length // 2 + 1, columns))
+    for run in detrended(record).runs:
         assert run.excitation is not None
-        both = np.column_stack([run.excitation, run.responses])
-        weight = run.samples
-        frequencies, each = scipy.signal.csd(both[:, [0]], both, rate, nperseg=length, axis=0)
-        _, own = scipy.signal.welch(both, rate, nperseg=length, axis=0)
-        cross, power, base = cross + weight * each[:, 1:], power + weight * own[:, 1:], base + weight * own[:, [0]]
+        each, own = welch(np.column_stack([run.excitation, run.responses]), 0, rate, length)
+        cross, power = cross + run.samples * each, power + run.samples * own
+    frequencies, base = rate / length * np.arange(length // 2 + 1), power[:, :1]
+    cross, power = cross[:, 1:], power[:, 1:]
     transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
     # A table hardly moves at the lowest frequencies; incoherent lines give no transmissibility.
     heard = np.flatnonzero((coherence > COHERENT_LINE).mean(axis=1) > 0.5)

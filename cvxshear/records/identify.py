@@ -3,23 +3,14 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cvxshear.records import diagnostics
+from cvxshear.records import diagnostics, estimate
 from cvxshear.records.clocks import clock_drift, clock_offset
-from cvxshear.records.diagnostics import left_out, overlooked_modes
-from cvxshear.records.estimate import (
-    Replication,
-    assembled,
-    covariance,
-    details,
-    doubted,
-    scattering,
-    settle_truncation,
-)
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.functions import measured_functions
 from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
@@ -208,20 +199,21 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     parts = Parts(source, sweep.poles)
+    scattering = partial(estimate.scattering, parts, criteria=options.criteria)
     # Modes that were picked by hand stay; their standard deviations show their uncertainty.
-    while len(source.groups) and not options.pick and (doubts := scattering(parts, sweep.chosen)):
+    while len(source.groups) and not options.pick and (doubts := scattering(sweep.chosen)):
         sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
     while sweep.chosen:
-        setting = Replication(parts, sweep, record.floors, record.quantity, shift, base)
-        of_leakage = settle_truncation(record, setting, _chosen(sweep))
-        full = details(setting, _chosen(sweep), None)
-        spread, how, lost = covariance(setting, full, options.seed)
-        result = assembled(record, setting, full, spread, method=method, uncertainty=how)
+        setting = estimate.Replication(parts, sweep, record.floors, record.quantity, shift, base)
+        of_leakage = estimate.settle_truncation(record, setting, _chosen(sweep))
+        full = estimate.details(setting, _chosen(sweep), None)
+        spread, how, lost = estimate.covariance(setting, full, options.seed)
+        result = estimate.assembled(record, setting, full, spread, method=method, uncertainty=how)
         # Once clocks are right, and by surrogates where nothing can be left out.
         each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), result.frequency_std.tolist(), strict=True)
-        doubts = {} if options.pick else {k: v for item in each for k, v in doubted(*item).items()}
-        if not doubts:
+        doubts = {k: v for item in each for k, v in estimate.doubted(*item, options.criteria).items()}
+        if options.pick or not doubts:
             break
         sweep = sweep.without(doubts)
     else:
@@ -232,14 +224,14 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         # well.
         modes = {item.members for item in sweep.chosen}
         others = [item for item in sweep.candidates if item.members not in modes]
-        twice = [item for item in others if item.twin in modes and not scattering(parts, [item])]
-        sweep = sweep.without(scattering(parts, [item for item in others if item.physical]))
+        twice = [item for item in others if item.twin in modes and not scattering([item])]
+        sweep = sweep.without(scattering([item for item in others if item.physical]))
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage + [diagnostics.found_twice(item) for item in twice]
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     sizes = {"floors": len(record.channels), "stories": record.stories}
-    left = left_out(sweep.candidates, sweep.chosen)
-    findings += overlooked_modes(result.frequencies, result.modes, left, **sizes)
+    left = diagnostics.left_out(sweep.candidates, sweep.chosen)
+    findings += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
     return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
 
 

@@ -16,9 +16,6 @@ from cvxshear.records.realization import Poles, Source, realize
 from cvxshear.records.stabilization import Cluster, Criteria
 from cvxshear.util.typing import Bools, Complexes, Floats
 
-MOST_CANDIDATES = 8
-"""Number of strongest candidates that determine clock offsets."""
-
 MOSTLY_ROTATION = "mostly rotation"
 """How the reason of a candidate begins that is set aside as a mode of rotation."""
 
@@ -238,14 +235,14 @@ def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -
 
 
 def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
-    """Clock offsets of the channels, s, by the strongest candidates; None with a single candidate.
+    """Clock offsets of the channels, s, by the strong candidates; None with a single candidate.
 
     The straight line through the phases gives each mode the same weight. The phase of a pole of noise means nothing.
     """
-    usable = sorted((item for item in found if item.physical), key=lambda item: -item.energy)[:MOST_CANDIDATES]
-    strong = [item for item in usable if item.energy > FAINT * usable[0].energy]
+    usable = [item for item in found if item.physical]
     if len(usable) < 2 or len(usable[0].shape) < 2:
         return None
+    strong = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
     return offsets(np.array([item.eigenvalue for item in strong]), np.array([item.shape for item in strong])).seconds
 
 
