@@ -12,6 +12,7 @@ The phases of the modes tell a delay of less than half a sample more exactly (`o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from scipy import special
@@ -204,7 +205,7 @@ class Phases:
         near = np.abs(grid) <= LONGEST_DELAY
         return grid[near], np.fft.fftshift(np.fft.ifft(squares, n=samples).real * samples, axes=-1)[..., near]
 
-    @property
+    @cached_property
     def _around(self) -> Floats:
         return np.asarray(self.times - np.average(self.times, weights=np.maximum(self.weights, 1e-300)))
 
@@ -218,12 +219,14 @@ class Phases:
     def _best_line(self) -> tuple[float, float, float]:
         """Find the largest agreement on a grid, with its delay at the mean time and its drift."""
         step, most = self._steps_of_drift
+        grid, table = self._delays(self.squares)
+        beside, half = np.pad(table, [(0, 0), (most, most)]), max(float(np.abs(self._around).max()), 1e-9)
         best = (-np.inf, 0.0, 0.0)
-        for slope in sorted(step * np.arange(-most, most + 1), key=abs):
-            turned = self.squares * np.exp(2j * slope * np.outer(self._around, self.segments.omega))
-            grid, top = self._delays(turned.sum(axis=0))
+        for turns in sorted(range(-most, most + 1), key=abs):
+            firsts = (most + np.round(turns * self._around / half).astype(int)).tolist()
+            top = np.sum([row[first : first + len(grid)] for row, first in zip(beside, firsts, strict=True)], axis=0)
             place = ranking.first_largest(top)
-            best = max(best, (float(top[place]), float(grid[place]), float(slope)), key=lambda each: each[0])
+            best = max(best, (float(top[place]), float(grid[place]), turns * step), key=itemgetter(0))
         return best
 
     def _fitted(self, late: float, slope: float) -> ClockFault:
