@@ -176,7 +176,10 @@ class Phases:
         return np.asarray(self.pairs.sum(axis=0))
 
     def fault(self) -> ClockFault:
-        """Find the most probable delay, or drift, and its odds."""
+        """Find the most probable delay, drift or loss of samples, and its odds."""
+        lost = self._lost()
+        if lost is not None and lost.probability >= SURE:
+            return lost
         drifting = self._fitted(*self._best_line[1:])
         if drifting.probability >= SURE:
             return drifting
@@ -196,6 +199,26 @@ class Phases:
         return replace(
             fitted, slope=0.0, probability=float(odds[1:][near].sum()), evidence=float(late[best] - sound.max())
         )
+
+    def _lost(self) -> ClockFault | None:
+        """Find the delay that changes at one instant, as where samples are lost; None where no order of time is known.
+
+        One delay before the instant and another after it are weighed against the best line.
+        """
+        if len(self.times) < 2 or np.any(np.diff(self.times) <= 0):
+            return None
+        grid, table = self._delays(self.squares)
+        before = np.cumsum(table, axis=0)[:-1]
+        after = before[-1] + table[-1] - before
+        tops = before.max(axis=1) + after.max(axis=1)
+        split = ranking.first_largest(tops)
+        early, late = (float(grid[ranking.first_largest(each[split])]) for each in (before, after))
+        size = max(float(np.abs(self.squares).sum()), 1e-300)
+        gain = PHASES * float(_log_likelihood(tops[split] / size) - _log_likelihood(self._best_line[0] / size))
+        odds = weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
+        time = float(self.times[split : split + 2].mean())
+        jump = late - early if abs(late - early) >= SHORTEST_DELAY / self.segments.rate else 0.0
+        return ClockFault(early, 0.0, 0.0, 0.0, time, float(odds) if jump else 0.0, gain, jump)
 
     def _delays(self, squares: Complexes) -> tuple[Floats, Floats]:
         """Sum phasors over the lines, turned back by each delay, shape (..., delays); the delays come first."""
@@ -310,6 +333,8 @@ class ClockFault:
         Of the delay, or of the drift where there is a slope.
     evidence : float
         Log likelihood of the fault over that of a sound clock.
+    jump : float, optional
+        Seconds by which the delay changes at `time`.
     """
 
     middle: float
@@ -319,6 +344,7 @@ class ClockFault:
     time: float
     probability: float
     evidence: float
+    jump: float = 0.0
 
 
 def _log_likelihood(agreement: Floats | float) -> Floats:
@@ -350,13 +376,24 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
         findings.append(finding("dead channel/silent", numbers, where=channel, chance=chance))
     left = [clock for clock in everyone if clock not in silent]
     wrong: dict[int, tuple[float, float]] = {}
-    while len(wrong) < len(left) / 2:
+    while len(wrong) + len(silent) < len(clocks) / 2:
         others = [clock for clock in left if clock not in wrong]
         faults = [segments.against(clock, [k for k in left if k != clock]).fault() for clock in others]
         worst = ranking.first_largest([each.evidence if each.probability >= SURE else 0.0 for each in faults])
         fault, clock = faults[worst], others[worst]
         if fault.probability < SURE:
             break
+        if fault.jump:
+            out = clock < len(names)
+            numbers = {"channel": clocks[clock], "samples": round(abs(fault.jump) * record.sampling_rate), "out": out}
+            where = record.channels[clock] if out else "the input channel"
+            what, left_out = "loses" if fault.jump < 0 else "repeats", "; left out" if out else ""
+            findings.append(
+                finding("lost samples", numbers, where=where, what=what, time=fault.time, left_out=left_out)
+            )
+            left.remove(clock)
+            silent += [clock] if out else []
+            continue
         start = fault.middle - fault.slope * fault.time
         wrong[clock] = start, fault.slope
         segments = segments.earlier(clock, start, fault.slope)

@@ -26,7 +26,7 @@ from cvxshear.util.typing import Floats, Ints
 
 SAID = (
     "dead channel", "stuck channel", "clipped channel", "held samples", "mains hum", "direction", "sign",
-    "unit", "swapped channels", "clock offset", "clock drift",
+    "unit", "swapped channels", "clock offset", "clock drift", "lost samples",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
@@ -137,7 +137,7 @@ class SensorRecord:
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
-            if finding.kind == "dead channel":
+            if finding.kind in ("dead channel", "lost samples"):
                 out.update(columns)
             elif finding.kind == "stuck channel":
                 for column, (place, piece) in itertools.product(columns, pieces):
