@@ -271,8 +271,6 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
             yield finding("complex mode", {"mode": int(mode), "degrees": float(phase)})
 
 
-DEPENDS_ON_AMPLITUDE = 0.1
-"""Probability beforehand that the frequencies of a frame change with amplitude."""
 TYPICAL_CHANGE = 0.01
 """Relative change of such frequencies between strong and weak motion; the mini table's are 0.6 to 2.4 %."""
 SMALLEST_CHANGE = 1e-3
@@ -284,8 +282,8 @@ FEWEST_BLOCKS = 8
 def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:
     """Modes whose frequency depends on amplitude: strong blocks against weak ones, a whole decay against its end.
 
-    Two hypotheses are weighed over all modes together: no change, or changes of a typical size. The scatter is
-    Student's, as it is estimated from a few pieces.
+    Two hypotheses, equally probable beforehand, are weighed over all modes together: no change, or changes of a
+    typical size. The scatter is Student's, as it is estimated from a few pieces.
     """
     blocks = setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS
     compared = _strong_and_weak(setting) if blocks else _early_and_late(setting, result)
@@ -295,8 +293,7 @@ def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Fi
     changes = first - second
     scales = np.hypot(np.maximum(std, SMALLEST_CHANGE), np.array([[0.0], [TYPICAL_CHANGE]]))
     likely = -np.log(scales) - 0.5 * (freedom + 1.0) * np.log1p((changes / scales) ** 2 / freedom)
-    priors = np.log([1.0 - DEPENDS_ON_AMPLITUDE, DEPENDS_ON_AMPLITUDE])
-    if weigh(likely.sum(axis=1), priors)[1] < SURE:
+    if weigh(likely.sum(axis=1))[1] < SURE:
         return
     energies = setting.source.energies
     strong = energies > np.median(energies)

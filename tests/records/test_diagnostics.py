@@ -318,27 +318,12 @@ def test_frequency_that_depends_on_amplitude():
     np.testing.assert_allclose(changes, np.log(0.98) / 2, atol=0.002)
 
 
-def earthquake(seed: int, limit: float | None = None, rate: float = 20.0, steps: int = 20) -> TimeRecord:
-    """Return a record of a decaying ground motion; the second story slides beyond `limit` times its elastic peak."""
+def earthquake(seed: int, rate: float = 20.0, steps: int = 20) -> TimeRecord:
+    """Return a record of a decaying ground motion."""
     random = np.random.default_rng(seed)
     time, inner = np.arange(0.0, 120.0, 1 / rate), np.arange(0.0, 120.0, 1 / (rate * steps))
     ground = np.interp(inner, time, random.standard_normal(len(time)) * np.minimum(time / 4, np.exp((4 - time) / 25)))
-    masses, (frequencies, shapes) = PAPER_FRAME.masses, PAPER_FRAME.modes()
-    weighed = shapes * masses
-    damper = weighed.T @ np.diag(4 * np.pi * PAPER_FRAME.damping * frequencies) @ weighed
-    slides = np.inf
-    for passed in range(1 if limit is None else 2):
-        place, speed, slid, peak, moved = np.zeros(3), np.zeros(3), 0.0, 0.0, np.zeros((len(inner), 3))
-        for row, shaken in enumerate(ground):
-            drift = np.diff(place, prepend=0.0) - [0.0, slid, 0.0]
-            peak = max(peak, abs(drift[1]))
-            slid += drift[1] - np.clip(drift[1], -slides, slides)
-            drift[1] = np.clip(drift[1], -slides, slides)
-            shear = PAPER_FRAME.stiffnesses * drift
-            moved[row] = (np.append(shear[1:], 0.0) - shear - damper @ speed) / masses
-            speed = speed + (moved[row] - shaken) / (rate * steps)
-            place = place + speed / (rate * steps)
-        slides = np.inf if limit is None or passed else limit * peak
+    moved = PAPER_FRAME.accelerations(-np.outer(ground, PAPER_FRAME.masses), 1 / (rate * steps)) + ground[:, None]
     sampled = np.column_stack([ground, moved])[::steps]
     noisy = sampled + 0.01 * sampled.std(axis=0) * random.standard_normal(sampled.shape)
     channels = tuple(Channel(f"floor{floor}", floor) for floor in (1, 2, 3))
@@ -360,12 +345,6 @@ def test_a_mode_that_dies_away_where_hum_folds_to_is_no_hum(decay):
 def test_earthquake_on_a_linear_frame_has_no_amplitude_in_its_frequencies(seed):
     """The weaker half of the record has a tenth of the motion and the full noise."""
     assert not found(identify_modes(earthquake(seed)), "amplitude")
-
-
-@pytest.mark.parametrize("seed", [0, 2])
-def test_earthquake_in_which_a_story_slides_is_suspected(seed):
-    said = found(identify_modes(earthquake(seed, limit=0.5)), "amplitude")
-    assert any("scatters" in finding.message for finding in said)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.02, -0.02])

@@ -35,7 +35,7 @@ def test_a_sound_record_comes_back_as_it_went_in(kind):
 
 
 @pytest.mark.parametrize("kind", INPUTS)
-@pytest.mark.parametrize("fault", ["delay", "drift", "dead", "stuck", "saturated", "spikes"])
+@pytest.mark.parametrize("fault", ["delay", "drift", "dead", "stuck", "saturated", "spikes", "without samples"])
 def test_a_fault_of_one_channel_is_named(kind, fault):
     """The check runs before the identification; delays and drifts are right within a tenth of a sample."""
     least = {"delay": 0.05, "drift": 100.0}.get(fault, -1.0)
