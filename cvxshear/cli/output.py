@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cvxshear.cli.options import used
 from cvxshear.util.errors import InputError, printable
 from cvxshear.util.writing import json_text, shell_line, write_file
 from cvxshear.version import __version__
@@ -23,7 +22,11 @@ from cvxshear.version import __version__
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from cvxshear.screening import FileFinding
     from cvxshear.util.typing import Json
+
+used: list[str] = []
+"""Names of the files that the running command reads, as typed; the written results list these names."""
 
 typed: list[str] = []
 """Arguments of the command line, as typed."""
@@ -101,6 +104,14 @@ def deliver(
         raise InputError("; ".join(failures))
 
 
+def doubts_of(found: Sequence[FileFinding] | None) -> Iterable[RenderableType]:
+    """Render the warnings of a computed result."""
+    from cvxshear.report import terminal
+    from cvxshear.report.describe.from_records import doubts_section
+
+    return terminal.rendered(doubts_section(found or ()))
+
+
 def about(files: Sequence[str], title: str | None) -> Json:
     """Return the origin of a result: version, date, title of the test, and the input files with their SHA-256.
 
@@ -123,8 +134,8 @@ def about(files: Sequence[str], title: str | None) -> Json:
 
 def present() -> datetime:
     """Return the present time, or the time in SOURCE_DATE_EPOCH (reproducible-builds.org)."""
-    stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
-    if not stamp:
+    stamp = os.environ.get("SOURCE_DATE_EPOCH")
+    if stamp is None:
         return datetime.now(UTC)
     try:
         return datetime.fromtimestamp(int(stamp), UTC)

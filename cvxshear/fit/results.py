@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy import special
@@ -16,13 +16,8 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.util import ranking
 from cvxshear.util.errors import UnsuitableError
-from cvxshear.util.quantities import column_name
-from cvxshear.util.results import InJson, Shown, as_json, data_frame
+from cvxshear.util.results import InJson, Shown, as_json
 from cvxshear.util.typing import Bools, Floats, Json
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 UNITS_OF_FRAME = {"floor_mass": "kg", "story_stiffness": "N/m"}
 
@@ -65,14 +60,28 @@ class IdentifiedFrame(InJson):
             found[f"{name}_std"] = None if np.all(np.isnan(std)) else np.where(self.stopped(name), np.nan, std)
         return found
 
-    @property
-    def columns(self) -> dict[str, list[float]]:
-        """Values and deviations by name, from the lowest floor up; nan without standard deviation."""
-        unknown = np.full(len(self.floor_mass), np.nan)
-        return {
-            column_name(name, UNITS_OF_FRAME[name.removesuffix("_std")]): (unknown if each is None else each).tolist()
-            for name, each in self.known.items()
-        }
+
+@dataclass(frozen=True, eq=False)
+class OtherFrame(InJson):
+    """A frame that fits the data as well as the identified one, or nearly so.
+
+    Parameters
+    ----------
+    floor_mass : ndarray, shape (N,)
+        kg, without added mass.
+    story_stiffness : ndarray, shape (N,)
+        N/m.
+    chi2 : float
+    probability : float
+        Relative to all frames that were found.
+    """
+
+    floor_mass: Floats
+    story_stiffness: Floats
+    chi2: float
+    probability: float
+
+    json_keys = "floor_mass story_stiffness chi2 probability"
 
 
 @dataclass(frozen=True)
@@ -252,6 +261,8 @@ class Identification(Shown):
         For each direction that the data leave open, the parameters that take part in it.
     programs : tuple of SolvedProgram
         Every program that was solved, in order, with its solution, if `identify` was asked to keep them.
+    other_frames : tuple of OtherFrame
+        Other frames that fit the same data as well, if these are few (`fit/other_frames.py`).
     """
 
     experiment: Experiment
@@ -263,6 +274,7 @@ class Identification(Shown):
     parameter_names: tuple[str, ...] = ()
     undetermined: tuple[tuple[str, ...], ...] = field(default=())
     programs: tuple[SolvedProgram, ...] = ()
+    other_frames: tuple[OtherFrame, ...] = ()
 
     @property
     def single(self) -> SingleIdentification | None:
@@ -305,28 +317,6 @@ class Identification(Shown):
         """Whether every part converged."""
         return all(part.converged for part in self.parts)
 
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the identified masses and stiffnesses as a table of pandas.
-
-        Returns
-        -------
-        DataFrame
-            One row for each floor of each part: configuration (empty for all together), floor, floor_mass_kg,
-            floor_mass_std_kg, story_stiffness_N_per_m (of the story below that floor), story_stiffness_std_N_per_m.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        floors = range(1, self.experiment.stories + 1)
-        named: dict[str, list[object]] = {
-            "configuration": [part.name for part in self.parts for _ in floors],
-            "floor": [floor for _ in self.parts for floor in floors],
-        }
-        frames = [part.frame.columns for part in self.parts]
-        return data_frame(named | {key: [value for each in frames for value in each[key]] for key in frames[0]})
-
     def to_dict(self) -> Json:
         """Return the documented JSON."""
         single = None if self.single is None else self.single.to_dict()
@@ -341,6 +331,7 @@ class Identification(Shown):
             result["parameters"] = list(self.parameter_names)
             result["correlation"] = as_json(self.correlation)
             result["undetermined"] = [list(names) for names in self.undetermined]
+            result["other_frames"] = [each.to_dict() for each in self.other_frames]
             result["at_bounds"] = [name for part in self.parts for name in part.frame.at_bounds]
         else:
             result["configurations"] = [part.to_dict() for part in self.parts] if single is None else [single]

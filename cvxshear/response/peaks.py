@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import signal
@@ -12,12 +11,8 @@ from scipy import signal
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.state_space import Response
 from cvxshear.util import ranking
-from cvxshear.util.quantities import column_name
-from cvxshear.util.results import InJson, as_json, data_frame
+from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Ints, Json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -77,21 +72,6 @@ class Peaks:
             for key, values in ((name, self.values.get(name)), (f"{name}_std", self.std.get(name))):
                 result[key] = as_json(values[0] if quantity.single and values is not None else values)
         return result
-
-    def to_dataframe(self, more: Mapping[str, Floats] | None = None) -> pd.DataFrame:
-        """Return a row for each floor or story: each quantity and its `_std` with their unit, then more columns.
-
-        Quantities of the whole frame, such as the base shear, are left out.
-        """
-        columns: dict[str, Sequence[object]] = {}
-        for name, values in self.values.items():
-            quantity = RESPONSES[name]
-            if not quantity.single:
-                columns[column_name(name, quantity.unit)] = values.tolist()
-                columns[column_name(f"{name}_std", quantity.unit)] = self.std[name].tolist()
-        columns |= {name: values.tolist() for name, values in (more or {}).items()}
-        count = len(self.values["story_drift"])
-        return data_frame({"story": range(1, count + 1), **columns}).set_index("story")
 
 
 STRONG = 0.5

@@ -12,7 +12,7 @@ from scipy import linalg
 from cvxshear import InfeasibleError, NoSolutionError, backends
 from cvxshear.backends import canonical
 from cvxshear.backends import minimizer as closed
-from cvxshear.backends.acceptance import accurate
+from cvxshear.backends.base import accurate
 from cvxshear.backends.minimizer import minimizer
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.certificate import Assembled, Point, certify

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import Experiment, InputError, NoSolutionError, backends, identify
+from cvxshear import Experiment, InputError, NoSolutionError, backends
 from cvxshear.backends import Answer, Backend
 from cvxshear.priors import Constraints, Prior
 from cvxshear.programs import LeastSquares
@@ -64,14 +64,6 @@ def test_a_backend_that_does_wrong_is_named_with_the_first_thing_wrong(what):
     change, error, message = BACKENDS[what]
     with pytest.raises(error, match=message):
         Guest(change).solve(PROGRAM)
-
-
-@pytest.mark.parametrize("method", ["one-shot", "two-stage", "efficient"])
-@pytest.mark.parametrize("what", ["nothing", "z of another length", "nan", "an exception"])
-def test_it_is_refused_by_every_method(what, method):
-    change, error, message = BACKENDS[what]
-    with pytest.raises(error, match=message):
-        identify(FRAME, method=method, backend=Guest(change))
 
 
 def test_integers_and_lists_are_numbers_too():

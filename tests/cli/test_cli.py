@@ -12,7 +12,7 @@ from typer.main import get_command
 
 import cvxshear
 from cvxshear import backends
-from cvxshear.backends.acceptance import Tolerances
+from cvxshear.backends.base import Tolerances
 from cvxshear.cli import app
 from cvxshear.planning import Declared, Recorded
 from cvxshear.records import identify_modes
@@ -152,7 +152,7 @@ def test_bad_input_is_status_two_one_line_and_no_traceback(run, arguments, said)
 
 
 def test_a_failing_solver_is_status_one_with_its_reason(run, monkeypatch):
-    monkeypatch.setattr("cvxshear.backends.acceptance.TOLERANCES", Tolerances(optimality=0.0))
+    monkeypatch.setattr("cvxshear.backends.base.TOLERANCES", Tolerances(optimality=0.0))
     status, _, err = run("identify", THREE, "--backend", "osqp")
     assert status == 1
     assert "backend osqp: inaccurate solution" in err

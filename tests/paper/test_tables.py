@@ -1,16 +1,20 @@
-"""Compare Tables 1, 2 and 6 to the last printed digit with every backend, and with the paper's formulas written out."""
+"""Compare the paper's tables to the last printed digit with every backend, and with its formulas written out.
+
+The printed figures are also compared with each other, to find errors of copying.
+"""
 
 import numpy as np
 import pytest
 from scipy import linalg
 
-from cvxshear import backends
-from cvxshear.paper.reproduction import exact_sections, noise_sections, steel_sections
+from cvxshear import Configuration, Experiment, Frame, backends, identify, load
+from cvxshear.paper.reproduction import exact_sections, noise_sections, recovered, recovered_shapes, steel_sections
 from cvxshear.paper.scatter import NoiseStudy, Scatter
-from cvxshear.paper.tables import MISPRINT, MISPRINTED, PRINTED, TO_THE_DIGIT, same_digits
+from cvxshear.paper.tables import MISPRINT, MISPRINTED, PRINTED, TO_THE_DIGIT, decimals, same_digits, value, values
 
 MASS, STIFFNESS = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
 BACKENDS = backends.available()
+STRUCTURES = list(PRINTED["table_4"])
 
 
 def rows(sections, *titles):
@@ -148,3 +152,81 @@ def test_errors_of_the_mean_and_variations_are_those_of_errors_that_can_be_count
     np.testing.assert_allclose([row.std_error for row in variations.rows], deviation / (1 + shift) / np.sqrt(8))
     enlarged = deviation[5] / (1 + shift[5]) / (100 * 0.05)
     assert f"For k3 it is, {enlarged:.1f} times." in variations.notes[0]
+
+
+def of(table, name):
+    return values(PRINTED[table][name])
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_net_mass_is_mass_less_counterweight_and_adds_up(name):
+    net = of("table_6_net_mass", name)
+    np.testing.assert_allclose(of("table_6_mass", name) - of("table_4", name), net, atol=1e-9)
+    assert sum(net) == pytest.approx(value(PRINTED["conclusions"]["total_net_mass"]), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_table_8_follows_from_tables_5_and_7(name):
+    errors = 100 * (of("table_7", name) / of("table_5", name) - 1)
+    np.testing.assert_allclose(errors, of("table_8", name), atol=5.01e-4)
+
+
+@pytest.mark.parametrize("case", ["1", "2"])
+@pytest.mark.parametrize("method", PRINTED["largest_errors"])
+def test_the_errors_in_the_text_follow_from_tables_1_and_2(method, case):
+    mass = [value(PRINTED["table_1"][method][case][entry]) for entry in ("11", "22", "33")]
+    stiffness = values(PRINTED["table_2"][method][case])
+    errors = [np.max(np.abs(mass / MASS - 1)), np.max(np.abs(1e3 * stiffness / STIFFNESS - 1))]
+    np.testing.assert_allclose(100 * np.array(errors), values(PRINTED["largest_errors"][method][case]), atol=5.01e-3)
+
+
+def test_the_differences_between_the_structures():
+    for table, key in (("table_6_net_mass", "net_mass"), ("table_6_stiffness", "stiffness")):
+        found = np.array([of(table, name) for name in STRUCTURES])
+        largest = 100 * np.max(1 - found.min(axis=0) / found.max(axis=0))
+        assert largest == pytest.approx(value(PRINTED["conclusions"][key]), abs=5.01e-3)
+
+
+def test_the_initial_masses_add_up_to_the_frames():
+    assert [sum(start) for start in PRINTED["initial_mass"].values()] == [22.5, 22.5]
+
+
+def test_a_printed_figure_knows_its_decimals():
+    assert [decimals(text) for text in ("10", "7.5", "-0.004", "3.030")] == [0, 1, 3, 3]
+    assert value("about 5") == 5.0
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_they_are_those_of_the_built_in_file(name):
+    found = recovered(name)
+    shapes = next(each for each in load("paper").configurations if each.name == name).mode_shapes
+    np.testing.assert_allclose([found.first, found.second], shapes[:, 0] / shapes[:, 1], atol=5e-6)
+    assert found.misfit < 1e-5
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_the_modes_are_orthogonal_on_the_printed_masses(name):
+    found = recovered(name)
+    m1, m2 = of("table_6_mass", name)
+    assert m1 * found.first * found.second + m2 == pytest.approx(0.0, abs=1e-9 * m2)
+
+
+def test_shapes_that_the_method_was_given_come_back():
+    first, second, frequencies = 0.55, -1.6, np.array([3.1, 8.0])
+    experiment = Experiment(
+        Frame(total_mass=40.0), (Configuration(frequencies, np.array([[first, 1.0], [second, 1.0]])),)
+    )
+    frame = identify(experiment, "two-stage").frame
+    found = recovered_shapes(frame.floor_mass, frame.story_stiffness, frequencies)
+    assert (found.first, found.second) == pytest.approx((first, second), rel=1e-6)
+    assert found.misfit < 1e-6
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_table_7_follows_from_table_6_alone(name):
+    """Compute the eigenvalues of a two by two matrix."""
+    m1, m2 = values(PRINTED["table_6_mass"][name])
+    k1, k2 = (1e3 * each for each in values(PRINTED["table_6_stiffness"][name]))
+    eigenvalues = linalg.eigh([[k1 + k2, -k2], [-k2, k2]], np.diag([m1, m2]), eigvals_only=True)
+    printed = values(PRINTED["table_7"][name])
+    np.testing.assert_allclose(np.sqrt(eigenvalues) / (2 * np.pi), printed, atol=5.01e-4)

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.options import File, JsonOut, Quiet, ReportOut, TomlOut, input_files, writes
+from cvxshear.cli.options import LIST, File, JsonOut, Outputs, ReportOut, TomlOut, input_files, writes
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
-from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.io.formats import endings_of
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output, write_file
@@ -55,7 +54,7 @@ def new(
         How many stories the frame has; 3 where not given.
     """
     from cvxshear.io.modes import called
-    from cvxshear.io.to_fill_in import record_template, template, template_from
+    from cvxshear.io.templates import record_template, template, template_from
 
     given = [
         name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None
@@ -117,11 +116,8 @@ def modes(
     accept_swapped: bool = False,
     jobs: int = 1,
     report: ReportOut = None,
-    figure: FiguresOut = None,
-    csv: CsvOut = None,
-    xlsx: XlsxOut = None,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    *,
+    outputs: Outputs,
 ) -> None:
     """Identify natural frequencies, damping and mode shapes from records.
 
@@ -152,14 +148,14 @@ def modes(
     from cvxshear.io.uff import write_uff
     from cvxshear.records import ModalResult
     from cvxshear.report import terminal
-    from cvxshear.report.sheets import sheets_of_modes
+    from cvxshear.report.describe.from_records import poles_table
 
     sources = _files(records, output)
-    pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
+    files_of = outputs.prepared(ModalResult)
     if report is not None:
         from cvxshear.report.html import render_modes
     options = {
-        "functions": bool(pictures) or report is not None,
+        "functions": bool(outputs.figure) or report is not None,
         "method": method,
         "count": count,
         "accept_swapped": accept_swapped,
@@ -167,14 +163,14 @@ def modes(
     }
     if uff is not None and len(sources) > 1:
         raise InputError("--uff holds the modes of one record; identify the records one by one for it")
-    with progress("identifying modes", quiet) as advance:
+    with progress("identifying modes", outputs.quiet) as advance:
         found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors)
     tests = _kept(found)
     if tests:
         results = [test.modes for test in tests]
-        files = [*pictures.of(*results), *tables.of(lambda: sheets_of_modes(results))]
+        files = files_of(*results)
         if output is not None:
             files.append(lambda: write_merged(output, tests))
         if uff is not None:
@@ -183,7 +179,10 @@ def modes(
             page = partial(render_modes, results, as_typed(), [str(error) for error in errors])
             files.append(lambda: write_file(report, page()))
         deliver(
-            _said(sources, found), out, lambda: terminal.poles(results) if pick == LIST else tables_of(tests), *files
+            _said(sources, found),
+            outputs.out,
+            lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == LIST else tables_of(tests),
+            *files,
         )
     if errors:
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)
