@@ -301,7 +301,7 @@ def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Fi
         numbers = {"mode": int(result.modes[place]), "change": float(changes[place]), "std": float(std[place])}
         frequencies = np.exp([first[place], second[place]])
         if blocks:
-            numbers["amplitude_ratio"] = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
+            numbers |= {"amplitude_ratio": float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))}
             yield finding("amplitude", numbers, strong=frequencies[0], weak=frequencies[1])
         else:
             yield finding("amplitude/decay", numbers, whole=frequencies[0], later=frequencies[1])
