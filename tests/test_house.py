@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 import cvxshear
-from tests.studies.size import CAPABILITIES
+from tests.studies.size import CAPABILITIES, measured
 
 ROOT = Path(cvxshear.__file__).parent
 
@@ -168,19 +168,10 @@ BUDGET = {"lines of code": 30_300, "modules": 230, "numeric constants": 690, "li
 def sizes():
     """Count lines of code, modules, numeric constants of modules, and lines of imports."""
     found = dict.fromkeys(BUDGET, 0)
-    for source in modules().values():
-        tree = ast.parse(source)
-        documented = {
-            line
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None
-            for line in range(node.body[0].lineno, node.body[0].end_lineno + 1)
-        }
+    for path in ROOT.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
         found["modules"] += 1
-        found["lines of code"] += sum(
-            bool(line.strip()) and not line.strip().startswith("#") and number not in documented
-            for number, line in enumerate(source.splitlines(), 1)
-        )
+        found["lines of code"] += measured(path)[1]
         found["lines of imports"] += sum(
             node.end_lineno - node.lineno + 1
             for node in ast.walk(tree)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends.base import Backend
+from cvxshear.backends.canonical import RANK_TOLERANCE
 from cvxshear.backends.installed import available, get
 from cvxshear.programs import LeastSquares, Solution
 from cvxshear.programs.certificate import Acceptance, Assembled
-from cvxshear.programs.least_squares import RANK_TOLERANCE
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.results import Shown

@@ -24,9 +24,12 @@ from scipy import linalg
 from scipy.linalg import lapack
 
 from cvxshear.programs import LeastSquares, Solution
-from cvxshear.programs.least_squares import RANK_TOLERANCE
 from cvxshear.util.errors import InfeasibleError, InputError
 from cvxshear.util.typing import Bools, Floats
+
+RANK_TOLERANCE = 1e-12
+"""Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
+shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns."""
 
 LAPACK_BLOCK = 64
 """Block size of LAPACK's factorizations, columns."""

@@ -24,9 +24,8 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.backends.canonical import LAPACK_BLOCK, independent_rows
+from cvxshear.backends.canonical import LAPACK_BLOCK, RANK_TOLERANCE, independent_rows
 from cvxshear.programs.certificate import Assembled, Point, length
-from cvxshear.programs.least_squares import RANK_TOLERANCE
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 

@@ -10,7 +10,7 @@ from cvxshear.cli import before, frames, recorded, studies
 from cvxshear.cli import plan as planning
 from cvxshear.cli.options import documented, used
 from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed
-from cvxshear.io.inputs import streams_read_once
+from cvxshear.io.formats import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
 STATUSES = (

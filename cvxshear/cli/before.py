@@ -55,7 +55,7 @@ def new(
         How many stories the frame has; 3 where not given.
     """
     from cvxshear.io.modes import called
-    from cvxshear.io.to_fill_in import record_template, template, template_from
+    from cvxshear.io.templates import record_template, template, template_from
 
     given = [
         name for name, value in (("--from", modes), ("--stories", stories), ("--record", record)) if value is not None
@@ -158,10 +158,11 @@ def modes(
     from cvxshear.io.uff import write_uff
     from cvxshear.records import ModalResult
     from cvxshear.report import terminal
-    from cvxshear.report.sheets import sheets_of_modes
+    from cvxshear.report.describe.from_records import poles_table
+    from cvxshear.report.handover import sheets_of
 
     sources = _files(records, output)
-    pictures, tables = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
+    pictures, sheets = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
     if report is not None:
         from cvxshear.report.html import render_modes
     options = {
@@ -182,7 +183,7 @@ def modes(
     tests = _kept(found)
     if tests:
         results = [test.modes for test in tests]
-        files = [*pictures.of(*results), *tables.of(lambda: sheets_of_modes(results))]
+        files = [*pictures.of(*results), *sheets.of(lambda: sheets_of(*results))]
         if output is not None:
             files.append(lambda: write_merged(output, tests))
         if uff is not None:
@@ -191,7 +192,10 @@ def modes(
             page = partial(render_modes, results, as_typed(), [str(error) for error in errors])
             files.append(lambda: write_file(report, page()))
         deliver(
-            _said(sources, found), out, lambda: terminal.poles(results) if pick == LIST else tables_of(tests), *files
+            _said(sources, found),
+            out,
+            lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == LIST else tables_of(tests),
+            *files,
         )
     if errors:
         raise typer.Exit(2 if any(isinstance(error, InputError) for error in errors) else 1)

@@ -11,18 +11,20 @@ import typer
 
 from cvxshear.cli.before import measured, records_in_json, tables_of
 from cvxshear.cli.options import BackendName, File, Files, JsonOut, Quiet, ReportOut, UnitsOption, input_files
-from cvxshear.cli.output import as_typed, deliver, heading_of, names, numbers, progress, show
+from cvxshear.cli.output import as_typed, deliver, doubts_of, heading_of, names, numbers, progress, show
 from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import as_json
 from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from rich.console import RenderableType
 
+    from cvxshear import Identification
     from cvxshear.response import IdentifiedDamping
+    from cvxshear.util.quantities import Units
 
 
 UNCERTAIN = 3
@@ -61,8 +63,7 @@ def identify(
     # The solvers load slowly, and the help does not need them.
     from cvxshear import Identification, load
     from cvxshear import identify as run
-    from cvxshear.report import terminal
-    from cvxshear.report.sheets import sheets_of_identification
+    from cvxshear.report.handover import sheets_of
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.quantities import Units
@@ -78,12 +79,12 @@ def identify(
             beside = run(experiment, method="two-stage", backend=backend)
     fitted = Fitted.of_identification(result)
     damping = None if fitted is None else damping_of(experiment, fitted, backend)
-    files = [*pictures.of(result), *tables.of(lambda: sheets_of_identification(result))]
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of(result))]
     said = {**result.to_dict(), "damping": as_json(damping), "warnings": as_json(doubts)}
     deliver(
         said,
         out,
-        lambda: [*terminal.doubts(doubts), *terminal.identification(result, beside, display), *_damping_of(damping)],
+        lambda: [*doubts_of(doubts), *_identified(result, beside, display), *_damping_of(damping)],
         *files,
         title=experiment.report.title or experiment.name,
     )
@@ -143,13 +144,13 @@ def loop(
     from cvxshear import LoopResult
     from cvxshear.loop.verdicts import VERDICTS
     from cvxshear.report import terminal
-    from cvxshear.report.sheets import sheets_of_closure
+    from cvxshear.report.handover import sheets_of
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import close_loop
     from cvxshear.util.quantities import Units
 
     if effects == LIST:
-        show(terminal.catalogued())
+        show(_catalogued())
         raise typer.Exit
     pictures, tables, display = Pictures(figure, LoopResult), Spreadsheets(csv, xlsx), Units.parse(units)
     if report is not None:
@@ -186,7 +187,7 @@ def loop(
     }
     if tried is not None:
         said["validation"] = tried.to_dict()
-    files = [*pictures.of(result), *tables.of(lambda: sheets_of_closure(result))]
+    files = [*pictures.of(result), *tables.of(lambda: sheets_of(result))]
     if report is not None:
         page = partial(render, result, as_typed(), units=display, prediction=tried, heading=heading)
         files.append(lambda: write_file(report, page()))
@@ -195,7 +196,7 @@ def loop(
     deliver(
         said,
         out,
-        lambda: [*tables_of(found), *terminal.doubts(result.warnings), *terminal.shown(result, display), *beside],
+        lambda: [*tables_of(found), *doubts_of(result.warnings), *terminal.shown(result, display), *beside],
         *files,
         title=heading.title or experiment.name,
     )
@@ -205,5 +206,39 @@ def loop(
 
 def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:
     from cvxshear.report import terminal
+    from cvxshear.report.describe.responses import damping_section
 
-    return () if found is None else terminal.damping(found)
+    return () if found is None else terminal.rendered(damping_section(found))
+
+
+def _identified(result: Identification, beside: Identification | None, units: Units) -> Iterator[RenderableType]:
+    """Render an identification, and the frames of another one for comparison."""
+    from cvxshear.report import terminal
+    from cvxshear.report.describe import describe
+
+    yield from terminal.shown(result, units)
+    if beside is not None:
+        yield f"\nFor comparison: method {beside.method}, each configuration by itself"
+        for section in describe(beside, units).sections:
+            if section.key.startswith("part-"):
+                yield from terminal.rendered(section)
+
+
+def _catalogued() -> Iterator[RenderableType]:
+    """Tabulate the catalogue of effects, the kinds of data with their noise, and the verdicts."""
+    from cvxshear.data import noise_kinds
+    from cvxshear.effects import catalogue
+    from cvxshear.loop import VERDICTS
+    from cvxshear.report.terminal import plain_table
+
+    yield plain_table("Effects", "name", "what it is", words=(0, 1), rows=((x.name, x.summary) for x in catalogue()))
+    kinds = []
+    for kind in noise_kinds().values():
+        (usual, most), unit = kind.sized(1.0, kind.largest / kind.default)
+        kinds.append((kind.plural, f"{usual:g} {unit}", f"{most:g} {unit}", kind.reason))
+    yield ""
+    head = ("kind", "std where none is declared", "largest std", "why")
+    yield plain_table("Kinds of data", *head, words=(0, 3), rows=kinds)
+    yield ""
+    verdicts = ((x.name, x.sentence) for x in VERDICTS.values())
+    yield plain_table("Verdicts", "name", "what it means", words=(0, 1), rows=verdicts)

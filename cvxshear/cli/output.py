@@ -23,6 +23,7 @@ from cvxshear.version import __version__
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from cvxshear.screening import FileFinding
     from cvxshear.util.typing import Json
 
 typed: list[str] = []
@@ -101,6 +102,14 @@ def deliver(
         raise InputError("; ".join(failures))
 
 
+def doubts_of(found: Sequence[FileFinding] | None) -> Iterable[RenderableType]:
+    """Render the warnings of a computed result."""
+    from cvxshear.report import terminal
+    from cvxshear.report.describe.from_records import doubts_section
+
+    return terminal.rendered(doubts_section(found or ()))
+
+
 def about(files: Sequence[str], title: str | None) -> Json:
     """Return the origin of a result: version, date, title of the test, and the input files with their SHA-256.
 
@@ -136,8 +145,7 @@ def present() -> datetime:
 
 def _digest(file: str) -> str | None:
     """Return the SHA-256 of a file's bytes; None for a pattern or an unreadable file."""
-    from cvxshear.io.columns import LIMIT
-    from cvxshear.io.inputs import read_bytes
+    from cvxshear.io.formats import LIMIT, read_bytes
     from cvxshear.io.toml import built_in_text, is_built_in
 
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cvxshear.cli.options import FigureOut, File, JsonOut, Quiet, TomlOut, UnitsOption
-from cvxshear.cli.output import deliver, numbers, progress
+from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
 
@@ -109,7 +109,7 @@ def plan(
     if output is not None:
         files.append(lambda: write_template(output, result))
     said = {**result.to_dict(), **in_json(doubts)}
-    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result, display)], *files)
+    deliver(said, out, lambda: [*doubts_of(doubts), *terminal.shown(result, display)], *files)
 
 
 def _noise(

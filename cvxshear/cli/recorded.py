@@ -11,7 +11,7 @@ import typer
 
 from cvxshear.cli.before import measured
 from cvxshear.cli.options import BackendName, File, JsonOut, Quiet, ReportOut, input_files
-from cvxshear.cli.output import as_typed, deliver, names, progress
+from cvxshear.cli.output import as_typed, deliver, doubts_of, names, progress
 from cvxshear.cli.written import CsvOut, FiguresOut, Pictures, SeriesOut, Spreadsheets, XlsxOut, handed_over
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.writing import write_file
@@ -60,7 +60,7 @@ def predict(
     record
         A record file: the base motion or force, and responses to compare with.
     export : OUT
-        Write the model here: .npz, .mat, .json, .py (OpenSeesPy) or .xlsx; may be repeated.
+        Write the model here: .npz, .mat, .json or .py (OpenSeesPy); may be repeated.
     """
     from cvxshear.report import terminal
     from cvxshear.report.handover import model_kind, write_model
@@ -76,7 +76,7 @@ def predict(
         result = run(source, record, backend, damping=damping, configuration=configuration, detrend=detrend)
     said = {**result.to_dict(), **in_json(doubts)}
     files: list[Callable[[], None]] = [*pictures.of(result), *(partial(write, result) for write in written)]
-    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
+    deliver(said, out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)
 
 
 def reconstruct(
@@ -115,7 +115,7 @@ def reconstruct(
         Leave each sensor out in turn and predict it from the others.
     """
     from cvxshear.report import terminal
-    from cvxshear.report.sheets import sheets_of_response
+    from cvxshear.report.handover import sheets_of
     from cvxshear.response import Reconstruction
     from cvxshear.response import reconstruct as run
     from cvxshear.screening import in_json
@@ -130,8 +130,8 @@ def reconstruct(
         )  # fmt: skip
     said = {**result.to_dict(), **in_json(doubts)}
     files: list[Callable[[], None]] = [*pictures.of(result), *(partial(write, result) for write in written)]
-    files += tables.of(lambda: sheets_of_response(said))
-    deliver(said, out, lambda: [*terminal.doubts(doubts or ()), *terminal.shown(result)], *files)
+    files += tables.of(lambda: sheets_of(result))
+    deliver(said, out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)
 
 
 def _series_and_page(context: typer.Context, series: str | None, report: str | None) -> list[Callable[..., None]]:

@@ -1,6 +1,9 @@
 """Commands for studies: recompute the paper's tables, run the noise study, compare all backends."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,6 +12,11 @@ from cvxshear.cli.output import deliver, progress
 from cvxshear.cli.output import names as listed_names
 from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from cvxshear.backends import Solver
 
 Samples = Annotated[int, typer.Option(min=2)]
 
@@ -34,8 +42,9 @@ def reproduce(
     """
     from cvxshear import Identification, identify
     from cvxshear.paper import reproduce as run
-    from cvxshear.paper import tables
-    from cvxshear.paper.three_story import ThreeStory
+    from cvxshear.paper.reproduction import exact_modes
+    from cvxshear.paper.setups import three_story
+    from cvxshear.paper.tables import PRINTED
     from cvxshear.report import terminal
 
     pictures = Pictures.named(Identification, convergence=figure)
@@ -44,9 +53,8 @@ def reproduce(
     files = []
     if pictures:
         # The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses.
-        frame = ThreeStory("auto")
-        found = [identify(frame.experiment, "two-stage", initial_mass=start) for start in tables.INITIAL_MASS.values()]
-        files = pictures.of(*found, true_mass=frame.truth.floor_mass)
+        found = [identify(exact_modes(), "two-stage", initial_mass=start) for start in PRINTED["initial_mass"].values()]
+        files = pictures.of(*found, true_mass=three_story(0.01).floor_mass)
     deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
 
 
@@ -95,7 +103,6 @@ def backends(
     names: str | None = None,
     repeats: int = 3,
     tolerance: float | None = None,
-    figure: FigureOut = None,
     quiet: Quiet = False,
     out: JsonOut = None,
 ) -> None:
@@ -115,22 +122,31 @@ def backends(
         Accuracy asked of the solvers, in place of their settings here.
     """
     if file is None:
-        given = {"--names": names, "--tolerance": tolerance, "--figure": figure}
+        given = {"--names": names, "--tolerance": tolerance}
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option} needs programs: name a measurement file, or 'paper'")
         from cvxshear.backends import listed
-        from cvxshear.report import terminal
 
         there = listed()
-        deliver({"backends": [each.to_dict() for each in there]}, out, lambda: terminal.listed_backends(there))
+        deliver({"backends": [each.to_dict() for each in there]}, out, lambda: _listed(there))
         return
-    from cvxshear import Comparison, compare_backends, load
+    from cvxshear import compare_backends, load
     from cvxshear.report import terminal
 
-    pictures = Pictures.named(Comparison, backends=figure)
     experiment = load(file)
     with progress("comparing backends", quiet):
         result = compare_backends(experiment, listed_names(names), repeats=repeats, tolerance=tolerance)
     title = experiment.report.title or experiment.name
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), *pictures.of(result), title=title)
+    deliver(result.to_dict(), out, lambda: terminal.shown(result), title=title)
+
+
+def _listed(backends: Sequence[Solver]) -> Iterator[RenderableType]:
+    """Tabulate the installed backends with the version of their solver, and the way to install the others."""
+    from cvxshear.report.terminal import plain_table
+
+    there = [(x.name, x.package or "this library", x.version or "–", x.through or "–") for x in backends if x.installed]
+    yield plain_table("installed", "backend", "solver", "version", "called by", rows=there)
+    if missing := [(each.name, each.how_to_get) for each in backends if not each.installed]:
+        yield ""
+        yield plain_table("not installed", "backend", "how to get it", words=(0, 1), rows=missing)

@@ -44,7 +44,7 @@ XlsxOut = Annotated[
     str | None, writes("--xlsx", what="Write the result's tables as a workbook here.", endings=(".xlsx",))
 ]
 SeriesOut = Annotated[
-    str | None, typer.Option("--out", help="Write the time series here: .csv, .mat, .npz or .uff.", metavar="OUT")
+    str | None, typer.Option("--out", help="Write the time series here: .csv, .mat or .npz.", metavar="OUT")
 ]
 
 

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement.experiment import Configuration
-from cvxshear.model.observation import Observation
-from cvxshear.model.shear import Modes, attached_share, frame_modes
+from cvxshear.model.shear import Modes, Observation, attached_share, frame_modes
 from cvxshear.util import ranking
 from cvxshear.util.typing import Complexes, Floats, Ints
 

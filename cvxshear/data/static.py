@@ -9,8 +9,8 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
+from cvxshear.measurement.declaration import DEFAULT_DISPLACEMENT_STD
 from cvxshear.measurement.experiment import Experiment, StaticTest
-from cvxshear.measurement.static_test import DEFAULT_DISPLACEMENT_STD
 from cvxshear.util.typing import Floats, Ints
 
 

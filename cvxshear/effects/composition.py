@@ -10,8 +10,15 @@ import numpy as np
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model.observation import FloorObservation
-from cvxshear.model.shear import ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
+from cvxshear.model.shear import (
+    FloorObservation,
+    ShearSystem,
+    System,
+    mass_matrix,
+    shear_system,
+    stiffness_matrix,
+    transformation,
+)
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.masses import on_floors
-from cvxshear.effects.springs import unit_springs
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.stories import with_changed_story
+from cvxshear.effects.whole_frame import unit_springs
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, Configuration
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
@@ -396,3 +396,16 @@ class OtherFrequencies(OpenClass):
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return "the frequencies are less accurate than their standard deviations say"
+
+
+OPEN_CLASSES: tuple[OpenClass, ...] = (
+    OtherStiffness(),
+    OtherInertia(),
+    OtherBeams(),
+    OtherChanges(),
+    OtherLoads(),
+    OtherGains(),
+    OtherShapes(),
+    OtherFrequencies(),
+)
+"""One or two for each statement of the shear model, in the order of the reports."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from cvxshear.effects.base import Effect, Parameter, Place, off_by
 from cvxshear.effects.state import Scale, State
+from cvxshear.measurement.declaration import StaticTest
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.static_test import StaticTest
 from cvxshear.priors import Constraints, Prior
 from cvxshear.priors.base import QUANTITY_UNITS
 from cvxshear.util import ranking

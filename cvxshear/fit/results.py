@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy import special
@@ -16,13 +16,8 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.util import ranking
 from cvxshear.util.errors import UnsuitableError
-from cvxshear.util.quantities import column_name
-from cvxshear.util.results import InJson, Shown, as_json, data_frame
+from cvxshear.util.results import InJson, Shown, as_json
 from cvxshear.util.typing import Bools, Floats, Json
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 UNITS_OF_FRAME = {"floor_mass": "kg", "story_stiffness": "N/m"}
 
@@ -64,15 +59,6 @@ class IdentifiedFrame(InJson):
             found[name] = getattr(self, name)
             found[f"{name}_std"] = None if np.all(np.isnan(std)) else np.where(self.stopped(name), np.nan, std)
         return found
-
-    @property
-    def columns(self) -> dict[str, list[float]]:
-        """Values and deviations by name, from the lowest floor up; nan without standard deviation."""
-        unknown = np.full(len(self.floor_mass), np.nan)
-        return {
-            column_name(name, UNITS_OF_FRAME[name.removesuffix("_std")]): (unknown if each is None else each).tolist()
-            for name, each in self.known.items()
-        }
 
 
 @dataclass(frozen=True)
@@ -304,28 +290,6 @@ class Identification(Shown):
     def converged(self) -> bool:
         """Whether every part converged."""
         return all(part.converged for part in self.parts)
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the identified masses and stiffnesses as a table of pandas.
-
-        Returns
-        -------
-        DataFrame
-            One row for each floor of each part: configuration (empty for all together), floor, floor_mass_kg,
-            floor_mass_std_kg, story_stiffness_N_per_m (of the story below that floor), story_stiffness_std_N_per_m.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        floors = range(1, self.experiment.stories + 1)
-        named: dict[str, list[object]] = {
-            "configuration": [part.name for part in self.parts for _ in floors],
-            "floor": [floor for _ in self.parts for floor in floors],
-        }
-        frames = [part.frame.columns for part in self.parts]
-        return data_frame(named | {key: [value for each in frames for value in each[key]] for key in frames[0]})
 
     def to_dict(self) -> Json:
         """Return the documented JSON."""

@@ -11,9 +11,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
 FEWEST_ROWS = 32
-LIMIT = 100_000_000
-"""Default limit on the size of a record's file and of the numbers in it, bytes."""
-TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
+"""Fewest samples of a record."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,25 +11,23 @@ import io
 import math
 import re
 import zlib
-from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
-from cvxshear.io.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.io.inputs import MEGABYTE, read_bytes
+from cvxshear.io.columns import Columns
+from cvxshear.io.formats import LIMIT, MEGABYTE, TOO_LARGE, read_bytes
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 
 SEPARATORS = (";", "\t", ",", None)
 """Separators of cells, in the order of the search; None means blanks."""
 
-MOST_COLUMNS = 10_000
 LONGEST_HEAD = 400
 """Lines within which the header and the first line of numbers must stand."""
 
@@ -46,7 +44,6 @@ STAMP = re.compile(
 """A time of the day, of 24 hours or of twice 12, with or without a date before it."""
 
 ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
-EPOCH = datetime(1970, 1, 1)
 DAY = 86_400.0
 """Seconds of a day."""
 
@@ -85,7 +82,7 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     path : str or Path
         UTF-8, UTF-16 with its mark, or Latin-1; may be compressed by gzip.
     limit : float, optional
-        Bytes that the file, inflated, and the numbers in it, may have.
+        Bytes that the file, inflated, may have.
 
     Returns
     -------
@@ -98,10 +95,10 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
         Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
         Messages quote the file only if it is a table of numbers.
     """
-    return columns_of(_text(Path(path), limit), str(path), limit)
+    return columns_of(_text(Path(path), limit), str(path))
 
 
-def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
+def columns_of(text: Iterable[str], where: str) -> Columns:
     """Read the columns of a text, line by line, as `read_csv` does.
 
     Parameters
@@ -109,14 +106,12 @@ def columns_of(text: Iterable[str], where: str, limit: float) -> Columns:
     text : iterable of str
     where : str
         The file, for messages.
-    limit : float
-        Bytes that the numbers may have.
     """
     lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
     head = list(islice(lines, LONGEST_HEAD))
     layout = layout_of(head, where)
     after = (each for each in chain(head, lines) if each[0] >= (layout.first or layout.line + 1))
-    return _columns((each for each in after if not _comment(each[1])), layout, where, limit)
+    return _columns((each for each in after if not _comment(each[1])), layout, where)
 
 
 def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
@@ -147,9 +142,7 @@ def layout_of(head: Sequence[Line], where: str) -> Layout:
         for separator in sorted((each for each in SEPARATORS if counts[each]), key=lambda each: -counts[each]):
             found = _header(head[:place], separator, counts[separator])
             if found is not None:
-                names, stands, units = found
-                _refuse_many(names, where, stands)
-                return Layout(separator, names, stands, units, number)
+                return Layout(separator, *found, number)
     return _first_line(plain[0], where)
 
 
@@ -164,7 +157,6 @@ def _first_line(line: Line, where: str) -> Layout:
     names = tuple(cell.strip() for cell in _cells(text, separator, f"{where}, line {number}"))
     if all(_is_number(name) for name in names):
         raise InputError(f"{where}, line {number}: the first line must name the columns, it holds numbers")
-    _refuse_many(names, where, number)
     return Layout(separator, names, number)
 
 
@@ -198,10 +190,10 @@ def _numbers_in(line: str, separator: str | None) -> int:
     return len(cells) if any(_is_number(cell) for cell in cells) else 0
 
 
-def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) -> Columns:
-    numbers = array("q")
-    values = array("d")
+def _columns(lines: Iterable[Line], layout: Layout, where: str) -> Columns:
     names = layout.names
+    numbers: list[int] = []
+    rows: list[list[float]] = []
     stamps: list[int] = []
     dates: set[int] = set()
     for number, text in lines:
@@ -216,25 +208,19 @@ def _columns(lines: Iterable[Line], layout: Layout, where: str, limit: float) ->
             stamps = [place for place, cell in enumerate(cells) if STAMP.fullmatch(cell.strip())]
             # The time of the day beside it tells all that a record needs, midnight included.
             dates = {place for place, cell in enumerate(cells) if DATE.fullmatch(cell.strip()) and not _is_number(cell)}
-        values.extend(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
+        rows.append(_row(cells, line, names, f"{where}, line {number}", table=bool(numbers)))
         numbers.append(number)
-        if len(values) * values.itemsize > limit:
-            raise InputError(f"{where} holds more than {limit / MEGABYTE:g} MB of numbers; {TOO_LARGE}")
     if not numbers:
         raise InputError(f"{where} has a header and no samples")
-    table = np.frombuffer(values, dtype=np.float64).reshape(len(numbers), len(names))
-    if stamps:
-        table = table.copy()
-        # Round to microseconds: a double has no more digits for seconds since 1970.
-        table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
-        # A clock without a date begins anew at midnight.
-        table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
-    units = layout.units or ("",) * len(names)
+    table = np.array(rows)
+    # Round to microseconds: a double has no more digits for seconds since 1970.
+    table[:, stamps] = np.round(table[:, stamps] - table[0, stamps], 6)
+    # A clock without a date begins anew at midnight.
+    table[:, stamps] += DAY * np.cumsum(np.diff(table[:, stamps], axis=0, prepend=0.0) < -DAY / 2, axis=0)
     # The empty cell after the last separator of every line is not a column.
     kept = [p for p, name in enumerate(names) if p not in dates and (name or not np.isnan(table[:, p]).all())]
-    if len(kept) < len(names):
-        table, names, units = table[:, kept], *(tuple(each[place] for place in kept) for each in (names, units))
-    return Columns(where, names, table, np.frombuffer(numbers, dtype=np.int64), units if layout.units else ())
+    units = tuple(layout.units[p] for p in kept) if layout.units else ()
+    return Columns(where, tuple(names[p] for p in kept), table[:, kept], np.array(numbers), units)
 
 
 def _row(cells: list[str], line: str, names: tuple[str, ...], where: str, *, table: bool) -> list[float]:
@@ -272,12 +258,12 @@ def _seconds(stamp: re.Match[str], where: str) -> float:
         hour = hour % 12 + (12 if half == "p" else 0)
     date = stamp["date"] or ""
     try:
-        days = (datetime.fromisoformat(date) - EPOCH).days if ISO_DATE.fullmatch(date) else 0
+        day = datetime.fromisoformat(date).replace(tzinfo=UTC).timestamp() if ISO_DATE.fullmatch(date) else 0.0
         if hour > 23 or minute > 59 or second >= 61:
             raise ValueError(stamp[0])
     except ValueError:
         raise InputError(f"{where} holds {shown(stamp[0])}, which is no date or time") from None
-    return DAY * days + 3600.0 * hour + 60.0 * minute + second
+    return day + 3600.0 * hour + 60.0 * minute + second
 
 
 def _cells(line: str, separator: str | None, where: str) -> list[str]:
@@ -354,11 +340,6 @@ def _inflated(content: bytes, path: Path, limit: float, remedy: str) -> bytes:
 
 def _comment(line: str) -> bool:
     return line.lstrip()[0] == "#"
-
-
-def _refuse_many(names: Sequence[str], where: str, line: int) -> None:
-    if len(names) > MOST_COLUMNS:
-        raise InputError(f"{where}, line {line} names {len(names)} columns; {MOST_COLUMNS} are the most that are read")
 
 
 def _is_datum(cell: str) -> bool:

@@ -1,22 +1,103 @@
-"""The table of formats: the endings of each kind of file, its name and its reader.
+"""How files that a user names are opened, and the table of formats: the endings of each kind of file and its readers.
 
-A format of one's own is one more line of it: `register(Format(...))`. Record files and `cvxshear new` then accept the
-format, and its name is a key of measurement files.
+A format of one's own is one more line of the table: `register(Format(...))`. Record files and `cvxshear new` then
+accept the format, and its name is a key of measurement files.
 """
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from cvxshear.util.errors import CvxshearError, InputError
+from cvxshear.util.errors import CvxshearError, InputError, printable
 from cvxshear.util.quantities import listed
 
 if TYPE_CHECKING:
     from cvxshear.io.columns import Columns
+
+logger = logging.getLogger(__name__)
+
+MEGABYTE = 1_000_000
+
+LARGEST_FILE = 5_000_000
+"""Bytes; a larger file without samples is taken for a mistake (a record in place of a measurement file, say)."""
+LIMIT = 100_000_000
+"""Default limit on the size of a record's file, bytes."""
+TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
+
+_read_before: ContextVar[dict[str, bytes] | None] = ContextVar("read_before", default=None)
+"""Content of pipes and devices by name, kept while one command runs."""
+
+
+@contextmanager
+def streams_read_once() -> Iterator[None]:
+    """Keep what a pipe gives while this lasts: who looks at it a second time sees the same, and does not wait."""
+    token = _read_before.set({})
+    try:
+        yield
+    finally:
+        _read_before.reset(token)
+
+
+def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", named: bool = False) -> bytes:
+    """Read the content of a file.
+
+    Parameters
+    ----------
+    path : Path
+    largest : float
+        Bytes; a pipe or a device, which tells no size beforehand, is read no further either.
+    remedy : str
+        What to do about a file that is larger.
+    absent : str, optional
+        What to know where there is no such file.
+    named : bool, optional
+        Whether the file will be opened again by its name: a pipe would hold nothing any more.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read or is larger.
+    """
+    where = str(path)
+    try:
+        if path.is_dir():
+            raise InputError(f"{where} is a folder; name a file in it")
+        if named and path.exists() and not path.is_file():
+            raise InputError(f"{where} is a device or a pipe; save what it gives in a file")
+        kept = None if path.is_file() else _read_before.get()
+        if kept is not None and where in kept:
+            return kept[where]
+        with path.open("rb") as file:
+            content = file.read(int(largest) + 1)
+    except FileNotFoundError:
+        raise InputError(f"{where}: no such file{absent and f' ({absent})'}") from None
+    except OSError as error:
+        raise InputError(f"{where} cannot be read: {error.strerror}") from None
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
+    if len(content) > largest:
+        raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
+    if kept is not None:
+        kept[where] = content
+    logger.info("read %s, %d bytes", printable(where), len(content))
+    return content
+
+
+def named_after(path: str | Path) -> str:
+    """Name what a file holds after the file; bytes of its name that are no text are marked so."""
+    stem = os.fsencode(Path(path).stem).decode("utf-8", "replace")
+    return stem if stem.strip() else "unnamed"
+
 
 ColumnReader = Callable[[Path, float], "Columns"]
 ModeReader = Callable[[str | Path], dict[str, Any]]
@@ -84,7 +165,7 @@ FORMATS: list[Format] = [
     Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
     Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.mat:read_npz"),
     Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_uff",
-           f"{HERE}.mode_tables:read_mode_uff"),
+           f"{HERE}.uff:read_mode_uff"),
 ]  # fmt: skip
 """Every kind of file that is read, in the order in which messages and help list them."""
 
@@ -168,9 +249,3 @@ def refuse_data(path: Path, *, toml: bool = True) -> None:
             f"-o {path.name.split('.')[0]}.toml' writes a record file with the columns that it finds, to fill in, and "
             "that is what the command takes"
         )
-
-
-def naming_keys() -> Iterator[str]:
-    """Keys of tables whose values are names of other files."""
-    yield "file"
-    yield from (each.name for each in FORMATS if each.modes is not None)

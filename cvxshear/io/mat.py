@@ -2,7 +2,6 @@
 
 import re
 import warnings
-import zipfile
 from collections.abc import Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
-from cvxshear.io.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.io.inputs import MEGABYTE, read_bytes
+from cvxshear.io.columns import Columns
+from cvxshear.io.formats import LIMIT, TOO_LARGE, read_bytes
 from cvxshear.util.errors import InputError, optional, printable
 
 Array = np.ndarray[Any, Any]
@@ -48,7 +47,12 @@ def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
     where = str(path)
     content = read_bytes(Path(path), limit, TOO_LARGE)
     hdf5 = b"MATLAB 7.3" in content[:128] or content.startswith(b"\x89HDF")
-    read = (_read_hdf5 if hdf5 else _read_mat5)(content, where)
+    h5py = optional("h5py", f"{where} is a MAT file of version 7.3; reading it needs") if hdf5 else None
+    try:
+        read = _read_hdf5(content, h5py) if hdf5 else _read_mat5(content)
+    except Exception as error:
+        # scipy and h5py raise various exceptions on damaged files.
+        raise InputError(f"{where} is not a MAT file that can be read: {printable(str(error))[:200]}") from None
     return columns_of_arrays(read, where)
 
 
@@ -104,22 +108,17 @@ def _split(name: str, array: Array) -> dict[str, Array]:
     return {f"{stem}[{place + 1}]{tail}": table[:, place] for place in range(table.shape[1])}
 
 
-def _read_mat5(content: bytes, where: str) -> Mapping[str, Any]:
+def _read_mat5(content: bytes) -> Mapping[str, Any]:
     """Read the matrices and structures of a file of version 5 or older by name."""
     stream: Any = BytesIO(content)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        try:
-            read: Mapping[str, Any] = loadmat(stream, simplify_cells=True)
-        except Exception as error:
-            # scipy raises various exceptions on damaged files.
-            raise _unreadable(where, error) from None
+        read: Mapping[str, Any] = loadmat(stream, simplify_cells=True)
     return read
 
 
-def _read_hdf5(content: bytes, where: str) -> Mapping[str, Any]:
+def _read_hdf5(content: bytes, h5py: Any) -> Mapping[str, Any]:
     """Read the numeric data sets of a file of version 7.3 by name, a field `x` of a structure `run` as `run.x`."""
-    h5py = optional("h5py", f"{where} is a MAT file of version 7.3; reading it needs")
     found: dict[str, Any] = {}
 
     def visit(name: str, item: Any) -> None:
@@ -130,17 +129,9 @@ def _read_hdf5(content: bytes, where: str) -> Mapping[str, Any]:
             # Version 7.3 stores matrices transposed.
             found[name.replace("/", ".")] = values.T
 
-    try:
-        with h5py.File(BytesIO(content), "r") as file:
-            file.visititems(visit)
-    except Exception as error:
-        # h5py raises various exceptions on damaged files.
-        raise _unreadable(where, error) from None
+    with h5py.File(BytesIO(content), "r") as file:
+        file.visititems(visit)
     return found
-
-
-def _unreadable(where: str, error: Exception) -> InputError:
-    return InputError(f"{where} is not a MAT file that can be read: {printable(str(error))[:200]}")
 
 
 def _numeric(item: Any) -> bool:
@@ -150,19 +141,16 @@ def _numeric(item: Any) -> bool:
     return plain and item.shape is not None and item.ndim <= 2 and item.size > 0 and "MATLAB_empty" not in item.attrs
 
 
-LONE = "column"
-"""The name of a lone array that has none: its columns are `column[1]`, `column[2]`, ..."""
-
-
 def read_npz(path: str | Path, limit: float = LIMIT) -> Columns:
     """Read the arrays of a .npy or .npz file as columns, named as in `read_mat`.
 
     Parameters
     ----------
     path : str or Path
-        An array with named fields gives a column a field.
+        An array with named fields gives a column a field; another array in a file by itself, `column[1]`, `column[2]`,
+        ...
     limit : float, optional
-        Bytes that the file may have, as it is and once inflated.
+        Bytes that the file may have.
 
     Raises
     ------
@@ -170,22 +158,14 @@ def read_npz(path: str | Path, limit: float = LIMIT) -> Columns:
         Where the file cannot be read, is too large, or holds no numbers. Pickled objects are never read.
     """
     where = str(path)
-    content = BytesIO(read_bytes(Path(path), limit, TOO_LARGE))
+    content = read_bytes(Path(path), limit, TOO_LARGE)
     try:
-        if zipfile.is_zipfile(content):
-            with zipfile.ZipFile(content) as archive:
-                inflated = sum(each.file_size for each in archive.infolist())
-            if inflated > limit:
-                raise InputError(f"{where} inflates to more than {limit / MEGABYTE:g} MB; {TOO_LARGE}")
-        content.seek(0)
-        loaded: Any = np.load(content, allow_pickle=False)
+        loaded: Any = np.load(BytesIO(content), allow_pickle=False)
         if isinstance(loaded, np.ndarray):
             names = loaded.dtype.names
-            arrays = {LONE: loaded} if names is None else {name: loaded[name] for name in names}
+            arrays = {"column": loaded} if names is None else {name: loaded[name] for name in names}
         else:
             arrays = {name: loaded[name] for name in loaded.files}
-    except InputError:
-        raise
     except Exception as error:
         # numpy raises whatever a damaged file makes it run into.
         raise InputError(f"{where} is not a NumPy file that can be read ({type(error).__name__})") from None

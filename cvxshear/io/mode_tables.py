@@ -18,13 +18,11 @@ from typing import Any
 import numpy as np
 
 from cvxshear.io.csv import read_rows
+from cvxshear.io.formats import LARGEST_FILE
 from cvxshear.io.spreadsheets import read_xlsx_rows
-from cvxshear.io.uff import read_modes
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 
-LARGEST_TABLE = 5_000_000
-"""Bytes of a table of modes."""
 TOO_LARGE_TABLE = "too many for a table of modes; is it a record?"
 ABSOLUTE = "frequency_std, Hz"
 """Deviations of frequencies that a table gives in Hz; a configuration has them relative to the frequencies."""
@@ -58,7 +56,7 @@ def read_mode_csv(path: str | Path) -> dict[str, Any]:
     InputError
         Naming the file, the line and the column.
     """
-    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST_TABLE, TOO_LARGE_TABLE)]
+    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST_FILE, TOO_LARGE_TABLE)]
     return _modes_of(rows, str(path))
 
 
@@ -79,39 +77,8 @@ def read_mode_xlsx(path: str | Path) -> dict[str, Any]:
     InputError
         Naming the file, the row and the column; where openpyxl (the extra `xlsx`) is not installed.
     """
-    rows: Rows = list(read_xlsx_rows(path, LARGEST_TABLE, TOO_LARGE_TABLE))
+    rows: Rows = list(read_xlsx_rows(path, LARGEST_FILE, TOO_LARGE_TABLE))
     return _modes_of(rows, str(path))
-
-
-def read_mode_uff(path: str | Path) -> dict[str, Any]:
-    """Read the modes of a universal file, its nodes 1, 2, ... being the floors.
-
-    Parameters
-    ----------
-    path : str or Path
-        With data sets 55; the x direction is taken, complex shapes are made real on their main axis.
-
-    Returns
-    -------
-    dict
-        Keys of a table [[configuration]].
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read or holds no mode.
-    """
-    frequencies, damping, shapes, nodes = read_modes(path)
-    upward, rising = np.argsort(nodes), np.argsort(frequencies)
-    turn = np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=1, keepdims=True)))
-    result: dict[str, Any] = {
-        "measured_floors": nodes[upward].tolist(),
-        "frequencies": frequencies[rising].tolist(),
-        "mode_shapes": (shapes * turn).real[rising][:, upward].tolist(),
-    }
-    if np.any(damping > 0):
-        result["damping_ratios"] = np.where(damping > 0, damping, np.nan)[rising].tolist()
-    return result
 
 
 def _modes_of(rows: Rows, source: str) -> dict[str, Any]:

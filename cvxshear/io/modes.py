@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cvxshear.io.inputs import named_after
+from cvxshear.io.formats import named_after
 from cvxshear.io.record_file import read_record
 from cvxshear.io.toml import files_of, is_record_file, load, write_measurement
 from cvxshear.measurement.experiment import Experiment

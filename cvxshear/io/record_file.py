@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.io.columns import LIMIT, Columns
-from cvxshear.io.formats import read_columns
-from cvxshear.io.inputs import MEGABYTE, named_after
+from cvxshear.io.columns import Columns
+from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns
 from cvxshear.io.record_tables import (
     ChannelDeclaration,
     channels_of,
@@ -44,9 +43,8 @@ RECORD_KEYS = (
     "stories", "quantity", "band", "exponential_window", "truncated", "pick", "size_limit",
 )  # fmt: skip
 HEADER = re.compile(r"^[ \t]*\[record\][ \t]*(#.*)?\n", re.MULTILINE)
-NEXT_TABLE = re.compile(r"^[ \t]*\[+\w", re.MULTILINE)
 PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
-"""Patterns of the header of the record's table, of the next table's, and of the line of poles picked by hand."""
+"""Patterns of the header of the record's table, and of the line of poles picked by hand."""
 
 OFF_CENTER = 50.0
 """m from the center of a floor to a sensor; few halls are wider than twice that."""
@@ -138,16 +136,13 @@ def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
     path = Path(path)
     text = read_text(path)
     line = f"pick = [{', '.join(f'{frequency:.5g}' for frequency in frequencies)}]"
-    header = HEADER.search(text)
-    if header is not None:
-        end = NEXT_TABLE.search(text, header.end())
-        body = text[header.end() : end.start() if end else len(text)]
-        changed, count = PICK.subn(line, body, count=1)
-        text = text[: header.end()] + (changed if count else f"{line}\n{body}") + (text[end.start() :] if end else "")
-    table = parse(text, path).get("record")
-    if header is None or not isinstance(table, dict) or len(table.get("pick", ())) != len(frequencies):
+    changed, count = PICK.subn(line, text, count=1)
+    if not count:
+        changed, count = HEADER.subn(rf"\g<0>{line}\n", text, count=1)
+    table = parse(changed, path).get("record")
+    if not count or not isinstance(table, dict) or len(table.get("pick", ())) != len(frequencies):
         raise InputError(f"{path} has no table [record] that a line could be written into; write there: {line}")
-    write_file(path, text)
+    write_file(path, changed)
 
 
 class RecordTables:

@@ -3,16 +3,15 @@
 import io
 import math
 import re
-import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from cvxshear.io.columns import TOO_LARGE, Columns
+from cvxshear.io.columns import Columns
 from cvxshear.io.csv import columns_of
-from cvxshear.io.inputs import MEGABYTE, read_bytes
+from cvxshear.io.formats import TOO_LARGE, read_bytes
 from cvxshear.util.errors import InputError, optional, printable
 from cvxshear.util.writing import cell_text, write_file
 
@@ -23,9 +22,6 @@ LONGEST_TITLE = 31
 
 LONGEST_CELL = 32_767
 """Letters that a cell may have (Excel)."""
-
-MOST_INFLATED = 20
-"""Size of a workbook's parts once inflated, as a multiple of the file's limit: numbers shrink to about a tenth."""
 
 WIDEST = 28
 """Letters that a column of a workbook is made wide for at most."""
@@ -115,7 +111,7 @@ def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[in
     ----------
     path : str or Path
     limit : float
-        Bytes that the file may have, as it is and once inflated.
+        Bytes that the file may have.
     remedy : str
         What to do about a larger one.
 
@@ -127,14 +123,8 @@ def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[in
     openpyxl = load_openpyxl()
     content = io.BytesIO(read_bytes(Path(path), limit, remedy))
     try:
-        with zipfile.ZipFile(content) as archive:
-            inflated = sum(each.file_size for each in archive.infolist())
-        if inflated > MOST_INFLATED * limit:
-            raise InputError(f"{path!s} inflates to more than {MOST_INFLATED * limit / MEGABYTE:g} MB; {remedy}")
         book = openpyxl.load_workbook(content, read_only=True, data_only=True)
         found = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
-    except InputError:
-        raise
     except Exception as error:
         # openpyxl raises whatever its parsing of the archive runs into.
         raise InputError(f"{path!s} is not a workbook that can be read ({type(error).__name__})") from None
@@ -152,7 +142,7 @@ def read_xlsx(path: str | Path, limit: float) -> Columns:
     """
     rows = read_xlsx_rows(path, limit, TOO_LARGE)
     lines = {number: "\t".join(map(_as_text, row)) for number, row in rows}
-    return columns_of((lines.get(number, "") for number in range(1, max(lines, default=0) + 1)), str(path), limit)
+    return columns_of((lines.get(number, "") for number in range(1, max(lines, default=0) + 1)), str(path))
 
 
 def _as_text(cell: object) -> str:

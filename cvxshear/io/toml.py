@@ -15,17 +15,13 @@ import numpy as np
 import tomli_w
 
 from cvxshear.effects import catalogue
-from cvxshear.io.formats import FORMATS, format_of, naming_keys, refuse_data
-from cvxshear.io.inputs import named_after, read_bytes
+from cvxshear.io.formats import FORMATS, LARGEST_FILE, format_of, named_after, read_bytes, refuse_data
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
 from cvxshear.util.checks import shown
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, printable
-from cvxshear.util.writing import Inserted, escaped, write_file
-
-LARGEST_FILE = 5_000_000
-"""Bytes; a larger file is taken for a mistake (a record in place of a measurement file, say)."""
+from cvxshear.util.writing import escaped, write_file
 
 MEASURED_FRAMES = (
     "los-alamos", "mini-flexible-northridge", "mini-flexible-sine", "mini-stiff-northridge", "mini-stiff-sine",
@@ -36,13 +32,8 @@ MEASURED_FRAMES = (
 BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
 """Examples in the package, with their paths."""
 
-LONGEST_KEY = 16
-"""Parts, with dots between; the time that reading a key takes grows with their square."""
-
 _HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
 """A line that begins a table, which no line of samples does."""
-
-_LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{LONGEST_KEY}}}""")
 
 
 @usual_arithmetic
@@ -132,10 +123,6 @@ def read_result(path: Path) -> dict[str, Any]:
 def parse(text: str, path: Path) -> dict[str, object]:
     """Parse the tables of a TOML text."""
     where = str(path)
-    found = _LONG_KEY.search(text)
-    if found is not None:
-        line = text.count("\n", 0, found.start()) + 1
-        raise InputError(f"{where} is not valid TOML: a key of more than {LONGEST_KEY} parts (at line {line})")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -191,7 +178,8 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     tables: list[object] = []
     for value in declared.values():
         tables += value if isinstance(value, list) else [value]
-    named = [each.get(key) for each in tables if isinstance(each, dict) for key in naming_keys()]
+    keys = ("file", *(each.name for each in FORMATS if each.modes is not None))
+    named = [each.get(key) for each in tables if isinstance(each, dict) for key in keys]
     return (path, *(path.parent / name for name in named if isinstance(name, str)))
 
 
@@ -238,9 +226,6 @@ COMMENT_WIDTH = 110
 WRITTEN_DIGITS = 8
 """Significant ones: no record tells more."""
 
-LARGE = 2_500
-"""Tables with more numbers are written in one piece; fifty modes at fifty floors."""
-
 _NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
 """A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""
 
@@ -269,40 +254,20 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
         for line in textwrap.wrap(printable(" ".join(comment.split())), COMMENT_WIDTH, subsequent_indent="  ",
                                   break_long_words=False, break_on_hyphens=False)
     ]  # fmt: skip
-    tables = Inserted()
     # A row of a shape is a line of the file.
     text = _NUMBERS.sub(
         lambda numbers: "[" + ", ".join(numbers[1].replace(",", " ").split()) + "]",
-        escaped(tomli_w.dumps(_plain(declared, tables))),
+        escaped(tomli_w.dumps(_plain(declared))),
     )
-    write_file(path, "".join([*head, "\n" * bool(head), tables.put_into(text)]))
+    write_file(path, "".join([*head, "\n" * bool(head), text]))
 
 
-def _table_of(value: Any) -> np.ndarray[Any, Any] | None:
-    """Return the value as a table, where it is a large one of numbers."""
-    rows = len(value)
-    width = len(value[0]) if rows and isinstance(value[0], list | tuple | np.ndarray) else 0
-    if rows * width < LARGE:
-        return None
-    try:
-        found = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return found if found.ndim == 2 else None
-
-
-def _plain(value: Any, tables: Inserted) -> Any:
-    """Convert the value to Python's own types, numbers rounded; a mark for a large table."""
-    if isinstance(value, Mapping):
-        return {key: _plain(each, tables) for key, each in value.items()}
-    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
-        table = _table_of(value)
-        if table is not None:
-            # Written row by row: number by number takes ten times as long.
-            row = "    [" + ", ".join([f"%.{WRITTEN_DIGITS}g"] * table.shape[1]) + "],\n"
-            return tables.mark("[\n" + "".join(row % tuple(numbers) for numbers in table.tolist()) + "]")
+def _plain(value: Any) -> Any:
+    """Convert the value to Python's own types, numbers rounded."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each, tables) for each in value]
+        return [_plain(each) for each in value]
     return float(f"{value:.{WRITTEN_DIGITS}g}") if isinstance(value, float) else value

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.io.columns import LIMIT, TOO_LARGE, Columns
-from cvxshear.io.inputs import read_bytes
+from cvxshear.io.columns import Columns
+from cvxshear.io.formats import LIMIT, TOO_LARGE, read_bytes
 from cvxshear.util.errors import InputError, optional, printable
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 from cvxshear.util.writing import write_file
@@ -24,13 +24,11 @@ from cvxshear.util.writing import write_file
 if TYPE_CHECKING:
     from cvxshear.records.result import ModalResult
 
-X_TRANSLATION = 1
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
 """Names of the directions 0 to 6; negative ones point the other way."""
-TIME_RESPONSE, FRF = 1, 4
-"""Function types of data set 58."""
-FUNCTION, MODE = 58, 55
-NEEDED = {FUNCTION: ("x", "data", "func_type"), MODE: ("r1", "node_nums")}
+FRF = 4
+"""Function type of frequency response functions in data set 58."""
+NEEDED = {58: ("x", "data", "func_type"), 55: ("r1", "node_nums")}
 """Keys that pyuff returns for a complete data set; for a damaged one it omits some."""
 
 
@@ -56,7 +54,7 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> Columns:
         Where the file cannot be read or its functions have different abscissae, naming the function.
     """
     where = str(path)
-    functions = _sets(Path(path), FUNCTION, limit)
+    functions = _sets(Path(path), 58, limit)
     if not functions:
         raise InputError(f"{where} holds no function (data set 58)")
     axis = np.asarray(functions[0]["x"], dtype=np.float64)
@@ -129,7 +127,7 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
         Where the file cannot be read or holds no mode.
     """
     where = str(path)
-    modes = _sets(Path(path), MODE, LIMIT)
+    modes = _sets(Path(path), 55, LIMIT)
     if not modes:
         raise InputError(f"{where} holds no mode (data set 55)")
     shapes = [np.atleast_1d(item["r1"]).astype(np.complex128) for item in modes]
@@ -141,13 +139,44 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
     return frequencies, damping, np.array(shapes), nodes[0]
 
 
+def read_mode_uff(path: str | Path) -> dict[str, Any]:
+    """Read the modes of a universal file, its nodes 1, 2, ... being the floors.
+
+    Parameters
+    ----------
+    path : str or Path
+        With data sets 55; the x direction is taken, complex shapes are made real on their main axis.
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]].
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or holds no mode.
+    """
+    frequencies, damping, shapes, nodes = read_modes(path)
+    upward, rising = np.argsort(nodes), np.argsort(frequencies)
+    turn = np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=1, keepdims=True)))
+    result: dict[str, Any] = {
+        "measured_floors": nodes[upward].tolist(),
+        "frequencies": frequencies[rising].tolist(),
+        "mode_shapes": (shapes * turn).real[rising][:, upward].tolist(),
+    }
+    if np.any(damping > 0):
+        result["damping_ratios"] = np.where(damping > 0, damping, np.nan)[rising].tolist()
+    return result
+
+
 def load_pyuff() -> Any:
     """Import pyuff, which is optional."""
     return optional("pyuff", "universal files need")
 
 
 def _sets(path: Path, kind: int, limit: float) -> list[Json]:
-    """Read the data sets of one kind, `FUNCTION` or `MODE`."""
+    """Read the data sets of one kind, 58 (functions) or 55 (modes)."""
     where = str(path)
     # pyuff opens the file by its name; that it can be read, and how large it is, is checked here.
     read_bytes(path, limit, TOO_LARGE, named=True)
@@ -169,7 +198,7 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
 
 
 def _name(item: Json, place: int, taken: set[str]) -> str:
-    direction = int(item.get("rsp_dir", X_TRANSLATION))
+    direction = int(item.get("rsp_dir", AXES.index("x")))
     axis = AXES[abs(direction)] if abs(direction) < len(AXES) else f"d{abs(direction)}"
     name = f"{int(item.get('rsp_node', 0))}{axis}{'-' if direction < 0 else ''}"
     return f"{name}#{place}" if name in taken else name

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, open_classes
-from cvxshear.effects.guests import refuse_faulty, refuse_repeated
+from cvxshear.effects.custom_effect_checks import refuse_faulty, refuse_repeated
 from cvxshear.measurement.experiment import ExpectedEffect, Experiment
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
@@ -16,11 +16,8 @@ from cvxshear.loop.posterior import Rival
 from cvxshear.loop.residual import by_floor, by_part
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.results import InJson, Shown, data_frame
+from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,24 +236,6 @@ class LoopResult(Shown):
     def noise(self) -> NoiseEstimate:
         """Estimated noise."""
         return self.estimate.noise
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the masses and stiffnesses of the verdict's set, and the averaged ones, as a table of pandas.
-
-        Returns
-        -------
-        DataFrame
-            One row for each floor: floor, floor_mass_kg, floor_mass_std_kg, story_stiffness_N_per_m (of the story
-            below that floor), story_stiffness_std_N_per_m, and the same four with `averaged_` before their names.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        columns: dict[str, Sequence[object]] = {"floor": range(1, self.experiment.stories + 1), **self.frame.columns}
-        columns |= {f"averaged_{key}": values for key, values in self.averaged.columns.items()}
-        return data_frame(columns)
 
     @property
     def provisional(self) -> bool:

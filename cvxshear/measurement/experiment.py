@@ -13,8 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.measurement.declaration import DAMPING_KINDS, Damping, ExpectedEffect, Frame, Heading, Limits, named_in
-from cvxshear.measurement.static_test import StaticTest
+from cvxshear.measurement.declaration import (
+    DAMPING_KINDS,
+    Damping,
+    ExpectedEffect,
+    Frame,
+    Heading,
+    Limits,
+    StaticTest,
+    named_in,
+)
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES

@@ -1,6 +1,6 @@
 """Recomputation of the paper's printed figures, and a noise study compared with the Cramer-Rao bound."""
 
-from cvxshear.paper.reproduce import Reproduction, reproduce
+from cvxshear.paper.reproduction import Reproduction, reproduce
 from cvxshear.paper.scatter import NoiseStudy, Scatter, noise_study, paper_setups, six_story_study
 from cvxshear.paper.tables import PaperRow, PaperSection
 

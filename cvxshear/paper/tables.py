@@ -16,77 +16,18 @@ import numpy as np
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
-KILO = 1e3
-"""The paper prints stiffnesses in kN/m."""
-
-INITIAL_MASS = {1: (9.5, 7.5, 5.5), 2: (7.5, 7.5, 7.5)}
-"""Initial floor masses of the two cases of Section 5.1, kg."""
-
-PAPER_METHODS = {"two-stage": "present", "qi": "Ref. [23]", "berman": "Ref. [17]"}
-"""Names of the methods: ours, and the paper's."""
-
-ITERATIONS = {1: "14", 2: "16"}
-"""Number of iterations of the present method by case (Section 5.1)."""
-
-_PRINTED = tomllib.loads(resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8"))
-"""Tables of figures, with their contents and units."""
-
-
-
-def _by_case(name: str) -> dict[tuple[str, int], Any]:
-    """Read a table of Section 5 by method and case."""
-    return {(method, int(case)): each for method, cases in _PRINTED[name].items() for case, each in cases.items()}
-
-
-TABLE_1 = {
-    key: {(int(place[0]), int(place[1])): text for place, text in entries.items()}
-    for key, entries in _by_case("table_1").items()
-}
-"""Corrected mass matrices, kg, upper triangle: entry (i, j) by method and case."""
-
-MISPRINT = ("berman", 1, (2, 3))
-"""Method, case and entry of Table 1 that differs from the formula's value."""
-
-TABLE_2 = dict(sorted(_by_case("table_2").items(), key=lambda item: item[0][1]))
-"""Identified story stiffnesses, kN/m, by method and case, the first case first."""
-
-LARGEST_ERRORS = _by_case("largest_errors")
-"""Section 5.1: largest relative errors of the floor masses and of the story stiffnesses, percent."""
-
-PARAMETERS = ("m1", "m2", "m3", "k1", "k2", "k3")
-
-TABLE_3 = {float(sigma): tuple(texts) for sigma, texts in _PRINTED["table_3"].items()}
-"""Errors of the mean value, percent, by standard deviation of the noise, for each of `PARAMETERS`."""
-
-TABLE_3_SAMPLES = 100
-"""Random samples of Table 3 (Section 5.2)."""
-
-FIGURE_6_SIGMA = 0.05
-FIGURE_6 = "about 5"
-"""Coefficient of variation of mass and stiffness at this noise, percent (Section 5.2)."""
-
-STRUCTURES = ("Structure 1", "Structure 2", "Structure 3")
-"""States of the test frame, which differ by their counterweights."""
-
-TABLE_4, TABLE_5, TABLE_6_MASS, TABLE_6_NET_MASS, TABLE_6_STIFFNESS, TABLE_7, TABLE_8 = (
-    {structure: tuple(texts) for structure, texts in _PRINTED[f"table_{name}"].items()}
-    for name in ("4", "5", "6_mass", "6_net_mass", "6_stiffness", "7", "8")
+PRINTED: dict[str, Any] = tomllib.loads(
+    resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8")
 )
-"""Tables of the steel frame by structure, two figures per structure."""
+"""Tables of figures; the file says what each holds, and in which unit."""
 
-TOTAL_NET_MASS = "31.33"
-"""Total mass without counterweights (Section 6), kg."""
-
-NET_MASS_DIFFERENCE = "2.41"
-STIFFNESS_DIFFERENCE = "5.73"
-LARGEST_FREQUENCY_ERROR = "1.72"
-"""Largest differences between the structures, relative to the larger, and largest error of Table 8, percent
-(Section 7)."""
+MISPRINT = ("berman", "1", "23")
+"""Method, case and entry of Table 1 that differs from the formula's value."""
 
 
 def note(name: str, **gaps: object) -> str:
     """Return a note for readers of the recomputed figures."""
-    words: str = _PRINTED["notes"][name]
+    words: str = PRINTED["notes"][name]
     return words.format(**gaps)
 
 

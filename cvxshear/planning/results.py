@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cvxshear.fit.results import UNITS_OF_FRAME
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.chances import Chance
@@ -18,12 +15,9 @@ from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import MeasuredFrequency
 from cvxshear.planning.tested_model import AveragedModel, TestModel
-from cvxshear.util.quantities import column_name, listed
-from cvxshear.util.results import InJson, Shown, data_frame
+from cvxshear.util.quantities import listed
+from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ARBITRARY = 0.01
 """Largest relative difference of best and worst choice that counts as equal; the noise is not known to one percent."""
@@ -226,31 +220,6 @@ class Plan(Shown):
     def frame(self) -> dict[str, object]:
         """Frame of the plan."""
         return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness", "effects", "state")}
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the tests and their expected accuracy as a table of pandas.
-
-        Returns
-        -------
-        DataFrame
-            One row for each floor: floor, sensor (whether it carries one), floor_mass_kg and story_stiffness_N_per_m
-            (of the story below that floor) of the design, their expected standard deviations floor_mass_std_kg and
-            story_stiffness_std_N_per_m, and `added_mass_kg: NAME` for each test.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        design = self.model.design
-        floors = range(1, design.stories + 1)
-        columns: dict[str, Sequence[object]] = {"floor": floors, "sensor": [floor in self.sensors for floor in floors]}
-        for name, std in self.chosen.std.items():
-            unit = UNITS_OF_FRAME[name]
-            columns[column_name(name, unit)] = getattr(design, name).tolist()
-            columns[column_name(f"{name}_std", unit)] = std.tolist()
-        masses = zip(self.names, self.tests, strict=True)
-        return data_frame(columns | {f"added_mass_kg: {name}": mass.tolist() for name, mass in masses})
 
 
 def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:

@@ -5,7 +5,7 @@ residual is a difference of terms and is divided by their sizes; the quotient ha
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -42,8 +42,9 @@ class Certificate(InJson):
     duality_gap : float
         Primal less dual objective.
     error_bound : float or None
-        Largest error of an unknown, relative to its size; None before it is computed. `Solution.errors` has the
-        bounds of all unknowns in their own units.
+        Largest error of an unknown, relative to its size; None before it is computed, and for the closed forms.
+    errors : ndarray, shape (n,), or None
+        Bound on the error of each unknown, in its unit: it lies within this of the exact minimizer.
 
     Notes
     -----
@@ -70,6 +71,7 @@ class Certificate(InJson):
     dual_residual: float
     duality_gap: float
     error_bound: float | None = None
+    errors: Floats | None = field(default=None, compare=False)
 
     @property
     def worst(self) -> float:

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import linalg
 
-from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point, certify
+from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point
 from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import ask
 from cvxshear.util.typing import Floats
 
@@ -20,10 +18,6 @@ if TYPE_CHECKING:
     import cvxpy
     import qpsolvers
     from numpy.typing import DTypeLike
-
-RANK_TOLERANCE = 1e-12
-"""Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
-shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,14 +202,13 @@ class LeastSquares:
                 constraints.append(sign * x[finite] <= sign * bound[finite])
         return cp.Problem(cp.Minimize(cp.sum_squares(R @ x - s)), constraints), x  # type: ignore[attr-defined]  # cvxpy exports it
 
-    @usual_arithmetic
     def kkt(self) -> Solution:
-        r"""Solve the program with its equalities alone, in closed form (Eq. 14).
+        r"""Solve the program with its equalities alone, in closed form (Eq. 14), by the backend "kkt".
 
         .. math:: \begin{bmatrix} P & A' \\ A & 0 \end{bmatrix} \begin{bmatrix} x \\ y \end{bmatrix}
                   = \begin{bmatrix} -q \\ b \end{bmatrix}
 
-        P is not formed: a basis of the null space of A leads to an ordinary least-squares problem in R.
+        P is not formed: QR factorizations of the rows and of A give the solution.
 
         Returns
         -------
@@ -224,39 +217,21 @@ class LeastSquares:
 
         Raises
         ------
-        UnsuitableError
+        NoSolutionError
             If the rows and the equalities do not determine every unknown.
         """
-        without = self.replace(G=None, h=None, lower=None, upper=None)
-        R, s = without.weighted
-        A, b = without.equalities
-        lengths = np.linalg.norm(R, axis=0)
-        unit = 1.0 / np.where(lengths > 0, lengths, 1.0)
-        R, A = R * unit, A * unit
-        particular = np.linalg.lstsq(A, b, rcond=RANK_TOLERANCE)[0]
-        null_space = linalg.null_space(A, rcond=RANK_TOLERANCE) if len(b) else np.eye(self.unknowns)
-        free, _, rank, _ = np.linalg.lstsq(R @ null_space, s - R @ particular, rcond=RANK_TOLERANCE)
-        if rank < null_space.shape[1]:
-            raise UnsuitableError("the rows and the equalities of this program do not determine every unknown")
-        z = particular + null_space @ free
-        y = np.linalg.lstsq(A.T, R.T @ (s - R @ z), rcond=RANK_TOLERANCE)[0]
-        return without._solved(Point(unit * z, np.asarray(y, dtype=np.float64), np.zeros(0)), "kkt")
+        return self.replace(G=None, h=None, lower=None, upper=None).solve("kkt")
 
-    @usual_arithmetic
     def normal_equations(self) -> Solution:
         """Solve the program without any constraint, R'W²R x = R'W²s (Eqs. 10 and 24), by a QR factorization of W R.
 
         Raises
         ------
-        UnsuitableError
+        NoSolutionError
             If the rows do not determine every unknown.
         """
         found = self.replace(A=None, b=None).kkt()
         return dataclasses.replace(found, requested="normal equations", backend="normal equations")
-
-    def _solved(self, point: Point, method: str) -> Solution:
-        """Wrap the answer of a closed form."""
-        return Solution(self, point, certify(Assembled(self), point), requested=method, backend=method)
 
     @usual_arithmetic
     def solve(self, backend: str | Any = "auto", **options: Any) -> Solution:
@@ -304,8 +279,6 @@ class Solution:
         Why `backend` is not `requested`; None if it is.
     acceptance : Acceptance
         Whether the solver's answer was accepted as given, polished or replaced.
-    errors : ndarray, shape (n,), optional
-        Bound on the error of each unknown, in its unit: x lies within these of the exact minimizer.
     status : str
         The solver's own status.
     iterations : int or None
@@ -321,7 +294,6 @@ class Solution:
     backend: str
     replaced: str | None = None
     acceptance: Acceptance = Acceptance.AS_GIVEN
-    errors: Floats | None = None
     status: str = "closed form"
     iterations: int | None = None
     seconds: float = 0.0
@@ -330,6 +302,11 @@ class Solution:
     def x(self) -> Floats:
         """The unknowns, shape (n,)."""
         return self.point.x
+
+    @property
+    def errors(self) -> Floats | None:
+        """Bound on the error of each unknown, shape (n,), in its unit; None for the closed forms."""
+        return self.certificate.errors
 
     @property
     def objective(self) -> float:

@@ -1,7 +1,7 @@
-"""Write files for other programs: the frame as matrices, a script or a spreadsheet; time series as columns."""
+"""Write files for other programs: tables as sheets, the frame as matrices or a script, time series as columns."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib import resources
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -9,19 +9,33 @@ from pathlib import Path
 import numpy as np
 from scipy import io
 
-from cvxshear.data import Deviation
-from cvxshear.fit.misfit import Misfit
-from cvxshear.io.spreadsheets import Cell, Sheet, workbook
-from cvxshear.io.uff import load_pyuff, universal_file
-from cvxshear.report.describe.consequences import MODELS
-from cvxshear.response import Fitted, Reconstruction, RecordPrediction, Response
+from cvxshear.io.spreadsheets import Sheet
+from cvxshear.report.describe import describe
+from cvxshear.response import Reconstruction, RecordPrediction, Response
 from cvxshear.response.damped import DampedModel
 from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.results import as_json
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, json_text, write_file
+
+
+def sheets_of(*results: object) -> list[Sheet]:
+    """Convert the tables of results to sheets of a spreadsheet program.
+
+    Parameters
+    ----------
+    *results : object
+        Results of a type that `describe` supports.
+    """
+    sheets = []
+    for result in results:
+        for each in describe(result).data:
+            columns = [(column.spelled(name), values) for column in each.columns for name, values in column.exported]
+            rows = list(zip(*(values for _, values in columns), strict=True))
+            sheets.append(Sheet(each.key, tuple(header for header, _ in columns), rows))
+    return sheets
 
 
 def write_model(path: str | Path, result: RecordPrediction) -> None:
@@ -31,14 +45,13 @@ def write_model(path: str | Path, result: RecordPrediction) -> None:
     ----------
     path : str or Path
         Ending in .npz, .mat or .json: matrices, modes and state-space form by the names of
-        `matrices`; .py: a script for OpenSeesPy; .xlsx: masses, stiffnesses, their standard
-        deviations, effects and residuals. A device receives JSON.
+        `matrices`; .py: a script for OpenSeesPy. A device receives JSON.
     result : RecordPrediction
 
     Raises
     ------
     InputError
-        If the ending is unknown, openpyxl is missing for .xlsx, or the file cannot be written.
+        If the ending is unknown, or the file cannot be written.
     UnsuitableError
         If OpenSees cannot represent the frame.
     """
@@ -66,68 +79,6 @@ def _mat(arrays: dict[str, Floats]) -> bytes:
     return out.getvalue()
 
 
-def _sheets(result: RecordPrediction) -> Iterator[Sheet]:
-    fitted = result.after.fitted
-    n = fitted.experiment.stories
-    std = _std(fitted)
-    unknown = np.full(n, np.nan)
-    dashpots = (result.damping.story_dashpot, result.damping.story_dashpot_std)
-    columns = [each[at : at + n] for at in (0, n) for each in (fitted.theta, std)]
-    columns += [unknown if each is None else each for each in dashpots]
-    header = ("floor / story", "mass, kg", "std", "stiffness, N/m", "std", "dashpot, N s/m", "std")
-    rows = [(place, *row) for place, row in enumerate(np.column_stack(columns).tolist(), 1)]
-    yield Sheet("frame", header, rows)
-    yield _effects(fitted, std)
-    yield _modes(result)
-    yield _residuals(result)
-
-
-def _std(fitted: Fitted) -> Floats:
-    """Return the standard deviations of all parameters; nan if unknown or undetermined."""
-    if fitted.covariance is None:
-        return np.full(len(fitted.theta), np.nan)
-    return np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
-
-
-def _effects(fitted: Fitted, std: Floats) -> Sheet:
-    n = 2 * fitted.experiment.stories
-    named = [(placed.label, each.name, each.unit) for placed in fitted.effects for each in placed.effect.parameters]
-    values = zip(fitted.theta[n:].tolist(), std[n:].tolist(), strict=False)
-    rows: list[tuple[Cell, ...]] = [(*words, *numbers) for words, numbers in zip(named, values, strict=False)]
-    return Sheet("effects", ("effect", "parameter", "unit", "value", "std"), rows)
-
-
-def _modes(result: RecordPrediction) -> Sheet:
-    model = result.after.damped.model
-    n = len(model.M)
-    header = ("mode", "frequency, Hz", "damping ratio", "std", *(f"shape at floor {i + 1}" for i in range(n)))
-    damping = result.damping
-    table = np.column_stack([model.modes.frequencies, damping.ratios, damping.ratios_std, model.modes.shapes])
-    rows = [(mode, *row) for mode, row in enumerate(table[:n].tolist(), 1)]
-    return Sheet("modes", header, rows)
-
-
-def _residuals(result: RecordPrediction) -> Sheet:
-    """Tabulate the error of each part of the measurement, relative and in standard deviations, for each model."""
-    sides = [side.fitted for side in (result.before, result.after) if side is not None]
-    words = MODELS if len(sides) == len(MODELS) else MODELS[bool(result.after.fitted.effects) :][:1]
-    measures = ["relative error", "standard deviations off"]
-    header = ("configuration", "part", "quantity", *(f"{measure}, {word}" for measure in measures for word in words))
-    rows: list[tuple[Cell, ...]] = []
-    for parts in zip(*map(_parts, sides), strict=True):
-        what = parts[0].noise.replace("_", " ")
-        numbers = [*(part.error for part in parts), *(part.deviations for part in parts)]
-        rows.append((parts[0].configuration, parts[0].place, what, *numbers))
-    return Sheet("residuals", header, rows)
-
-
-def _parts(fitted: Fitted) -> list[Deviation]:
-    """Describe the residual of each part of every datum."""
-    misfit = Misfit(fitted.experiment, fitted.effects)
-    models = {id(model.state.tested): model for model in misfit.evaluate(fitted.theta, derivatives=False).models}
-    return [part for datum in misfit.data for part in datum.describe(models[id(datum.tested)])]
-
-
 MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     "npz": lambda result: _npz(matrices(result.after.damped)),
     "mat": lambda result: _mat(matrices(result.after.damped)),
@@ -135,7 +86,6 @@ MODEL_WRITERS: dict[str, Callable[[RecordPrediction], str | bytes]] = {
     "py": lambda result: opensees_script(
         result.after.damped, f"{result.after.fitted.experiment.name}, {result.configuration.name}"
     ),
-    "xlsx": lambda result: workbook(_sheets(result)),
 }
 """Writers of a model by the ending of the file."""
 
@@ -223,11 +173,6 @@ def _links(matrix: Floats) -> list[tuple[int, int, float]]:
     return [link for link in (*ground, *between) if abs(link[2]) > 1e-12 * np.abs(matrix).max()]
 
 
-TIME_HISTORY, ALONG_X = 1, 1
-ACCELERATION, DISPLACEMENT, EXCITATION_FORCE = 12, 8, 13
-"""Numbers of universal files: function type, direction, and kinds of ordinate."""
-
-
 COLUMN_NAMES = {name: quantity.word.replace(" ", "_") for name, quantity in RESPONSES.items()}
 """Names of the columns by quantity; the columns of floor or story 1 end in `_1`."""
 
@@ -280,13 +225,13 @@ def write_series(path: str | Path, result: Moved) -> None:
     Parameters
     ----------
     path : str or Path
-        Ending in .csv, .mat, .npz or .uff; a device receives CSV.
+        Ending in .csv, .mat or .npz; a device receives CSV.
     result : RecordPrediction or Reconstruction
 
     Raises
     ------
     InputError
-        If the ending is unknown, pyuff is missing for .uff, or the file cannot be written.
+        If the ending is unknown, or the file cannot be written.
     """
     write_file(path, SERIES_WRITERS[series_kind(path)](result))
 
@@ -316,38 +261,9 @@ def _driven(result: Moved) -> str:
     return (result.recording if isinstance(result, Reconstruction) else result.motion).input
 
 
-def _uff(result: Moved) -> bytes:
-    """Write excitation, accelerations, displacements, drifts and story shears as data sets 58, one node a floor."""
-    pyuff = load_pyuff()
-    sets: list[Json] = []
-    forced = _driven(result) == "force"
-    driven, kind_of_drive = ("force", EXCITATION_FORCE) if forced else ("base acceleration", ACCELERATION)
-    for run, (excitation, response, _) in enumerate(_runs(result), 1):
-        sets.append(_function(pyuff, f"{driven}, run {run}", kind_of_drive, 0, response.time, excitation))
-        for name, kind, values in (
-            ("acceleration", ACCELERATION, response.acceleration),
-            ("displacement", DISPLACEMENT, response.displacement),
-            ("drift", DISPLACEMENT, response.drift),
-            ("story shear", EXCITATION_FORCE, response.story_shear),
-        ):
-            for floor, history in enumerate(() if values is None else values.T, 1):
-                sets.append(_function(pyuff, f"{name}, run {run}", kind, floor, response.time, history))
-    return universal_file(sets)
-
-
-def _function(pyuff: object, name: str, kind: int, floor: int, time: Floats, values: Floats) -> Json:
-    made: Json = pyuff.prepare_58(  # type: ignore[attr-defined]  # pyuff has no types
-        binary=0, func_type=TIME_HISTORY, rsp_node=floor, rsp_dir=ALONG_X, ref_node=0, ref_dir=ALONG_X,
-        data=values, x=time, id1=(f"{name}, floor {floor}" if floor else name)[:80], rsp_ent_name="floor",
-        ref_ent_name="ground",
-        abscissa_spacing=1, abscissa_min=0.0, abscissa_inc=float(time[1] - time[0]), num_pts=len(values),
-        ord_data_type=4, abscissa_spec_data_type=17, ordinate_spec_data_type=kind, orddenom_spec_data_type=0,
-        z_axis_spec_data_type=0,
-    )  # fmt: skip
-    return made
-
-
 SERIES_WRITERS: dict[str, Callable[[Moved], bytes]] = {
-    "csv": _csv, "mat": lambda result: _mat(series(result)), "npz": lambda result: _npz(series(result)), "uff": _uff,
-}  # fmt: skip
+    "csv": _csv,
+    "mat": lambda result: _mat(series(result)),
+    "npz": lambda result: _npz(series(result)),
+}
 """Writers of time series by the ending of the file."""

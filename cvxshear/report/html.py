@@ -2,27 +2,96 @@
 
 import base64
 import dataclasses
-from collections.abc import Sequence
+import platform
+from collections.abc import Iterator, Sequence
+from functools import cache
+from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from cvxshear.backends import Comparison
 from cvxshear.fit.identification import compare_backends
-from cvxshear.io.inputs import read_bytes
+from cvxshear.io.formats import read_bytes
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.declaration import Heading
 from cvxshear.records import ModalResult
-from cvxshear.report.describe import Sentence, Table, describe
+from cvxshear.report.describe import PAGE_COLUMNS, Sentence, Table, describe
 from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
-from cvxshear.report.figures.drawn_frame import elevations
-from cvxshear.report.pages import drawings, environment, readable_json, versions
 from cvxshear.response import Reconstruction, RecordPrediction
-from cvxshear.util.errors import InputError
+from cvxshear.util.errors import InputError, printable
 from cvxshear.util.quantities import AUTOMATIC, Units, capital
 from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
+from cvxshear.util.writing import json_text
+from cvxshear.version import __version__
+
+PACKAGES = (
+    "numpy", "scipy", "qpsolvers", "clarabel", "cvxpy", "osqp", "scs", "highspy", "piqp", "proxsuite", "quadprog",
+    "daqp",
+)  # fmt: skip
+"""Packages that may compute the numbers of a report; the report lists their versions."""
+
+
+@cache
+def environment() -> Environment:
+    """Load the templates of the reports."""
+    # Every text is escaped in every template: names and priors come from files.
+    found = Environment(
+        loader=PackageLoader("cvxshear.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.filters["printable"] = printable
+    return found
+
+
+def drawings(*results: Any) -> dict[str, Json]:
+    """Draw all figures that apply to these results, by name.
+
+    Parameters
+    ----------
+    *results : object
+        Results of one type; most figures show one result.
+
+    Returns
+    -------
+    dict of str to dict
+        `name`, `title`, `caption`, `alternative` and `section` as in the table of figures; `wide`, the drawing as SVG;
+        `narrow`, the drawing for a telephone, or None if the telephone scrolls the wide drawing.
+    """
+    # Imported here, because a notebook shows tables without matplotlib.
+    from cvxshear.report.figures import style  # noqa: PLC0415
+
+    found = {}
+    for entry in style.applicable(*results):
+        # matplotlib has escaped the texts in a drawing.
+        wide, narrow = Markup(style.inline_svg(entry.draw(*results), entry.name)), None
+        if entry.narrow:
+            with style.for_narrow_page():
+                narrow = Markup(style.inline_svg(entry.draw(*results), f"{entry.name}-narrow"))
+        words = {"caption": entry.caption_of(*results), "alternative": entry.alternative_of(*results)}
+        place = {"name": entry.name, "title": entry.title, "section": entry.section}
+        found[entry.name] = {**place, **words, "wide": wide, "narrow": narrow}
+    return found
+
+
+def versions() -> Iterator[tuple[str, str]]:
+    """Yield names and versions of the packages that computed the result."""
+    yield "cvxshear", __version__
+    yield "Python", platform.python_version()
+    for name in PACKAGES:
+        try:
+            yield name, metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+
 
 PHOTOGRAPHS = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}
 """First bytes of the allowed picture files, and the name of each file type in a page."""
@@ -64,7 +133,7 @@ def render(
         comparison = compare_backends(result.experiment, repeats=1)
     page = environment().get_template("report.html")
     beside = None if prediction is None else _response_contents(prediction)
-    drawn = {**drawings(comparison), **drawings(result)}
+    drawn = drawings(result)
     if beside is not None:
         drawn |= beside["figure"]
     document = describe(result, units)
@@ -82,8 +151,8 @@ def render(
         motion=moving_shapes(result),
         versions=list(versions()),
         command=command,
-        experiment_json=readable_json(as_json(result.experiment)),
-        result_json=readable_json(result.to_dict()),
+        experiment_json=json_text(as_json(result.experiment), indent=1),
+        result_json=json_text(result.to_dict(), indent=1),
         beside=beside,
     )
 
@@ -117,11 +186,7 @@ def render_response(result: RecordPrediction | Reconstruction, command: str) -> 
 def _response_contents(result: RecordPrediction | Reconstruction) -> Json:
     """Collect the values that the templates need for a page or a section about a response."""
     drawn = {name: {**each, "section": f"predicted-{each['section']}"} for name, each in drawings(result).items()}
-    return {"prediction": describe(result), "prediction_json": readable_json(result.to_dict()), "figure": drawn}
-
-
-MOST_SHAPES = 4
-"""Number of mode shapes in one row of the page; the next rows show more."""
+    return {"prediction": describe(result), "prediction_json": json_text(result.to_dict(), indent=1), "figure": drawn}
 
 
 def render_modes(results: Sequence[ModalResult], command: str, failed: Sequence[str] = ()) -> str:
@@ -141,7 +206,7 @@ def render_modes(results: Sequence[ModalResult], command: str, failed: Sequence[
         failed=list(failed),
         command=command,
         versions=list(versions()),
-        result_json=readable_json([result.to_dict() for result in results]),
+        result_json=json_text([result.to_dict() for result in results], indent=1),
         figure=drawings(*results),
     )
 
@@ -152,7 +217,7 @@ def _record(result: ModalResult, place: int) -> Json:
     tables: list[Table] = []
     for part in parts:
         if isinstance(part, Table):
-            tables += part.folded(MOST_SHAPES) if part.key == "identified-shapes" else (part,)
+            tables += part.folded(PAGE_COLUMNS) if part.key == "identified-shapes" else (part,)
     named = [dataclasses.replace(table, key=f"{table.key}-{place}") for table in tables]
     return {"name": result.name, "how": how, "tables": named, "findings": result.findings}
 
@@ -160,17 +225,15 @@ def _record(result: ModalResult, place: int) -> Json:
 MOST_MODES = 6
 """Number of modes of a configuration that are animated, from the lowest."""
 
-ROOF_HEIGHT, GROUND_HEIGHT = 12.0, 158.0
-"""Vertical positions of the roof and the ground in the drawing of a mode, from its top, as in the template."""
-
 MovingShape = tuple[str, list[tuple[float, float]]]
-"""Label of a mode, and for the ground and each floor the sway (largest value 1) and the height in the drawing."""
+"""Label of a mode, and for the ground and each floor the sway (largest value 1) and the height (roof 1)."""
 
 
 def moving_shapes(result: LoopResult) -> list[tuple[str, list[MovingShape]]]:
     """List the lowest modes of the final model, by configuration."""
-    z, _ = elevations(result.experiment)
-    heights = (GROUND_HEIGHT - (GROUND_HEIGHT - ROOF_HEIGHT) * np.concatenate([[0.0], z]) / z[-1]).round(2).tolist()
+    declared = result.experiment.frame.elevations
+    z = np.arange(1.0, result.experiment.stories + 1) if declared is None else declared
+    heights = (np.concatenate([[0.0], z]) / z[-1]).round(4).tolist()
     return [
         (found.configuration, [
             (f"mode {mode}: {frequency:.4g} Hz", list(zip([0.0, *sway.round(4).tolist()], heights, strict=True)))

@@ -5,29 +5,22 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import takewhile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table as Grid
 from rich.text import Text
 
-from cvxshear.backends import Solver
-from cvxshear.data import noise_kinds
-from cvxshear.effects import catalogue
-from cvxshear.fit.results import Identification
-from cvxshear.loop import VERDICTS
-from cvxshear.records import ModalResult
-from cvxshear.report.describe import Facts, Points, Row, Section, Sentence, Table, describe, line
-from cvxshear.report.describe.from_records import doubts_section, poles_table
-from cvxshear.report.describe.identified import damping_section
-from cvxshear.report.describe.vocabulary import plain_rows
-from cvxshear.response import IdentifiedDamping
-from cvxshear.screening import FileFinding
-from cvxshear.util.errors import printable
-from cvxshear.util.quantities import AUTOMATIC, Units
+from cvxshear.report.describe import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
+from cvxshear.util.errors import UnsuitableError, printable
+from cvxshear.util.quantities import AUTOMATIC, Units, column_name
+from cvxshear.util.results import data_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COLUMN_GAP = 2
 """Number of spaces between columns."""
@@ -52,8 +45,10 @@ class HouseTable:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         if self.found.title:
             yield Text(printable(self.found.title), style="bold")
-        rows = (row.cells for row in self.found.rows)
-        columns = [[printable(cell) for cell in column] for column in zip(self.found.head, *rows, strict=True)]
+        rows, opened = self.found.rows, self.found.opened
+        if opened < len(rows):
+            rows = (*rows[:opened], (f"and {len(rows) - opened} more", *([""] * (len(self.found.head) - 1))))
+        columns = [[printable(cell) for cell in cells] for cells in zip(self.found.head, *rows, strict=True)]
         least = [_least(column, at in self.found.words) for at, column in enumerate(columns)]
         for place, block in enumerate(self._blocks(least, options.max_width)):
             if place:
@@ -74,8 +69,7 @@ class HouseTable:
     def _grid(self, columns: Mapping[int, Sequence[str]], least: Sequence[int], width: int) -> Grid:
         """Lay out some of the columns; columns of numbers keep their full width."""
         # If rich must wrap headers, it ignores least widths, makes all columns equal and cuts wide cells. The columns
-        # of
-        # numbers therefore get a fixed width, and the columns of words get the rest.
+        # of numbers therefore get a fixed width, and the columns of words get the rest.
         tight = sum(max(map(cell_len, cells)) + COLUMN_GAP for cells in columns.values()) > width + COLUMN_GAP
         grid = Grid(box=None, pad_edge=False, padding=(0, COLUMN_GAP, 0, 0))
         for at, (head, *_) in columns.items():
@@ -98,7 +92,7 @@ def plain_table(
     title: str, *columns: str, words: tuple[int, ...] = (0,), rows: Iterable[Sequence[str]] = ()
 ) -> HouseTable:
     """Lay out a table in the house style: words to the left, numbers to the right, no box."""
-    return HouseTable(Table("", title, columns, plain_rows(rows), words))
+    return HouseTable(table_of_rows("", title, columns, rows, words=words))
 
 
 STYLES = {"strong": "bold", "warning": "yellow", "mistake": "bold red", "": ""}
@@ -120,58 +114,18 @@ def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
     document = describe(result, units)
     yield Text(printable(document.headline), style="bold")
     for section in document.brief:
-        yield from _section(section)
+        yield from rendered(section)
 
 
-def identification(
-    result: Identification, beside: Identification | None = None, units: Units = AUTOMATIC
-) -> Iterator[RenderableType]:
-    """Render an identification, and the frames of another one for comparison."""
-    yield from shown(result, units)
-    if beside is not None:
-        yield Text(f"\nFor comparison: method {beside.method}, each configuration by itself", style="bold")
-        for section in describe(beside, units).sections:
-            if section.key.startswith("part-"):
-                yield from _section(section)
-
-
-def doubts(found: Sequence[FileFinding]) -> Iterator[RenderableType]:
-    """Render the warnings of a computed result."""
-    yield from _section(doubts_section(found))
-
-
-def poles(results: Sequence[ModalResult]) -> Iterator[RenderableType]:
-    """Tabulate the numbered poles of each record, to choose modes from by hand."""
-    return (_table(poles_table(result)) for result in results)
-
-
-def damping(found: IdentifiedDamping) -> Iterator[RenderableType]:
-    """Render the damping of a frame below the frame itself."""
-    yield from _section(damping_section(found))
-
-
-def listed_backends(listed: Sequence[Solver]) -> Iterator[RenderableType]:
-    """Tabulate the installed backends with the version of their solver, and the way to install the others."""
-    there = [(x.name, x.package or "this library", x.version or "–", x.through or "–") for x in listed if x.installed]
-    yield plain_table("installed", "backend", "solver", "version", "called by", rows=there)
-    if missing := [(each.name, each.how_to_get) for each in listed if not each.installed]:
+def rendered(section: Section) -> Iterator[RenderableType]:
+    """Render a section of a description."""
+    if section.title:
         yield Text("")
-        yield plain_table("not installed", "backend", "how to get it", words=(0, 1), rows=missing)
-
-
-def catalogued() -> Iterator[RenderableType]:
-    """Tabulate the catalogue of effects, the kinds of data with their noise, and the verdicts."""
-    yield plain_table("Effects", "name", "what it is", words=(0, 1), rows=((x.name, x.summary) for x in catalogue()))
-    kinds = []
-    for kind in noise_kinds().values():
-        (usual, most), unit = kind.sized(1.0, kind.largest / kind.default)
-        kinds.append((kind.plural, f"{usual:g} {unit}", f"{most:g} {unit}", kind.reason))
-    yield Text("")
-    head = ("kind", "std where none is declared", "largest std", "why")
-    yield plain_table("Kinds of data", *head, words=(0, 3), rows=kinds)
-    yield Text("")
-    verdicts = ((x.name, x.sentence) for x in VERDICTS.values())
-    yield plain_table("Verdicts", "name", "what it means", words=(0, 1), rows=verdicts)
+        yield Text(printable(section.title), style="bold underline")
+    for place, part in enumerate(section.parts):
+        if place and isinstance(part, Table):
+            yield Text("")
+        yield _part(part)
 
 
 def text(result: object, width: int = PAGE) -> str:
@@ -187,16 +141,6 @@ def text(result: object, width: int = PAGE) -> str:
     return "\n".join(each.rstrip() for each in captured.get().splitlines())
 
 
-def _section(section: Section) -> Iterator[RenderableType]:
-    if section.title:
-        yield Text("")
-        yield Text(printable(section.title), style="bold underline")
-    for place, part in enumerate(section.parts):
-        if place and isinstance(part, Table):
-            yield Text("")
-        yield _part(part)
-
-
 def _part(part: Sentence | Points | Facts | Table) -> RenderableType:
     if isinstance(part, Sentence):
         return Text(printable(part.text), style=STYLES[part.tone])
@@ -204,7 +148,7 @@ def _part(part: Sentence | Points | Facts | Table) -> RenderableType:
         return _grid([("-", each) for each in part.texts], 1)
     if isinstance(part, Facts):
         return _grid(part.pairs, 2)
-    return _table(part)
+    return HouseTable(part)
 
 
 def _grid(pairs: Iterator[tuple[str, str]] | list[tuple[str, str]] | tuple[tuple[str, str], ...], gap: int) -> Grid:
@@ -217,16 +161,25 @@ def _grid(pairs: Iterator[tuple[str, str]] | list[tuple[str, str]] | tuple[tuple
     return grid
 
 
-def _table(found: Table) -> RenderableType:
-    if found.brief is None or len(found.rows) <= found.brief + 1:
-        return HouseTable(found)
-    more = Row((f"and {len(found.rows) - found.brief} more", *([""] * (len(found.head) - 1))))
-    return HouseTable(replace(found, rows=(*found.rows[: found.brief], more)))
-
-
 def line_of(result: object) -> str:
     """Write a result in one short line."""
     return printable(line(result))
+
+
+def data_frame_of(result: object) -> pd.DataFrame:
+    """Convert the main table of a result to a table of pandas.
+
+    Raises
+    ------
+    InputError
+        If the result has no table for programs, or pandas is not installed.
+    """
+    tables = describe(result).data
+    if not tables:
+        raise UnsuitableError(f"a {type(result).__name__} has no table of numbers; to_dict() returns its values")
+    found = {column_name(name, column.unit): values for column in tables[0].columns for name, values in column.exported}
+    made = data_frame(found)
+    return made.set_index(next(iter(found))) if tables[0].indexed else made
 
 
 FIRST_SECTION = "verdict"
@@ -235,15 +188,14 @@ FIRST_SECTION = "verdict"
 
 def notebook_html(result: object) -> str:
     """Write a result as a piece of HTML: the figure of its verdict, if any, and its tables."""
-    from cvxshear.report.pages import environment  # noqa: PLC0415 - jinja2 is loaded where a page is made
+    from cvxshear.report.html import environment  # noqa: PLC0415 - jinja2 is loaded where a page is made
 
     return environment().get_template("notebook.html").render(document=describe(result), pictures=_pictures(result))
 
 
 def _pictures(result: object) -> list[tuple[str, str]]:
     """Draw a result's figures as PNG with their alternative texts: ids of several SVGs in a notebook would clash."""
-    from cvxshear.report.figures.figure_table import applicable  # noqa: PLC0415 - loads matplotlib
-    from cvxshear.report.figures.style import encoded  # noqa: PLC0415
+    from cvxshear.report.figures.style import applicable, encoded  # noqa: PLC0415 - loads matplotlib
 
     return [
         (entry.alternative_of(result), base64.b64encode(encoded(entry.draw(result), "png")).decode())
@@ -262,6 +214,6 @@ def drawn(result: Any, name: str) -> Any:
 
 def picked(result: Any, record_file: Any) -> Any:
     """Open the stabilization diagram, in which a click chooses a pole."""
-    from cvxshear.report.figures import picked_poles  # noqa: PLC0415 - loads matplotlib
+    from cvxshear.report.figures.frequency_figures import opened  # noqa: PLC0415 - loads matplotlib
 
-    return picked_poles.opened(result, record_file)
+    return opened(result, record_file)

@@ -2,11 +2,12 @@
 
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response.compare import RecordComparison
-from cvxshear.response.damped import DampedModel, Response, response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra
 from cvxshear.response.predicted import ModelResponse, RecordPrediction, predict
 from cvxshear.response.reconstruction import Reconstruction, reconstruct
 from cvxshear.response.sources import Fitted, Models, models_of_loop
+from cvxshear.response.state_space import Response, response
 from cvxshear.response.uncertain import IdentifiedDamping, damping_of
 
 __all__ = [

@@ -13,7 +13,8 @@ import numpy as np
 import scipy
 
 from cvxshear.records.motion import DrivenRecord
-from cvxshear.response.damped import DampedModel, Response
+from cvxshear.response.damped import DampedModel
+from cvxshear.response.state_space import Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints

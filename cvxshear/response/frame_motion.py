@@ -7,7 +7,7 @@ along the directions that change the motion most.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,22 +15,13 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.records.motion import DrivenRun
-from cvxshear.response.damped import DampedModel, Response, response
-from cvxshear.response.dynamics import SHORT, Noise, Setting, dynamics, dynamics_slopes, outputs_of
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior
-from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, SIDE_BY_SIDE, PredictionErrors, Segment
+from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
-from cvxshear.response.smoother import (
-    SWEPT_AT_ONCE,
-    Observed,
-    Piece,
-    Smoothed,
-    Steady,
-    settled_slopes,
-    settled_states,
-    smooth,
-)
+from cvxshear.response.smoother import Observed, Piece, Smoothed, settled_states, smooth
+from cvxshear.response.state_space import Dynamics, Filter, Noise, Response, Setting, dynamics, response
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util import ranking
@@ -258,8 +249,7 @@ class FrameMotion:
             std = found.output_std
             np.square(std, out=std)
             for sides in directions.sides:
-                for part, moved in self.moved_by(sides, noise, run, found):
-                    std[part] += directions.allowance * moved**2
+                std += directions.allowance * self.moved_by(sides, noise, run, found) ** 2
             np.sqrt(std, out=std)
             std *= wider
             moved = rows.of(found.states, run.drive)
@@ -283,33 +273,26 @@ class FrameMotion:
             )
         return result
 
-    def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Iterator[tuple[slice, Floats]]:
-        """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs).
-
-        The parts of the run follow one after the other.
-        """
+    def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Floats:
+        """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
         systems = [dynamics(model, noise, self.setting) for model in sides[:2]]
         of_run = run.drive, found.completed, found.states[0], self.pieces(run)
-        states = [settled_states(system, *of_run) for system in systems]
-        for first in range(0, len(run.drive), SWEPT_AT_ONCE):
-            part = slice(first, first + SWEPT_AT_ONCE)
-            there, back = (
-                system.outputs.of(own[part], run.drive[part]) for system, own in zip(systems, states, strict=True)
-            )
-            yield part, 0.5 * sides[2] * (there - back)
+        there, back = (system.outputs.of(settled_states(system, *of_run), run.drive) for system in systems)
+        return 0.5 * sides[2] * (there - back)
 
     def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> FrameDirections:
         """Find the directions of the frame's uncertainty that change its motion most, one standard deviation long."""
         frame = fitted.errors.frame
         values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
         own = vectors * np.sqrt(np.maximum(values, 0.0))
-        noise = fitted.errors.noise_at(fitted.p)
+        noise, setting = fitted.errors.noise_at(fitted.p), self.setting
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
         part = run.strongest(PROBED_SAMPLES)
-        filtered = Steady.of(fitted.errors.dynamics(fitted.p).seen_by(run.channels))
+        system = fitted.errors.dynamics(fitted.p)
         # Starting at rest in the middle of the motion would give other directions.
+        filtered = Filter.settled(system.seen_by(run.channels))
         start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
-        excitation, y = run.excitation[part], run.seen[part]
+        probed = run.excitation[part], run.y[part], start, [(slice(0, part.stop - part.start), run.channels)]
 
         def model_at(weights: Floats, size: float) -> DampedModel:
             p = fitted.p.copy()
@@ -319,21 +302,13 @@ class FrameMotion:
         def either_side(weights: Floats, size: float) -> tuple[DampedModel, DampedModel]:
             return model_at(weights, size), model_at(weights, -size)
 
-        near = [_with_modes(partial(model_at, row), NEAR_STD) for row in np.eye(len(own))]
-        sizes = np.array([size for _, size in near])
-        rates = dynamics_slopes((fitted.model, noise), [(model, noise) for model, _ in near], sizes, self.setting)
-        rates |= {name: rates[name][:, run.channels] for name in ("H", "direct")}
-        outputs, parts = filtered.model.outputs, []
-        for first in range(0, len(near), SIDE_BY_SIDE):
-            beside = slice(first, first + SIDE_BY_SIDE)
-            some = {name: each[beside] for name, each in rates.items()}
-            states, moved = settled_slopes(filtered, some, excitation, y, start)
-            centre = outputs.of(states, excitation)
-            scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-            for (model, size), turned in zip(near[beside], moved.swapaxes(0, 1), strict=True):
-                other = outputs_of(model, noise, self.setting).of(states, excitation)
-                parts.append((((other - centre) / size + turned @ outputs.rows.T) / scale).astype(SHORT))
-        slopes = np.array(parts)
+        def moved(system: Dynamics) -> Floats:
+            return system.outputs.of(settled_states(system, *probed), run.excitation[part])
+
+        centre = moved(system)
+        scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
+        near = (_with_modes(partial(model_at, row), NEAR_STD) for row in np.eye(len(own)))
+        slopes = np.array([(moved(dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near])
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
         order = ranking.order(strength)

@@ -16,14 +16,13 @@ expected curvature (Fisher scoring), so that a Gauss-Newton step stays one least
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.response.damped import DampedModel
-from cvxshear.response.dynamics import BLOCK, SHORT, Dynamics, Noise, Setting, doubled, dynamics, dynamics_slopes
-from cvxshear.response.smoother import SWEPT_AT_ONCE, Steady
+from cvxshear.response.state_space import ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
 from cvxshear.response.varied_frame import GAIN_UNIT, VariedFrame
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats
@@ -72,11 +71,8 @@ middle bound."""
 DIFFERENCE = 1e-5
 """Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5."""
 
-SIDE_BY_SIDE = 32
-"""Number of derivatives in one pass of the filter. Fewer take longer; more need more memory."""
-
-LOST_DIGITS = 1e-13
-"""Relative rounding error of a sum of squares for a hundred unknowns."""
+MOVED_AT_ONCE = 512
+"""Samples for which derivatives of the state are in memory at once: some twenty megabytes for twenty stories."""
 
 SCORE_PERIODS = 1.0
 """Length of the blocks in which scores are summed, in fundamental periods: the correlation time of model errors."""
@@ -238,13 +234,13 @@ class PredictionErrors:
         root: Floats = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         return root * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
 
-    def _filtered(self, p: Floats) -> list[tuple[Steady, list[Segment]]]:
+    def _filtered(self, p: Floats) -> list[tuple[Filter, list[Segment]]]:
         """Settle the filter of each set of sensors; return the filter with the segments that this set recorded."""
         model = self.dynamics(p)
         sets: dict[bytes, list[Segment]] = {}
         for run in self.stretches:
             sets.setdefault(run.channels.tobytes(), []).append(run)
-        return [(Steady.of(model.seen_by(runs[0].channels)), runs) for runs in sets.values()]
+        return [(Filter.settled(model.seen_by(runs[0].channels)), runs) for runs in sets.values()]
 
     def model(self, p: Floats) -> DampedModel:
         """Return the frame at these unknowns."""
@@ -311,7 +307,7 @@ class PredictionErrors:
         parts = self._rows(p, along.columns)
         products = _products(parts)
         # Directions that the record cannot distinguish keep a pivot of the size of rounding.
-        np.fill_diagonal(products, (1.0 + LOST_DIGITS) * products.diagonal() + np.finfo(np.float64).tiny)
+        np.fill_diagonal(products, (1.0 + len(products) * ROUNDING) * products.diagonal() + np.finfo(np.float64).tiny)
         whole = np.asarray(np.linalg.cholesky(products), dtype=np.float64).T
         frame = along.columns.shape[1] - (self.size - self.frame.stop)
         return Likelihood(whole[:-1, :-1] @ along.rows, whole[:-1, -1], self._inflation(parts, frame))
@@ -319,46 +315,13 @@ class PredictionErrors:
     def _rows(self, p: Floats, columns: Floats) -> list[_Rows]:
         """Return the residuals and their derivatives along some directions."""
         sizes = DIFFERENCE / np.maximum(1.0, np.max(np.abs(columns), axis=0))
-        moved = p + sizes[:, None] * columns.T
-        beside = [(self.model(each), self.noise_at(each)) for each in moved]
-        rates = dynamics_slopes((self.model(p), self.noise_at(p)), beside, sizes, self.setting)
-        return [part for here, runs in self._filtered(p) for part in self._rows_of(here, runs, rates)]
-
-    def _rows_of(self, here: Steady, runs: Sequence[Segment], rates: Mapping[str, Floats]) -> list[_Rows]:
-        """Return the rows of the segments that the same sensors recorded.
-
-        There is one part per segment, and one part for log det S and the initial states.
-        """
-        whitening = np.linalg.inv(np.linalg.cholesky(here.S))
-        slopes = _Slopes.of(here, rates, runs[0].channels, whitening)
-        m = len(whitening)
+        rates = slopes(self.dynamics(p), [self.dynamics(p + row) for row in sizes[:, None] * columns.T], sizes)
         parts: list[_Rows] = []
-        begun: list[Floats] = []
-        mean, samples = np.zeros((m, m)), sum(len(run.y) for run in runs)
-        for run in runs:
-            x, e = here.predicted(run.excitation, run.seen, run.start)
-            seen = run.seen - here.model.shown(run.excitation)
-            following = np.append(run.excitation[1:, 0], run.excitation[-1, 0])
-            J = slopes.moved(x, np.column_stack([seen, run.excitation, following]))
-            white = e @ whitening.T
-            if run.spread is not None:
-                # The initial state is minimized for every change of the frame: variable projection.
-                free = _free(here, run, whitening)
-                normal = np.eye(free.shape[1]) + free.T @ free
-                both: Floats = np.asarray(np.linalg.solve(normal, _crossed(free, J, white.ravel())))
-                turned, moved = both[:, :-1], both[:, -1]
-                white -= (free @ moved).reshape(white.shape)
-                for first in range(0, len(J), SWEPT_AT_ONCE):
-                    some = slice(first, first + SWEPT_AT_ONCE)
-                    J[some] -= free[some].astype(SHORT) @ turned.astype(SHORT)
-                begun.append(both)
-            parts.append(_Rows(J, white.ravel(), m))
-            mean += white.T @ white
-        root = np.sqrt(samples / 2)
-        # For these rows, J'r is half the gradient of T log det S + sum e' S^-1 e with respect to S.
-        r = [root * (np.eye(m) - mean / samples).ravel(), *(both[:, -1] for both in begun)]
-        R = [slopes.S.reshape(len(slopes.S), -1).T * root, *(both[:, :-1] for both in begun)]
-        return [*parts, _Rows(np.concatenate(R), np.concatenate(r), 0)]
+        for here, runs in self._filtered(p):
+            seen = {name: each[:, runs[0].channels] if name in ("H", "direct", "R") else each
+                    for name, each in rates.items()}  # fmt: skip
+            parts += _rows_of(here, runs, seen)
+        return parts
 
     def _inflation(self, parts: Sequence[_Rows], rows: int) -> float:
         """Compute the scatter of the summed scores of the first directions, relative to white innovations."""
@@ -370,8 +333,7 @@ class PredictionErrors:
             if blocks < 2:
                 continue
             flat = part.J[: blocks * length, :rows]
-            weights = part.r[: len(flat)].astype(SHORT).reshape(blocks, 1, length)
-            summed = (weights @ flat.reshape(blocks, length, rows))[:, 0].astype(np.float64)
+            summed = (part.r[: len(flat)].reshape(blocks, 1, length) @ flat.reshape(blocks, length, rows))[:, 0]
             # At the most probable frame the scores balance the prior; their sum need not be zero.
             summed = summed - summed.mean(axis=0)
             spread += np.sum(summed**2, axis=0) * (blocks / (blocks - 1))
@@ -382,33 +344,8 @@ class PredictionErrors:
 
 def _products(parts: Sequence[_Rows]) -> Floats:
     """Compute the products of all derivatives and residuals, summed over all rows, shape (r + 1, r + 1)."""
-    return np.asarray(sum(_crossed(None, part.J, part.r) for part in parts))
-
-
-def _crossed(left: Floats | None, J: Floats, r: Floats) -> Floats:
-    """Multiply rows (by default [J, r]) with [J, r], in double precision, some samples at a time."""
-    total: Floats = np.zeros(1)
-    for first in range(0, len(r), SWEPT_AT_ONCE):
-        chosen = slice(first, first + SWEPT_AT_ONCE)
-        rows = np.column_stack([J[chosen], r[chosen]])
-        total = total + (rows if left is None else left[chosen]).T @ rows
-    return total
-
-
-def _free(filtered: Steady, run: Segment, whitening: Floats) -> Floats:
-    """Return the change of the whitened innovations by an initial state with unit prior, shape (samples m, n)."""
-    rows = [whitening @ filtered.model.H]
-    for _ in range(BLOCK - 1):
-        rows.append(rows[-1] @ filtered.F)
-    block = np.concatenate(rows)
-    leap = np.linalg.matrix_power(filtered.F, BLOCK)
-    root = np.array(run.spread)
-    parts = []
-    for _ in range(0, len(run.y), BLOCK):
-        parts.append(block @ root)
-        root = leap @ root
-    result: Floats = np.concatenate(parts)[: run.seen.size]
-    return result
+    rows = (np.column_stack([part.J, part.r]) for part in parts)
+    return np.asarray(sum(each.T @ each for each in rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,111 +363,62 @@ class _Rows:
     sensors: int
 
 
-@dataclass(frozen=True, eq=False)
-class _Slopes:
-    """Derivatives of a filter x+ = x F + s B with the whitened innovations -(x C + s D), rows of r directions.
+def _rows_of(here: Filter, runs: Sequence[Segment], rates: dict[str, Floats]) -> list[_Rows]:
+    """Return one part per segment that the same sensors recorded, and one part for log det S and the initial states."""
+    dK, dS = here.slopes(rates)
+    whitening = np.linalg.inv(np.linalg.cholesky(here.S))
+    m, samples = len(whitening), sum(len(run.y) for run in runs)
+    parts: list[_Rows] = []
+    begun: list[Floats] = []
+    mean = np.zeros((m, m))
+    for run in runs:
+        x, e = here.predicted(run.excitation, run.seen, run.start)
+        white, J = (e @ whitening.T).ravel(), _moved(here, rates, dK, run, x) @ whitening.T
+        J = J.swapaxes(1, 2).reshape(len(white), -1)
+        if run.spread is not None:
+            # The initial state is minimized for every change of the frame: variable projection.
+            free = _free(here, run, whitening)
+            both = np.linalg.solve(np.eye(free.shape[1]) + free.T @ free, free.T @ np.column_stack([J, white]))
+            J, white = J - free @ both[:, :-1], white - free @ both[:, -1]
+            begun.append(both)
+        parts.append(_Rows(J, white, m))
+        mean += white.reshape(-1, m).T @ white.reshape(-1, m)
+    root = np.sqrt(samples / 2)
+    # For these rows, J'r is half the gradient of T log det S + sum e' S^-1 e with respect to S.
+    r = [root * (np.eye(m) - mean / samples).ravel(), *(both[:, -1] for both in begun)]
+    spread = whitening @ dS @ whitening.T
+    R = [spread.reshape(len(dS), -1).T * root, *(both[:, :-1] for both in begun)]
+    return [*parts, _Rows(np.concatenate(R), np.concatenate(r), 0)]
 
-    Parameters
-    ----------
-    F, B, C : ndarray, shapes (n, n), (k, n) and (n, m)
-        The filter; its k signals are the sensors, the excitation (q and p) and q at the end of a step.
-    dF, dB, dC, dD : ndarray, shapes (r, n, n), (r, k, n), (r, n, m) and (r, k, m)
-    S : ndarray, shape (r, m, m)
-        Derivatives of the innovations' covariance, whitened.
-    """
 
-    F: Floats
-    B: Floats
-    C: Floats
-    dF: Floats
-    dB: Floats
-    dC: Floats
-    dD: Floats
-    S: Floats
+def _moved(here: Filter, rates: dict[str, Floats], dK: Floats, run: Segment, x: Floats) -> Floats:
+    """Differentiate the innovations of a segment along r directions, shape (samples, r, m)."""
+    model, K, dH, direct = here.model, here.K, rates["H"], rates["direct"]
+    dF = rates["A"] - dK @ model.H - K @ dH
+    signals = np.hstack([x, run.seen - model.shown(run.excitation), steps_of(run.excitation), run.excitation[:, 1:]])
+    changes = [dF.swapaxes(1, 2), dK.swapaxes(1, 2), rates["before"][:, None], rates["after"][:, None]]
+    # y - D p changes by -D' p; the gain turns this into a change of the state.
+    driven = np.concatenate([*changes, -(direct @ K.T)[:, None]], axis=1)
+    driven = driven.swapaxes(0, 1).reshape(signals.shape[1], -1)
+    J = -(x @ dH.swapaxes(1, 2) + run.excitation[:, 1:] * direct[:, None]).swapaxes(0, 1)
+    turned, state = np.ascontiguousarray(here.F.T), np.zeros(dF.shape[:2])
+    for first in range(0, len(x), MOVED_AT_ONCE):
+        part = slice(first, first + MOVED_AT_ONCE)
+        moved = (signals[part] @ driven).reshape(-1, *dF.shape[:2])
+        for row in moved:
+            state, row[...] = state @ turned + row, state
+        J[part] -= moved @ model.H.T
+    return J
 
-    @staticmethod
-    def of(here: Steady, rates: Mapping[str, Floats], channels: Bools, whitening: Floats) -> _Slopes:
-        """Differentiate the filter's matrices.
 
-        The derivative of the covariance P solves dP = F dP F' + G. The gain counts as constant there, because it is
-        optimal.
-        """
-        model, K, F, P = here.model, here.K, here.F, here.P
-        dA, dH, dR, direct = rates["A"], rates["H"][:, channels], rates["R"][:, channels], rates["direct"][:, channels]
-        turned = (dA - K @ dH) @ P @ F.T
-        G = turned + turned.swapaxes(1, 2) + (K * dR[:, None]) @ K.T + rates["Q"]
-        dP = doubled(F, G)
-        crossed, across = dH @ P @ model.H.T, dP @ model.H.T
-        dS = crossed + crossed.swapaxes(1, 2) + model.H @ across + dR[:, None] * np.eye(len(K.T))
-        dK = dA @ P @ model.H.T + model.A @ (across + P @ dH.swapaxes(1, 2)) - K @ dS
-        dK = dK @ np.linalg.inv(here.S)
-        m, nothing = len(K.T), np.zeros(len(F))
-        B = np.vstack([K.T, model.before, nothing, model.after])
-        # y - D p changes by -D' p; the gain turns this into a change of the state.
-        dB = np.concatenate(
-            [dK.swapaxes(1, 2), rates["before"][:, None], -(direct @ K.T)[:, None], rates["after"][:, None]], axis=1
-        )
-        dD = np.zeros((len(dA), m + 3, m))
-        dD[:, m + 1] = direct @ whitening.T
-        dF = (dA - dK @ model.H - K @ dH).swapaxes(1, 2)
-        return _Slopes(
-            F.T, B, (whitening @ model.H).T, dF, dB, (whitening @ dH).swapaxes(1, 2), dD, whitening @ dS @ whitening.T
-        )
-
-    def moved(self, x: Floats, signals: Floats) -> Floats:
-        """Differentiate the whitened innovations of all samples, shape (samples m, r).
-
-        One product gives a block of samples from the state at its beginning and its signals.
-        """
-        (samples, k), (n, m), r = signals.shape, self.C.shape, len(self.dF)
-        # This block length minimizes the cost of the products.
-        block = 2 ** max(0, round(float(np.log2(n / np.sqrt(k * m)))))
-        blocks = -(-samples // block)
-        own = np.zeros((blocks * block, k))
-        own[:samples] = signals
-        begun = np.hstack([x[::block], own.reshape(blocks, -1)]).astype(SHORT)
-        maps, shown, leap = self._over(block)
-        J = np.empty((blocks, block * m, r), dtype=SHORT)
-        for first in range(0, r, SIDE_BY_SIDE):
-            some = maps[:, first : first + SIDE_BY_SIDE]
-            parts = (begun @ some.reshape(len(some), -1)).reshape(blocks, *some.shape[1:])
-            starts, state = np.zeros((blocks, some.shape[1], n), dtype=SHORT), np.zeros((some.shape[1], n))
-            for place, end in zip(starts, parts[:, :, block * m :], strict=True):
-                place[...] = state
-                state = state @ leap + end
-            J[:, :, first : first + SIDE_BY_SIDE] = -(parts[:, :, : block * m] + starts @ shown).swapaxes(1, 2)
-        return J.reshape(-1, r)[: samples * m]
-
-    def _over(self, block: int) -> tuple[Floats, Floats, Floats]:
-        """Differentiate the filter over a block of samples.
-
-        Returns
-        -------
-        ndarray, shape (n + block k, r, block m + n)
-            Derivatives of the innovations (with opposite sign) and of the final state, for each initial state and
-            signal.
-        ndarray, shape (n, block m)
-            Effect of the derivative of the initial state on the derivatives of the innovations.
-        ndarray, shape (n, n)
-            Effect of the derivative of the initial state on the derivative of the final state.
-        """
-        (n, m), (r, k) = self.C.shape, self.dB.shape[:2]
-        maps = np.zeros((n + block * k, r, block * m + n), dtype=SHORT)
-        shown, dshown, driven, ddriven = [self.C], self.dC, self.B, self.dB
-        between = [self.dD.swapaxes(0, 1)]
-        for j in range(block):
-            maps[:n, :, j * m : (j + 1) * m] = dshown.swapaxes(0, 1)
-            # Signals of a sample act on the innovations j later; signals of j before the last act on the end.
-            for i in range(block - j):
-                maps[n + i * k : n + (i + 1) * k, :, (i + j) * m : (i + j + 1) * m] = between[j]
-            last = n + (block - 1 - j) * k
-            maps[last : last + k, :, block * m :] = ddriven.swapaxes(0, 1)
-            between.append((self.dB @ shown[j] + self.B @ dshown).swapaxes(0, 1))
-            dshown, ddriven = self.dF @ shown[j] + self.F @ dshown, ddriven @ self.F + driven @ self.dF
-            shown.append(self.F @ shown[j])
-            driven = driven @ self.F
-        power, dpower = self.F, self.dF
-        for _ in range(block.bit_length() - 1):
-            power, dpower = power @ power, dpower @ power + power @ dpower
-        maps[:n, :, block * m :] = dpower.swapaxes(0, 1)
-        return maps, np.concatenate(shown[:block], axis=1).astype(SHORT), power
+def _free(filtered: Filter, run: Segment, whitening: Floats) -> Floats:
+    """Return the change of the whitened innovations by an initial state with unit prior, shape (samples m, n)."""
+    shown, state = whitening @ filtered.model.H, np.asarray(run.spread)
+    result = np.zeros((len(run.y), *shown.shape))
+    forgotten = ROUNDING * np.max(np.abs(state))
+    for row in result:
+        row[...] = shown @ state
+        state = filtered.F @ state
+        if np.max(np.abs(state)) <= forgotten:
+            break
+    return result.reshape(-1, shown.shape[1])

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import signal
 
-from cvxshear.response.damped import DampedModel, Response, driven_poles
+from cvxshear.response.damped import DampedModel
+from cvxshear.response.state_space import Response
 from cvxshear.util import ranking
-from cvxshear.util.quantities import column_name
-from cvxshear.util.results import InJson, as_json, data_frame
+from cvxshear.util.results import InJson, as_json
 from cvxshear.util.typing import Floats, Ints, Json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -75,21 +72,6 @@ class Peaks:
             for key, values in ((name, self.values.get(name)), (f"{name}_std", self.std.get(name))):
                 result[key] = as_json(values[0] if quantity.single and values is not None else values)
         return result
-
-    def to_dataframe(self, more: Mapping[str, Floats] | None = None) -> pd.DataFrame:
-        """Return a row for each floor or story: each quantity and its `_std` with their unit, then more columns.
-
-        Quantities of the whole frame, such as the base shear, are left out.
-        """
-        columns: dict[str, Sequence[object]] = {}
-        for name, values in self.values.items():
-            quantity = RESPONSES[name]
-            if not quantity.single:
-                columns[column_name(name, quantity.unit)] = values.tolist()
-                columns[column_name(f"{name}_std", quantity.unit)] = self.std[name].tolist()
-        columns |= {name: values.tolist() for name, values in (more or {}).items()}
-        count = len(self.values["story_drift"])
-        return data_frame({"story": range(1, count + 1), **columns}).set_index("story")
 
 
 STRONG = 0.5
@@ -184,14 +166,17 @@ def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, dampin
         Hz.
     damping : float, optional
     """
-    omega = 2 * np.pi * frequencies
-    s = omega * (-damping + 1j * np.sqrt(1 - damping**2))
-    factor = -(s**2) / (1j * s.imag)
-    peaks = [
-        np.max(np.abs((factor[:, None] * driven_poles(s, floor, step)).real), axis=1)
-        for floor in np.ascontiguousarray(acceleration.T)
-    ]
-    return FloorSpectra(frequencies, damping, np.array(peaks))
+    poles = 2 * np.pi * frequencies * (-damping + 1j * np.sqrt(1 - damping**2))
+    peaks = np.empty((acceleration.shape[1], len(frequencies)))
+    for place, s in enumerate(poles):
+        # z' = s z + p from rest, with p linear between samples: a filter with one pole.
+        x = s * step
+        whole = np.expm1(x) / x
+        now = step * (whole - 1) / x
+        start = -now * acceleration[:1]
+        z = signal.lfilter([now, step * whole - now], [1.0, -np.exp(x)], acceleration, axis=0, zi=start)[0]
+        peaks[:, place] = np.max(np.abs((-(s**2) / (1j * s.imag) * z).real), axis=0)
+    return FloorSpectra(frequencies, damping, peaks)
 
 
 def largest_spectra(model: DampedModel, accelerations: Sequence[Floats], step: float) -> FloorSpectra:

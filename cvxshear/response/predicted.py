@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
-from cvxshear.response.damped import DampedModel, Response, response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
 from cvxshear.response.recording import recording_of
 from cvxshear.response.sensor_checks import as_predicted
@@ -32,14 +31,12 @@ from cvxshear.response.sources import (
     state_of,
     state_remarks,
 )
+from cvxshear.response.state_space import Response, response
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
 from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
 """Quantities with standard deviations over time. Records show accelerations; owners need drifts."""
@@ -121,21 +118,6 @@ class RecordPrediction(Shown):
         # Without added effects, both models are the same estimate; files store all digits of the parameters.
         same = not before.effects and not after.effects and np.array_equal(before.theta, after.theta)
         return None if same else self.before
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return one row per floor or story, indexed by `story`: the peaks and their standard deviations.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns are the JSON names with SI units, such as story_drift_m; only the columns that apply.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        return self.peaks.to_dataframe()
 
     @cached_property
     def spectra(self) -> FloorSpectra:

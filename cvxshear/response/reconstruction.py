@@ -10,7 +10,6 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
@@ -19,7 +18,7 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel, Response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
@@ -27,15 +26,13 @@ from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
 from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
+from cvxshear.response.state_space import Response
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 NAMED_CHANGE = 0.95
 """Minimum probability of a reported change; the loop uses the same level for effects."""
@@ -240,27 +237,6 @@ class Reconstruction(Shown):
         peak = self.peaks.values["floor_acceleration"]
         relative: Floats = self.peaks.std["floor_acceleration"] / np.where(peak > 0, peak, 1.0)
         return self.spectra.acceleration * relative[:, None]
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return one row per floor or story, indexed by `story`: peaks, their standard deviations, then the frame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns are the JSON names with SI units, such as story_drift_m; only the columns that apply.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        frame = self.frame
-        return self.peaks.to_dataframe(
-            {
-                "story_factor": frame.factors, "story_factor_std": frame.factors_std,
-                "change_probability": frame.story_probability, "dashpot_probability": frame.dashpot_probability,
-            }
-        )  # fmt: skip
 
     def to_dict(self) -> Json:
         """Return the documented JSON; null for values that do not apply."""

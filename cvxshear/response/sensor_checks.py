@@ -11,13 +11,14 @@ from scipy import special
 
 from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
-from cvxshear.response.damped import DampedModel, Response
+from cvxshear.response.damped import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Segment
 from cvxshear.response.recording import Recording, rms
 from cvxshear.response.sensor_faults import earlier
 from cvxshear.response.smoother import SPIKE, Smoothed
+from cvxshear.response.state_space import Response
 from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Floats
 
@@ -190,8 +191,8 @@ def checked(
     for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
         variance = each.output_std[:, 0] ** 2 + sigma**2
         for sides in directions.sides:
-            for chosen, moved in other.moved_by(sides, noise, run, each):
-                variance[chosen] += directions.allowance[place] * (gain * moved[:, place]) ** 2
+            moved = other.moved_by(sides, noise, run, each)[:, place]
+            variance += directions.allowance[place] * (gain * moved) ** 2
         there = smoothed[number].weights[part, channel] == 1.0
         seen = work.recording.runs[number].measured[part, channel]
         left.append((each.states @ row + direct * run.excitation - seen)[there])

@@ -12,16 +12,14 @@ influence of spikes.
 
 from __future__ import annotations
 
-import dataclasses
-import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from cvxshear.response.dynamics import Dynamics, doubled, recursion, settled_covariance, steps_of
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.response.state_space import Dynamics, Filter, doubled, recursion
+from cvxshear.util.typing import Bools, Floats
 
 SPIKE = 5.0
 """Minimum residual of a spike, in standard deviations; Gaussian noise has one in two million samples."""
@@ -32,21 +30,9 @@ MOST_REWEIGHTINGS = 12
 SAME_WEIGHT = 0.02
 """Maximum change of a weight at convergence: a fiftieth of the sample's influence."""
 
-SETTLED = 1e-9
-"""Maximum relative change of a settled covariance over one sample. A sampled vibration decays by at least 1e-3 in one
-sample, so the motion is exact to about 1e-6."""
-
-LEAST_TRANSIENT = 100
-MOST_TRANSIENT = 2_000
-"""Minimum and maximum number of samples with their own covariances after a change of the weights. In between, a
-covariance near its limit is replaced by the limit, which saves time and memory."""
-
-NEAR_LIMIT = 0.05
-"""Relative difference of a variance from its limit for this replacement: 2.5 % of a standard deviation."""
-
-
-SWEPT_AT_ONCE = 8_192
-"""Samples of a sweep in one pass, which limits its memory to some ten megabytes."""
+TRANSIENT, NEAR_LIMIT = 100, 0.05
+"""Samples with their own covariances after a change of the weights, and the relative difference of later variances from
+their limits at which the limits replace them. The replacement saves time and memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,237 +87,93 @@ class Smoothed:
     completed: Floats
 
 
-@functools.cache
-def _places(size: int) -> Ints:
-    """Return the index of each entry of a symmetric matrix in its lower triangle, stored by rows."""
-    low, high = np.sort(np.indices((size, size)), axis=0)
-    return np.asarray(high * (high + 1) // 2 + low)
-
-
-@dataclass(frozen=True, eq=False)
-class _Gain:
-    """Matrices of the filter at one sample."""
-
-    A: Floats
-    triangle: Floats
-    H: Floats
-    inverse_S: Floats
-    K: Floats
-    innovation_std: Floats
-
-    @property
-    def P(self) -> Floats:  # noqa: N802
-        """Covariance of the predicted state; only half of it is stored, to save memory."""
-        result: Floats = self.triangle[_places(len(self.A))]
-        return result
-
-    @property
-    def transition(self) -> Floats:
-        """A - K H; not stored, to save memory."""
-        result: Floats = self.A - self.K @ self.H
-        return result
+Stretch = tuple[int, int, Filter]
+"""First sample of a segment, the sample after its end, and its filter."""
 
 
 def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
     """Find the motion that minimizes this module's program, and standard deviations of rows times the states."""
     weights = run.present.astype(np.float64)
-    sigma = np.sqrt(model.R)
-    gains: list[_Gain] = []
+    shown, measured = model.shown(run.excitation), np.nan_to_num(run.measured)
     for _ in range(MOST_REWEIGHTINGS):
-        # Release the gains of the last round first, to save memory.
-        gains.clear()
-        gains, which = _gains(model, run, weights)
-        states, innovations = _sweeps(model, run, gains, which, weights)
-        residual = run.measured - states @ model.H.T - model.shown(run.excitation)
-        size = np.abs(np.nan_to_num(residual)) / sigma
+        stretches = _stretches(model, run, weights)
+        states, innovations = _swept(stretches, run.excitation, measured, np.zeros(len(model.A)))
+        fitted = states @ model.H.T + shown
+        size = np.abs(measured - fitted) / np.sqrt(model.R)
         found = np.where(run.present, np.minimum(1.0, SPIKE / np.maximum(size, SPIKE)), 0.0)
         if np.max(np.abs(found - weights), initial=0.0) <= SAME_WEIGHT:
             break
         weights = found
-    fitted = states @ model.H.T + model.shown(run.excitation)
-    completed = np.where(run.present, fitted + weights * np.nan_to_num(residual), fitted)
-    std = _deviations(rows, gains, which)
-    return Smoothed(states, innovations, weights, std, completed)
+    completed = fitted + weights * (measured - fitted)
+    std = _deviations(rows, stretches, len(states))
+    return Smoothed(states, np.where(weights > 0, innovations, np.nan), weights, std, completed)
 
 
-def _stretches(weights: Floats, envelope: Floats) -> Iterator[tuple[int, int]]:
-    """Find the beginning and end of each segment with constant weights and constant process noise."""
-    keys = np.column_stack([weights, envelope])
-    changes = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
-    edges = [0, *changes.tolist(), len(keys)]
-    yield from pairwise(edges)
-
-
-def _gains(model: Dynamics, run: Observed, weights: Floats) -> tuple[list[_Gain], Ints]:
-    """Compute the distinct gains of the filter, and the index of each sample's gain."""
-    A, R = model.A, model.R
-    P, lower = run.start_scale**2 * model.P0, np.tril_indices(len(A))
-    gains: list[_Gain] = []
-    which = np.empty(len(weights), dtype=np.int64)
-    for first, last in _stretches(weights, run.envelope):
-        Q = run.envelope[first] ** 2 * (model.Q - model.Q_input) + model.Q_input
-        weight = weights[first]
-        H = model.H * (weight > 0)[:, None]
-        noise = R / np.where(weight > 0, weight, 1.0)
-        added = np.diag(noise)
+def _stretches(model: Dynamics, run: Observed, weights: Floats) -> list[Stretch]:
+    """Split a run into segments with one filter: a filter that settles has one sample per segment."""
+    keys = np.column_stack([weights, run.envelope])
+    edges = [0, *(np.flatnonzero(np.any(np.diff(keys, axis=0), axis=1)) + 1).tolist(), len(keys)]
+    P, found = run.start_scale**2 * model.P0, []
+    for first, last in pairwise(edges):
+        own = model.weighted(weights[first], float(run.envelope[first]))
+        limit = Filter.settled(own) if last - first > TRANSIENT else None
         t = first
         while t < last:
-            PH = P @ H.T
-            S = H @ PH + added
-            inverse = np.linalg.inv(S)
-            K = A @ PH @ inverse
-            F = A - K @ H
-            gains.append(_Gain(A, P[lower], H, inverse, K, np.sqrt(S.diagonal())))
-            which[t] = len(gains) - 1
-            following = F @ P @ A.T + Q
-            following = 0.5 * (following + following.T)
-            was, now = P.diagonal(), following.diagonal()
-            settled = bool(np.all(np.abs(now - was) <= SETTLED * now))
-            P = following
-            t += 1
-            passed = t - first
-            if not settled and passed >= LEAST_TRANSIENT and last - t > LEAST_TRANSIENT:
-                if passed == LEAST_TRANSIENT:
-                    limit = settled_covariance(dataclasses.replace(model, H=H, R=noise, Q=Q))
-                if passed == MOST_TRANSIENT or _near(P.diagonal(), limit.diagonal()):
-                    # The remaining change is slow and small; the filter is at its limit from here on.
-                    P = limit
-            elif settled:
-                which[t:last] = len(gains) - 1
-                t = last
-    return gains, which
+            settled = limit if limit and t - first >= TRANSIENT and _near(P, limit.P) else None
+            here, until = (Filter.at(own, P), t + 1) if settled is None else (settled, last)
+            found.append((t, until, here))
+            t, P = until, here.following
+    return found
 
 
-def _near(variances: Floats, limits: Floats) -> bool:
+def _near(covariance: Floats, limit: Floats) -> bool:
     """Return whether all variances are close to their limits."""
+    variances, limits = covariance.diagonal(), limit.diagonal()
     return bool(np.all(np.abs(variances - limits) <= NEAR_LIMIT * limits))
 
 
-def _constant(which: Ints) -> Iterator[tuple[int, int, int]]:
-    """Find the beginning, end and gain of each segment with constant gain; long segments are split."""
-    edges = {0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), *range(0, len(which), SWEPT_AT_ONCE), len(which)}
-    for first, last in pairwise(sorted(edges)):
-        yield first, last, int(which[first])
-
-
-def _sweeps(model: Dynamics, run: Observed, gains: list[_Gain], which: Ints, weights: Floats) -> tuple[Floats, Floats]:
+def _swept(stretches: Sequence[Stretch], excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
     """Compute smoothed states and innovations in standard deviations: one sweep forward, one back."""
-    y = np.nan_to_num(run.measured) - model.shown(run.excitation)
-    y = np.where(weights > 0, y, 0.0)
-    signals = np.hstack([y, steps_of(run.excitation)])
-    # The prediction; the backward sweep adds the information of later samples.
-    states, e = np.empty((len(y), len(model.A))), np.empty_like(y)
+    states, e = np.empty((len(y), len(start))), np.empty_like(y)
     innovations = np.empty_like(y)
-    stretches = list(_constant(which))
-    x = np.zeros(len(model.A))
-    for first, last, at in stretches:
-        gain, part = gains[at], slice(first, last)
-        F, B = gain.transition, np.vstack([gain.K.T, model.before, model.after])
-        states[part] = recursion(F, B, signals[part], x)
-        x = F @ states[last - 1] + signals[last - 1] @ B
-        e[part] = y[part] - states[part] @ gain.H.T
-        innovations[part] = e[part] / gain.innovation_std
-    r = np.zeros(len(model.A))
-    for first, last, at in reversed(stretches):
-        gain = gains[at]
-        pulls = backward_pass(gain.transition, gain.inverse_S @ gain.H, e[first:last], r)
-        states[first:last] += pulls @ gain.P
+    for first, last, here in stretches:
+        # The filter predicts the first sample of the next segment, too.
+        reached = slice(first, last + 1)
+        own = np.where(here.model.H.any(axis=1), y[reached], here.model.shown(excitation[reached]))
+        predicted, left = here.predicted(excitation[reached], own, start)
+        if last == len(y):
+            predicted, left = np.vstack([predicted, start]), np.vstack([left, left[-1]])
+        states[first:last], start = predicted[: last - first], predicted[last - first]
+        e[first:last] = left[: last - first]
+        innovations[first:last] = e[first:last] / np.sqrt(here.S.diagonal())
+    # The backward sweep adds the information of later samples: r_(t-1) = H' S^-1 e_t + F' r_t.
+    r = np.zeros(len(start))
+    for first, last, here in reversed(stretches):
+        ahead = np.concatenate([e[first:last][::-1], np.zeros((1, e.shape[1]))])
+        pulls = recursion(here.F.T, here.pull, ahead, r)[:0:-1]
+        states[first:last] += pulls @ here.P
         r = pulls[0]
-    return states, np.where(weights > 0, innovations, np.nan)
+    return states, innovations
 
 
-def backward_pass(F: Floats, B: Floats, e: Floats, r: Floats) -> Floats:
-    """Solve r_(t-1) = H' S^-1 e_t + F' r_t backward over a segment, shape (samples, n).
-
-    Parameters
-    ----------
-    B : ndarray, shape (m, n)
-        S^-1 H.
-    r : ndarray, shape (n,)
-        Value after the segment.
-    """
-    return recursion(F.T, B, np.concatenate([e[::-1], np.zeros((1, e.shape[1]))]), r)[:0:-1]
-
-
-def _deviations(rows: Floats, gains: list[_Gain], which: Ints) -> Floats:
+def _deviations(rows: Floats, stretches: Sequence[Stretch], samples: int) -> Floats:
     """Compute standard deviations of smoothed outputs: P - P N P with N = H' S^-1 H + F' N F, backward."""
-    n = len(gains[0].A)
-    N = np.zeros((n, n))
-    result = np.empty((len(which), len(rows)))
-    if not len(rows):
-        return result
-    for first, last, at in reversed(list(_constant(which))):
-        gain = gains[at]
-        F = gain.transition
-        own = gain.H.T @ gain.inverse_S @ gain.H
-        P = gain.P
-        spread = rows @ P
+    N: Floats = np.zeros_like(stretches[0][2].P)
+    result = np.empty((samples, len(rows)))
+    for first, last, here in reversed(stretches if len(rows) else ()):
+        F, own, spread = here.F, here.model.H.T @ here.pull, rows @ here.P
         plain = np.sum(spread * rows, axis=1)
-        scale = np.sqrt(np.maximum(np.diag(P), 1e-300))
-        t, limit = last - 1, None
-        while t >= first:
-            following = own + F.T @ N @ F
-            change = np.max(np.abs(following.diagonal() - N.diagonal()) * scale**2)
-            N = 0.5 * (following + following.T)
+        limit = doubled(F.T, own) if last - first > TRANSIENT else None
+        for t in range(last - 1, first - 1, -1):
+            N = own + F.T @ N @ F
+            N = 0.5 * (N + N.T)
+            settled = limit is not None and last - t > TRANSIENT and _near(N, limit)
+            N = limit if limit is not None and settled else N
             variance = plain - np.sum((spread @ N) * spread, axis=1)
-            result[t] = np.sqrt(np.maximum(variance, 0.0))
-            t -= 1
-            passed = last - 1 - t
-            if passed == LEAST_TRANSIENT and t - first > LEAST_TRANSIENT:
-                limit = doubled(F.T, own)
-            if limit is not None and (passed == MOST_TRANSIENT or _near(N.diagonal(), limit.diagonal())):
-                # The covariance is settled from here back to the beginning of the segment.
-                N, change = limit, 0.0
-                variance = plain - np.sum((spread @ N) * spread, axis=1)
-                result[t + 1] = np.sqrt(np.maximum(variance, 0.0))
-            if change <= SETTLED:
-                result[first : t + 1] = result[t + 1]
-                t = first - 1
+            result[first if settled else t : t + 1] = np.sqrt(np.maximum(variance, 0.0))
+            if settled:
+                break
     return result
-
-
-@dataclass(frozen=True, eq=False)
-class Steady:
-    """The smoother of a model with constant noise and sensors; it is exact except near the ends of a record.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n, n)
-        Covariance of the predicted state.
-    S : ndarray, shape (m, m)
-        Covariance of the innovations.
-    K, F : ndarray, shapes (n, m) and (n, n)
-        Gain, and A - K H.
-    """
-
-    model: Dynamics
-    P: Floats
-    S: Floats
-    K: Floats
-    F: Floats
-
-    @staticmethod
-    def of(model: Dynamics) -> Steady:
-        """Settle the filter of a model."""
-        P = settled_covariance(model)
-        PH = P @ model.H.T
-        S = model.H @ PH + np.diag(model.R)
-        K = np.linalg.solve(S, (model.A @ PH).T).T
-        F: Floats = model.A - K @ model.H
-        return Steady(model, P, np.asarray(S), np.asarray(K, dtype=np.float64), F)
-
-    @property
-    def pull(self) -> Floats:
-        """Matrix S^-1 H, shape (m, n)."""
-        return np.asarray(np.linalg.solve(self.S, self.model.H), dtype=np.float64)
-
-    def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
-        """Compute the states predicted from the past, shape (samples, n), and the innovations, shape (samples, m)."""
-        model = self.model
-        seen = y - model.shown(excitation)
-        B = np.vstack([self.K.T, model.before, model.after])
-        x = recursion(self.F, B, np.hstack([seen, steps_of(excitation)]), start)
-        return x, seen - x @ model.H.T
 
 
 Piece = tuple[slice, Bools]
@@ -350,75 +192,6 @@ def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats
     pieces : sequence of Piece
         Consecutive pieces from the first to the last sample.
     """
-    pieces = [
-        (slice(first, min(first + SWEPT_AT_ONCE, part.stop)), channels)
-        for part, channels in pieces
-        for first in range(part.start, part.stop, SWEPT_AT_ONCE)
-    ]
-    filters = {channels.tobytes(): Steady.of(model.seen_by(channels)) for _, channels in pieces}
-    x = np.empty((len(y), len(model.A)))
-    left = []
-    for part, channels in pieces:
-        # This filter predicts the first sample of the next piece.
-        reached = slice(part.start, part.stop + 1)
-        states, e = filters[channels.tobytes()].predicted(excitation[reached], y[reached][:, channels], start)
-        length = part.stop - part.start
-        x[part], start = states[:length], states[-1]
-        left.append(e[:length])
-    r = np.zeros(len(model.A))
-    for (part, channels), e in zip(reversed(pieces), reversed(left), strict=True):
-        own = filters[channels.tobytes()]
-        pulls = backward_pass(own.F, own.pull, e, r)
-        x[part] += pulls @ own.P
-        r = pulls[0]
-    return x
-
-
-def settled_slopes(
-    own: Steady, rates: Mapping[str, Floats], excitation: Floats, y: Floats, start: Floats
-) -> tuple[Floats, Floats]:
-    """Compute the smoothed states of a settled filter, and their derivatives along some directions of the model.
-
-    States x and multipliers r solve x+ = A x + driven + Q r+ and r = A' r+ + H' R^-1 (y - D p - H x). This system is
-    linear in both, so their derivatives solve the same system with other right-hand sides and the same gain.
-
-    Parameters
-    ----------
-    rates : mapping of str to ndarray
-        Derivatives of the matrices by their names, for the sensors that recorded; R stays constant.
-    excitation, y, start
-        As for `settled_states`, for the sensors that recorded.
-
-    Returns
-    -------
-    ndarray, shape (samples, n)
-    ndarray, shape (samples, directions, n)
-    """
-    model, F, steps = own.model, own.F, steps_of(excitation)
-    x, e = own.predicted(excitation, y, start)
-    B = own.pull
-    multipliers = np.concatenate([backward_pass(F, B, e, np.zeros(len(F))), np.zeros((1, len(F)))])
-    x += multipliers[:-1] @ own.P
-    r = multipliers[1:]
-    left = (y - model.shown(excitation) - x @ model.H.T) / model.R
-    dA, dH, direct = rates["A"], rates["H"], rates["direct"]
-    weighted, shape = model.H / model.R[:, None], (len(x), len(dA), len(F))
-    forward = [dA.swapaxes(1, 2), rates["Q"], rates["before"][:, None], rates["after"][:, None]]
-    dx = np.hstack([x, r, steps]) @ np.concatenate(forward, axis=1).swapaxes(0, 1).reshape(-1, len(dA) * len(F))
-    back = [dA, dH, -dH.swapaxes(1, 2) @ weighted, -direct[:, None] @ weighted]
-    signals = np.hstack([r, left, x, excitation[:, 1:]])
-    dr = signals @ np.concatenate(back, axis=1).swapaxes(0, 1).reshape(-1, len(dA) * len(F))
-    # Forward over the samples, then back, all directions in parallel.
-    dx, dr = dx.reshape(-1, len(F)), dr.reshape(-1, len(F))
-    dx += dr @ (F @ own.P).T
-    dr -= dr @ own.P @ model.H.T @ B
-    state = np.zeros(shape[1:])
-    for row in dx.reshape(shape):
-        state, row[...] = state @ F.T + row, state
-    dr -= dx @ model.H.T @ B
-    state = np.zeros_like(state)
-    for row in dr.reshape(shape)[::-1]:
-        state = state @ F + row
-        row[...] = state
-    dx += dr @ own.P
-    return x, dx.reshape(shape)
+    filters = {each.tobytes(): Filter.settled(model.weighted(each.astype(np.float64))) for _, each in pieces}
+    stretches = [(part.start, part.stop, filters[each.tobytes()]) for part, each in pieces]
+    return _swept(stretches, excitation, y, start)[0]

@@ -151,8 +151,8 @@ def name_module(task: str, module: str) -> None:
     task : str
         "read" or "show". A module for "read" has `experiment_from_file`, which takes a path or the name of a built-in
         example. A module for "show" has `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the
-        tables for a notebook, or None), `drawn` (one of its figures by name; the first if the name is empty) and
-        `picked` (the diagram for the choice of poles).
+        tables for a notebook, or None), `data_frame_of` (its main table), `drawn` (one of its figures by name; the
+        first if the name is empty) and `picked` (the diagram for the choice of poles).
     module : str
     """
     _modules[task] = module
@@ -181,6 +181,23 @@ class Shown(InJson):
     def _repr_html_(self) -> str | None:
         """Show a result in a notebook."""
         found: str | None = ask("show", "notebook_html", self)
+        return found
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the main table of this result as a table of pandas.
+
+        Returns
+        -------
+        DataFrame
+            One row for each floor, story or mode, the lowest first. The columns have the names of the JSON with their
+            SI unit, such as floor_mass_kg and floor_mass_std_kg.
+
+        Raises
+        ------
+        InputError
+            If the result has no table of numbers, or pandas is not installed.
+        """
+        found: pd.DataFrame = ask("show", "data_frame_of", self)
         return found
 
     def figure(self, name: str = "") -> Any:

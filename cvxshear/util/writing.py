@@ -30,9 +30,6 @@ OWN_DESCRIPTORS = "/proc/self/fd"
 """Folder behind /dev/stdout and /dev/fd/3 under Linux. A file that is opened again there is overwritten from its
 start."""
 
-MOST_LINKS = 8
-"""Largest number of links that are followed to a descriptor of this process; the limit ends circular chains."""
-
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 """First characters of a formula in spreadsheet programs, including the full-width ones (OWASP, "CSV injection")."""
 
@@ -243,8 +240,11 @@ def _descriptor(path: PathLike) -> int | None:
     """Find the number of the open file of this process behind a name like /dev/stdout."""
     place = os.fspath(path)
     own = os.path.realpath(OWN_DESCRIPTORS)
+    seen: set[str] = set()
     with suppress(OSError, ValueError):
-        for _ in range(MOST_LINKS):
+        # A chain of links may be a circle.
+        while place not in seen:
+            seen.add(place)
             folder, name = os.path.split(place)
             if name.isdigit() and os.path.realpath(folder) == own:
                 return int(name)

@@ -12,7 +12,7 @@ from runpy import run_path
 
 import cvxshear
 from cvxshear.report import figures
-from cvxshear.report.figures.figure_table import applicable
+from cvxshear.report.figures.style import applicable
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[1] / "examples"

@@ -12,7 +12,7 @@ from scipy import linalg
 from cvxshear import InfeasibleError, NoSolutionError, backends
 from cvxshear.backends import canonical
 from cvxshear.backends import minimizer as closed
-from cvxshear.backends.acceptance import accurate
+from cvxshear.backends.base import accurate
 from cvxshear.backends.minimizer import minimizer
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.certificate import Assembled, Point, certify
@@ -206,7 +206,7 @@ def test_an_answer_beyond_its_accuracy_is_replaced_and_one_within_it_is_left():
         assert bool(found.reason) != left
         np.testing.assert_allclose(found.point.x, [1.0, 2.0], atol=1e-6)
         assert found.certificate.error_bound < 1e-6
-        assert np.all(np.abs(found.point.x - [1.0, 2.0]) <= found.errors + 1e-10)
+        assert np.all(np.abs(found.point.x - [1.0, 2.0]) <= found.certificate.errors + 1e-10)
 
 
 @pytest.mark.parametrize("name", BOUNDED)

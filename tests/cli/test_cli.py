@@ -11,8 +11,8 @@ import typer
 from typer.main import get_command
 
 import cvxshear
-from cvxshear import __version__, backends
-from cvxshear.backends.acceptance import Tolerances
+from cvxshear import backends
+from cvxshear.backends.base import Tolerances
 from cvxshear.cli import app
 from cvxshear.planning import Declared, Recorded
 from cvxshear.records import identify_modes
@@ -152,7 +152,7 @@ def test_bad_input_is_status_two_one_line_and_no_traceback(run, arguments, said)
 
 
 def test_a_failing_solver_is_status_one_with_its_reason(run, monkeypatch):
-    monkeypatch.setattr("cvxshear.backends.acceptance.TOLERANCES", Tolerances(optimality=0.0))
+    monkeypatch.setattr("cvxshear.backends.base.TOLERANCES", Tolerances(optimality=0.0))
     status, _, err = run("identify", THREE, "--backend", "osqp")
     assert status == 1
     assert "backend osqp: inaccurate solution" in err
@@ -183,7 +183,7 @@ def test_an_unknown_option_is_status_two(run):
 def test_the_version_is_the_packages(run):
     status, out, _ = run("--version")
     assert status == 0
-    assert __version__ in out
+    assert cvxshear.__version__ in out
 
 
 def test_help_gives_an_example_for_every_command(run):
@@ -213,7 +213,7 @@ def test_json_says_where_it_comes_from(run, tmp_path, monkeypatch):
         status, out, _ = run(command[0], path, *command[1:], "--json", "-")
         assert status == 0
         said = json.loads(out)["about"]
-        assert (said["cvxshear"], said["date"]) == (__version__, "2023-11-14T22:13:20+00:00")
+        assert (said["cvxshear"], said["date"]) == (cvxshear.__version__, "2023-11-14T22:13:20+00:00")
         assert said["sha256"] == digest
         assert said["files"] == [{"name": str(path), "sha256": digest}]
         assert said["title"] in ("a", None)
@@ -236,7 +236,7 @@ def test_verbose_and_quiet(run, tmp_path):
         [sys.executable, "-m", "cvxshear", "-v", "identify", str(EXAMPLES / "three_story.toml"), "--json", "-"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert "cvxshear.io.inputs: read " in found.stderr
+    assert "cvxshear.io.formats: read " in found.stderr
     json.loads(found.stdout)
     assert "give --quiet or --verbose, not both" in run("-q", "-v", "identify", "paper")[2]
 

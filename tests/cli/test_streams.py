@@ -218,9 +218,13 @@ def test_an_interruption_while_loading_has_no_traceback(module):
     assert (found.returncode, found.stdout, found.stderr) == (130, "", "")
 
 
+def killed(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def test_a_killed_process_is_told(capsys, monkeypatch):
     with pytest.raises(LostProcessError, match="one of the processes was ended from outside, after 0 of 4 things"):
-        each(os._exit, [1, 1, 1, 1], jobs=2)
+        each(killed, range(4), jobs=2)
 
     def lose(*_, **__):
         raise LostProcessError("one of the processes was ended from outside")

@@ -18,7 +18,6 @@ from cvxshear.effects import (
     open_classes,
     register,
 )
-from cvxshear.effects import registry as registry_module
 from cvxshear.effects.state import STAGES
 from cvxshear.loop.hypotheses import hypotheses
 from cvxshear.measurement.experiment import Experiment, Frame
@@ -365,7 +364,7 @@ class Damper(Effect):
 @pytest.fixture
 def own_catalogue(monkeypatch):
     """Provide a catalogue to which a test can add effects; restore the original afterwards."""
-    monkeypatch.setattr(registry_module, "_catalogue", dict(registry_module._catalogue))
+    monkeypatch.setattr("cvxshear.effects._catalogue", {effect.name: effect for effect in catalogue()})
 
 
 @pytest.mark.usefixtures("own_catalogue")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import io
 
-from cvxshear.io import toml
 from cvxshear.io.csv import read_csv
 from cvxshear.io.mat import read_mat
 from cvxshear.io.record_file import read_record
@@ -50,28 +49,11 @@ def test_the_limit_is_raised_by_a_key_of_the_record(tmp_path):
     assert read_record(path).files == (path, tmp_path / "sound.csv")
 
 
-TEXTS = {
-    "a dotted key of 50,000 parts": (".".join(["a"] * 50_000) + " = 1\n", "a key of more than 16 parts (at line 1)"),
-    "a header of 50,000 parts": (f"x = 1\n[{'.'.join(['a'] * 50_000)}]\n", "a key of more than 16 parts (at line 2)"),
-    "a key in quotes": (".".join(['"a b"'] * 50_000) + " = 1\n", "a key of more than 16 parts (at line 1)"),
-    "a list of 40 MB": ("x = [" + "1, " * 13_400_000 + "]\n", "has more than 5 MB; too many for a measurement file"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", TEXTS)
-def test_a_text_that_takes_for_ever(kind, tmp_path):
-    text, message = TEXTS[kind]
+def test_a_text_of_40_mb_is_refused_by_its_size(tmp_path):
     path = tmp_path / "a.toml"
-    path.write_text(text)
-    with pytest.raises(InputError) as caught:
+    path.write_text("x = [" + "1, " * 13_400_000 + "]\n")
+    with pytest.raises(InputError, match="has more than 5 MB; too many for a measurement file"):
         load(path)
-    assert message in str(caught.value)
-
-
-def test_keys_and_numbers_of_usual_length_are_no_long_keys(tmp_path):
-    path = tmp_path / "a.toml"
-    path.write_text('[a.b."c.d".e]\nx = "1.2.3.4.5.6.7.8.9"\ny = [' + "1.5, " * 1000 + "]\n")
-    assert toml.parse(path.read_text(), path)["a"]["b"]["c.d"]["e"]["y"] == [1.5] * 1000
 
 
 @pytest.mark.parametrize("cell", ["1e300", "-1e300", "inf", "1_000", "0x10", '"1" x'])

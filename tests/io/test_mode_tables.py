@@ -10,10 +10,10 @@ from scipy import linalg
 
 import cvxshear
 from cvxshear.io.spreadsheets import write_csv, write_xlsx
-from cvxshear.io.to_fill_in import template, template_from
+from cvxshear.io.templates import template, template_from
 from cvxshear.io.uff import write_uff
 from cvxshear.records import from_arrays
-from cvxshear.report.sheets import sheets_of_closure, sheets_of_identification, sheets_of_modes
+from cvxshear.report.handover import sheets_of
 from cvxshear.util.errors import InputError
 from tests import closed
 
@@ -101,7 +101,7 @@ def test_modes_out_and_in_again(tmp_path, write):
     given = {"damping_ratios": [0.01, 0.02], "frequency_std": [0.001, 0.003], "mode_shape_std": 0.01}
     modes = from_arrays(FREQUENCIES, SHAPES, **given)
     ending = "csv" if write is write_csv else "xlsx"
-    write(tmp_path / f"modes.{ending}", sheets_of_modes([modes]))
+    write(tmp_path / f"modes.{ending}", sheets_of(modes))
     experiment = cvxshear.load(measurement(tmp_path, f'{ending} = "modes.{ending}"'))
     check(experiment)
     np.testing.assert_allclose(experiment.configurations[0].frequency_std, [0.001, 0.003])
@@ -110,19 +110,19 @@ def test_modes_out_and_in_again(tmp_path, write):
 
 def test_an_identification_as_a_table(tmp_path):
     found = cvxshear.identify(cvxshear.load("paper"))
-    write_csv(tmp_path / "frame.csv", sheets_of_identification(found))
+    write_csv(tmp_path / "frame.csv", sheets_of(found))
     rows = list(csv.reader((tmp_path / "frame.csv").read_text().splitlines()))
     assert rows[0][1] == "floor mass, kg"
     np.testing.assert_allclose([float(row[1]) for row in rows[1:]], found.frame.floor_mass)
     np.testing.assert_allclose([float(row[4]) for row in rows[1:]], found.frame.story_stiffness_std)
     each = cvxshear.identify(cvxshear.load("paper"), method="two-stage")
-    assert [row[0] for row in sheets_of_identification(each)[0].rows] == [p.name for p in each.parts for _ in range(2)]
+    assert [row[0] for row in sheets_of(each)[0].rows] == [p.name for p in each.parts for _ in range(2)]
 
 
 def test_a_closure_as_a_workbook(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     closure = closed.paper()
-    write_xlsx(tmp_path / "loop.xlsx", sheets_of_closure(closure))
+    write_xlsx(tmp_path / "loop.xlsx", sheets_of(closure))
     book = openpyxl.load_workbook(tmp_path / "loop.xlsx")
     assert book.sheetnames == ["frame", "effects", "errors", "modes"]
     assert [row[0] for row in book["errors"].iter_rows(values_only=True)][1] == "largest frequency error"
@@ -161,7 +161,7 @@ def test_the_scale_goes_out_and_comes_in(tmp_path, write):
     squares, shapes = linalg.eigh(stiffness, np.diag(masses))
     modes = from_arrays(np.sqrt(squares) / (2 * np.pi), shapes.T, mass_normalized=True, mode_shape_std=0.02)
     table = tmp_path / f"modes.{'csv' if write is write_csv else 'xlsx'}"
-    write(table, sheets_of_modes([modes]))
+    write(table, sheets_of(modes))
     path = tmp_path / "new.toml"
     path.write_text(template_from(table, tmp_path))
     experiment = cvxshear.load(path)

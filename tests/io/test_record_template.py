@@ -320,23 +320,6 @@ def test_kinds_of_files(ending, write, values, run, tmp_path):
     check(begun(run, tmp_path, f"a.{ending}")[1], values)
 
 
-@pytest.mark.parametrize(
-    ("names", "floors", "ground", "said"),
-    [
-        ("1F,2F,3F,RF", [1, 2, 3], "1F", "counted as in Japan; 3 if 1F is above ground"),
-        ("B1F,2F,3F,RF", [1, 2, 3], "B1F", "counted as in Japan; 3 if 1F is above ground"),
-        ("acc_B1F,acc_1F,acc_2F,acc_RF", [1, 2, 3], "acc_B1F", "1 where 1F is at the ground, as in Japan"),
-    ],
-)
-def test_floors_as_they_are_called_in_japan(names, floors, ground, said, values, run, tmp_path):
-    """2F is the first floor above ground if 1F is the ground. The file always mentions the other reading."""
-    (tmp_path / "a.csv").write_text(text(f"time,{names}\n", values))
-    written, record = begun(run, tmp_path, "a.csv")
-    assert (record.input, record.floors.tolist()) == ("base", floors)
-    assert [channel.name for channel in record.channels] == [each for each in names.split(",") if each != ground]
-    assert said in written
-
-
 def test_a_force(values, run, tmp_path):
     (tmp_path / "a.csv").write_text(text("t,Hammer [kN],acc_1 [g],acc_2 [g],acc_3 [g]\n", values))
     said, record = begun(run, tmp_path, "a.csv")

@@ -12,7 +12,7 @@ import pytest
 
 import cvxshear
 from cvxshear.cli import main
-from cvxshear.io.to_fill_in import template
+from cvxshear.io.templates import template
 from cvxshear.records import IdentifiedRecord, from_arrays, identify_modes, merged
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.screening.screen import Screening

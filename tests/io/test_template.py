@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import cvxshear
-from cvxshear.io.to_fill_in import template
+from cvxshear.io.templates import template
 
 PAGE = (Path(__file__).parents[2] / "docs/measurement-file.md").read_text(encoding="utf-8")
 TABLES = ("frame", "configuration", "static", "effect", "damping")

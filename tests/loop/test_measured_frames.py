@@ -7,9 +7,9 @@ import pytest
 
 import cvxshear
 from cvxshear.io.toml import MEASURED_FRAMES, built_in_text
-from tests import built_in_files
 from tests.closed import built_in
 from tests.frames import shared
+from tests.studies import built_in_files
 
 # LA-14393, Table 2: the kind of change, its floor or story, its size. A column at 12.5 % of its bending stiffness
 # reduces its story stiffness by 7/32.

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from cvxshear.model.observation import FloorObservation, Observation
 from cvxshear.model.shear import (
+    FloorObservation,
+    Observation,
     ShearSystem,
     attached_share,
     frame_modes,

@@ -64,6 +64,7 @@ def test_solvers_conversions_and_closed_form_agree(three, name):
         np.testing.assert_allclose(solution, closed, rtol=1e-6, err_msg=what)
         np.testing.assert_allclose(solution.duals["A"], closed.duals["A"], rtol=1e-4, atol=1e-6 * abs(closed.objective))
         assert closed.certificate.worst < 1e-12
+        assert np.all(np.abs(solution.x - closed.x) <= solution.certificate.errors + 1e-12 * np.abs(closed.x))
         problem, x = program.to_cvxpy()
         problem.solve(solver="CLARABEL")
         np.testing.assert_allclose(x.value, closed.x, rtol=1e-5)

@@ -140,7 +140,7 @@ def test_the_page_says_what_the_json_says(opened, reports, name):
         part for part in describe(reports[1][name])["before-after"].parts if getattr(part, "key", "") == "errors"
     ]
     for key, row, said in zip(keys, rows, table.rows, strict=True):
-        for side, cell, written in zip(("before", "after"), row.query_selector_all("td"), said.cells[1:], strict=True):
+        for side, cell, written in zip(("before", "after"), row.query_selector_all("td"), said[1:], strict=True):
             assert json.loads(cell.get_attribute("data-exact")) == result[side][key]
             assert cell.inner_text() == written
     # The table has one row per floor and their sum.

@@ -37,7 +37,7 @@ def table(of, key, units=None):
 
 def column(of, at):
     """Return the numbers of a table's column, starting at the lowest floor."""
-    return [float(re.match(r"[-+\d.e]+", row.cells[at])[0]) for row in reversed(of.rows) if row.cells[at]]
+    return [float(re.match(r"[-+\d.e]+", row[at])[0]) for row in reversed(of.rows) if row[at]]
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_prompt_print_and_notebook_show_the_same(result, request):
     for shown in parts(found, Table):
         assert f'id="{shown.key}"' in page
         for row in shown.rows:
-            for cell in row.cells:
+            for cell in row:
                 assert cell in said
                 assert f">{html.escape(cell)}<" in page
     plain, headline = re.sub(r"\s+", " ", said), describe(found).headline
@@ -120,10 +120,10 @@ def test_what_a_plan_leaves_open_is_called_so():
     assert can.objective < 1.0
     said = [sentence.text for sentence in parts(cannot, Sentence)]
     assert "worst coefficient of variation (worst): open, 100 % of the effects' sizes or more" in said
-    assert {cell for row in table(cannot, "counts").rows for cell in row.cells[2:]} == {"open"}
+    assert {cell for row in table(cannot, "counts").rows for cell in row[2:]} == {"open"}
     said = [sentence.text for sentence in parts(can, Sentence)]
     assert any(f"(worst): {100 * can.objective:.2f} % of the effects' sizes" in each for each in said)
-    assert "open" not in {cell for row in table(can, "counts").rows[1:] for cell in row.cells[2:]}
+    assert "open" not in {cell for row in table(can, "counts").rows[1:] for cell in row[2:]}
 
 
 def between_samples(pencil, base, finer=32):
@@ -148,14 +148,14 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
         assert column(shown, at) == pytest.approx(np.max(np.abs(values), axis=0), rel=5e-3)
     errors = table(predicted, "prediction-errors")
     # The loop added no effect, so the models before and after are equal.
-    assert [row.cells[0] for row in errors.rows] == ["3", "2", "1"]
+    assert [row[0] for row in errors.rows] == ["3", "2", "1"]
     # The model has the exact modes of the frame. Both methods integrate the same motion.
     assert errors.head[1:4] == ("error in time", "rms", "peak")
     for row in errors.rows:
-        assert all(abs(float(cell.strip("<%+ "))) <= 0.5 for cell in row.cells[1:4])
+        assert all(abs(float(cell.strip("<%+ "))) <= 0.5 for cell in row[1:4])
     rows = table(predicted, "story-dashpots").rows
     for row, exact in zip(reversed(rows), damped_frame(3)[2], strict=True):
-        found, std = map(float, row.cells[1].split(" ± "))
+        found, std = map(float, row[1].split(" ± "))
         assert abs(found - exact) < 2 * std < 0.5 * exact
     most = np.argmax(np.max(np.abs(drift), axis=0))
     assert describe(predicted).headline.startswith(f"Story {most + 1} drifts most: ")
@@ -167,7 +167,7 @@ def test_a_prediction_is_described_by_its_peaks_and_errors(predicted, shaken):
 def test_the_damping_of_a_frame_describes_itself(predicted):
     ratios = 100 * pole_ratios(*matrices(*damped_frame(3)))
     shown = table(predicted.damping, "damping-ratios")
-    assert [float(row.cells[1].split(" ±")[0]) for row in shown.rows] == pytest.approx(ratios, rel=2e-3)
+    assert [float(row[1].split(" ±")[0]) for row in shown.rows] == pytest.approx(ratios, rel=2e-3)
     assert shown == table(predicted, "damping-ratios")
     assert repr(predicted.damping) == "<IdentifiedDamping story damping of 3 modes>"
 

@@ -15,13 +15,12 @@ import pytest
 
 import cvxshear
 from cvxshear import close_loop
-from cvxshear.effects import compose
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.declaration import Heading
 from cvxshear.report import figures
-from cvxshear.report.describe.consequences import changes, consequences
-from cvxshear.report.html import render
-from cvxshear.report.pages import drawings
+from cvxshear.report.describe import describe
+from cvxshear.report.html import drawings, render
+from cvxshear.report.terminal import notebook_html
 from cvxshear.util.errors import InputError
 from tests.report.conftest import NASTY, experiment
 
@@ -66,14 +65,14 @@ def page(text):
 
 
 @pytest.fixture(scope="module")
-def drawn(paper, comparison):
-    """Return the figures of the paper's frame and of the backends by subject, drawn once."""
-    return {type(each): drawings(each) for each in (paper, comparison)}
+def drawn(paper):
+    """Return the figures of the paper's frame, drawn once."""
+    return drawings(paper)
 
 
 @pytest.fixture
 def drawn_once(drawn, monkeypatch):
-    monkeypatch.setattr("cvxshear.report.html.drawings", lambda result: drawn[type(result)])
+    monkeypatch.setattr("cvxshear.report.html.drawings", lambda result: drawn)
 
 
 @pytest.fixture
@@ -161,9 +160,11 @@ def test_the_head_of_a_report_is_what_the_file_or_the_caller_says(paper, compari
 
 
 def test_the_first_screen_is_the_picture_of_what_was_found(of_paper):
-    places = [of_paper.index(each) for each in ('id="verdict"', 'id="headline"', 'id="figure-findings"', "<table")]
+    order = ("verdict", "headline", "figure-findings", "states", "identified", "effects-table", "candidates-table",
+             "errors", "next", "appendix", "tests", "not-looked-for", "backends")  # fmt: skip
+    places = [of_paper.index(f'id="{each}"') for each in order]
     assert places == sorted(places)
-    assert of_paper.index('id="appendix"') < of_paper.index('id="backends"')
+    assert Page(of_paper).tags[:1] == ["html"]
 
 
 def test_the_whole_result_and_measurement_stand_in_the_report(text, unexplained):
@@ -175,68 +176,18 @@ def test_the_whole_result_and_measurement_stand_in_the_report(text, unexplained)
     assert again.configurations[0].frequencies == pytest.approx(unexplained.experiment.configurations[0].frequencies)
 
 
-def test_the_effect_of_gravity_has_its_size(paper):
-    said = " ".join(consequences(paper.estimate, paper.effects[0].placed))
-    mass, stiffness = paper.frame.floor_mass, paper.frame.story_stiffness
-    # P-delta of bending columns by hand: 6/5 of the weight above story 1 over its height.
-    load = 1.2 * 9.81 * (mass.sum() + 77.1) / 0.39
-    assert f"{load / 1000:.3g} kN/m, {100 * load / stiffness[0]:.2f} % of the story stiffness, from story 1 in" in said
-    assert '"Structure 3"' in said
-
-
-def test_a_change_is_what_taking_the_effect_out_changes(eight):
-    placed = eight.effects[0].placed
-    (first, _) = changes(eight.estimate, placed)
-    assert placed.effect.name == "base_rocking"
-    theta = eight.estimate.theta
-    z = 0.39 * np.arange(1, 9)
-    # A force of 1 N at the top rotates the base by z_top / k_theta; each story drifts by its height times this angle.
-    drift = 1.0 / theta[8:16] + 0.39 * z[-1] * theta[16]
-    assert first.stiffness_share == pytest.approx(1.0 / drift / theta[8:16] - 1.0, rel=1e-6)
-    assert first.mass == pytest.approx(np.zeros(8), abs=1e-12)
-
-
-@pytest.mark.parametrize("effect", ["gravity", "added_mass", "sensor_gain", "ground_spring", "mass_coupling",
-                                    "joint_rotation", "axial_columns", "story_change"])  # fmt: skip
-def test_every_effect_of_the_catalogue_has_words_for_its_size(effect):
-    declared = experiment(effect, 3, 2, noise=0.01)
-    tested = cvxshear.Experiment.from_dict(declared)
-    kind = next(item for item in cvxshear.effects.catalogue() if item.name == effect)
-    placed = cvxshear.effects.LocatedEffect(kind, kind.places(tested)[-1])
-    result = close_loop(tested, effects=[], assume=[placed])
-    said = consequences(result.estimate, result.assumed[0])
-    assert said
-    assert all(sentence.endswith(".") and "nan" not in sentence for sentence in said)
-
-
-def test_what_a_story_loses_beside_joints_that_turn_is_no_share_of_its_stiffness():
-    tested = cvxshear.Experiment.from_dict(experiment("joint_rotation", 3, 2, noise=0.01))
-    kinds = {item.name: item for item in cvxshear.effects.catalogue()}
-    assume = [
-        cvxshear.effects.LocatedEffect(kinds[name], kinds[name].places(tested)[-1])
-        for name in ("joint_rotation", "story_change")
-    ]
-    result = close_loop(tested, effects=[], assume=assume)
-    changed = consequences(result.estimate, result.assumed[1])[0]
-    assert "of what the story resists with the other effects, " in changed
-
-
-def test_a_report_is_one_page(of_paper):
-    assert Page(of_paper).tags[:1] == ["html"]
-
-
 def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):
-    shown = paper._repr_html_()
+    shown = notebook_html(paper)
     assert paper.effects[0].size.removesuffix(")") in html.unescape(shown)
     assert shown.count('<img src="data:image/png;base64,') == 1
     assert "26.35" in shown
     Page(shown)
-    assert '<img src="http' not in unexplained._repr_html_()
-    identified = cvxshear.identify(paper.experiment, method="two-stage")._repr_html_()
+    assert '<img src="http' not in notebook_html(unexplained)
+    identified = notebook_html(cvxshear.identify(paper.experiment, method="two-stage"))
     assert "stiffness, kN/m" in identified
     assert "25.517" in identified
     Page(identified)
-    Page(comparison._repr_html_())
+    Page(notebook_html(comparison))
 
 
 def test_importing_the_library_loads_no_report():
@@ -254,8 +205,53 @@ def test_the_animation_moves_the_drawing_that_was_made(text):
     assert x == pytest.approx([centre - half + largest * float(sway) for sway in drawn[1].split()], abs=0.01)
 
 
-def test_compose_without_the_effect_is_the_plain_frame(paper):
-    """The plain frame is the reference for the effect sizes."""
-    each = paper.experiment.configurations[0]
-    plain = compose(paper.experiment, each, [], paper.estimate.theta[:4])
-    assert plain.system.K[0, 0] == pytest.approx(paper.frame.story_stiffness.sum())
+def states_table(result, key="stories"):
+    """Return the rows of a table of states by their floor or story, the lowest first."""
+    tables = [part for part in describe(result)["states"].parts if part.key.split("-")[0] == key]
+    return [[cell for each in tables for cell in each.rows[-place][bool(each is not tables[0]) :]]
+            for place in range(1, result.experiment.stories + 1)]  # fmt: skip
+
+
+def test_what_gravity_takes_from_the_stories_of_each_state(paper):
+    """P-delta of bending columns by hand: 6/5 of the weight above story 1 over its height."""
+    mass, stiffness = paper.frame.floor_mass, paper.frame.story_stiffness[0]
+    lowest = states_table(paper)[0]
+    for cell, added in zip(lowest[2:], (22.1, 50.1, 77.1), strict=True):
+        load = 1.2 * 9.81 * (mass.sum() + added) / 0.39
+        left, change = cell.removesuffix(" %)").split(" (")
+        assert float(left) == pytest.approx((stiffness - load) / 1e3, rel=1e-4)
+        value, std = map(float, change.split(" ± "))
+        assert value == pytest.approx(-100 * load / stiffness, rel=2e-3)
+        # The load is proportional to gamma, whose deviation is that of the effect.
+        assert std / abs(value) == pytest.approx(paper.effects[0].std["gamma"] / 1.2, rel=0.5)
+
+
+def test_what_rocking_takes_from_every_story(eight):
+    """A force of 1 N at the top turns the base by z_top / k_theta; each story drifts by its height times this angle."""
+    theta, z = eight.judged.theta, 0.39 * np.arange(1, 9)
+    drift = 1.0 / theta[8:16] + 0.39 * z[-1] * theta[16]
+    softer = [float(row[2].split(" (")[1].split(" ± ")[0]) for row in states_table(eight)]
+    assert softer == pytest.approx(100 * (1.0 / drift / theta[8:16] - 1.0), abs=0.05)
+
+
+def test_before_after_and_change_of_the_story_that_lost_stiffness():
+    """The reference state is before; the floor that got an undeclared mass has a table of its own."""
+    declared = experiment("story_change", 3, 2, noise=1e-3)
+    names = [each.setdefault("state", each["name"]) for each in declared["configuration"]]
+    declared["frame"]["reference"] = names[0]
+    tested = cvxshear.Experiment.from_dict(declared)
+    kinds = {item.name: item for item in cvxshear.effects.catalogue()}
+    for name, key in (("story_change", "stories"), ("added_mass", "floors")):
+        placed = cvxshear.effects.LocatedEffect(kinds[name], kinds[name].places(tested)[-1])
+        result = close_loop(tested, effects=[], assume=[placed])
+        place = placed.place.story or placed.place.floor
+        rows = states_table(result, key)
+        for number, (_, before, after) in enumerate(rows, 1):
+            assert ("(" in after) == (number == place)
+            if number != place:
+                assert after == before
+        size = result.judged.theta[-1]
+        whole = 1.0 if name == "story_change" else result.frame.floor_mass[place - 1]
+        value = float(rows[place - 1][2].split(" (")[1].split(" ± ")[0])
+        assert value == pytest.approx(100 * size / whole, rel=0.01)
+        assert len(describe(result)["states"].parts) == 1

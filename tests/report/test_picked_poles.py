@@ -9,7 +9,7 @@ from matplotlib.backend_bases import MouseEvent
 from cvxshear.io.record_file import write_pick
 from cvxshear.records import from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, hammer_record
-from cvxshear.report.figures.picked_poles import PolePicker
+from cvxshear.report.figures.frequency_figures import PolePicker
 from cvxshear.util.errors import InputError
 
 RECORD = """# a test

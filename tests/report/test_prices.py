@@ -45,7 +45,7 @@ def test_nothing_is_printed_where_no_bound_is_active(example):
 def test_accepted_polished_and_replaced_answers_are_printed(comparison):
     (table,) = next(each for each in describe(comparison).sections if each.key == "worst").parts
     assert table.head[2:5] == ("as given", "polished", "replaced")
-    for name, solved, *accepted in (row.cells[:5] for row in table.rows):
+    for name, solved, *accepted in (row[:5] for row in table.rows):
         rows = [each for each in comparison.rows if each.backend == name]
         assert list(map(int, accepted)) == [sum(getattr(x, how) for x in rows) for how in HOW]
         assert sum(map(int, accepted)) >= int(solved.split()[0])

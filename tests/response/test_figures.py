@@ -12,8 +12,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report import figures
 from cvxshear.report.describe import describe
-from cvxshear.report.figures.figure_table import figures_of
-from cvxshear.report.figures.style import for_narrow_page
+from cvxshear.report.figures.style import figures_of, for_narrow_page
 from cvxshear.response import (
     DampedModel,
     Fitted,

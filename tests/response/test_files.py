@@ -13,13 +13,12 @@ from scipy import io
 import cvxshear
 from cvxshear import effects
 from cvxshear.effects import LocatedEffect
-from cvxshear.io.uff import read_uff
-from cvxshear.paper.three_story import ThreeStory
+from cvxshear.paper.reproduction import exact_modes
+from cvxshear.paper.setups import three_story
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.handover import matrices, series, write_model, write_series
 from cvxshear.response import Fitted, Models, predict
 from cvxshear.util.errors import InputError, UnsuitableError
-from tests.frames import modes_of
 from tests.response.common import shaking
 
 RATIOS = [0.01, 0.015, 0.02]
@@ -31,23 +30,20 @@ NEEDS_OPENSEES = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def three():
     """Return the paper's three-story model with damping and known masses, and its prediction."""
-    of = ThreeStory("auto")
-    table = of.experiment.to_dict()
+    table = exact_modes().to_dict()
     table["frame"]["story_heights"] = 3.0
     table["configuration"][0]["damping_ratios"] = RATIOS
     experiment = cvxshear.Experiment.from_dict(table, name="three = stories")
-    theta = np.concatenate([of.truth.floor_mass, of.truth.story_stiffness])
+    theta = three_story(0.01).truth
     fitted = Fitted(experiment, (), theta, np.diag((1e-3 * theta) ** 2))
     motion = DrivenRecord((DrivenRun(shaking(600)),), 100.0)
     return fitted, motion, {kind: predict(Models(None, fitted), motion, damping=kind) for kind in ("modal", "story")}
 
 
-@pytest.mark.parametrize("kind", ["csv", "mat", "npz", "uff"])
+@pytest.mark.parametrize("kind", ["csv", "mat", "npz"])
 def test_series_are_the_same_in_every_file(three, kind, tmp_path):
     found = three[2]["story"]
     path = tmp_path / f"series.{kind}"
-    if kind == "uff":
-        pyuff = pytest.importorskip("pyuff")
     write_series(path, found)
     columns = series(found)
     assert {"time", "acceleration_1", "acceleration_std_3", "drift_ratio_2", "base_shear"} <= set(columns)
@@ -57,18 +53,11 @@ def test_series_are_the_same_in_every_file(three, kind, tmp_path):
         again = {head.split(" (")[0]: values for head, values in zip(heads, table.T, strict=True)}
     elif kind == "npz":
         again = dict(np.load(path))
-    elif kind == "mat":
-        again = {name: values[:, 0] for name, values in io.loadmat(path).items() if not name.startswith("__")}
     else:
-        read = read_uff(path)
-        kinds = [each["ordinate_spec_data_type"] for each in pyuff.UFF(str(path)).read_sets()]
-        assert kinds == [12] + [12] * 3 + [8] * 6 + [13] * 3
-        words = ("acceleration", "displacement", "drift", "shear")
-        names = ["time", "excitation", *(f"{word}_{i}" for word in words for i in (1, 2, 3))]
-        again = dict(zip(names, read.values.T, strict=True))
-    assert set(again) == (set(columns) if kind != "uff" else set(names))
+        again = {name: values[:, 0] for name, values in io.loadmat(path).items() if not name.startswith("__")}
+    assert set(again) == set(columns)
     for name, values in again.items():
-        np.testing.assert_allclose(values, columns[name], rtol=1e-5 if kind == "uff" else 1e-8, atol=1e-12)
+        np.testing.assert_allclose(values, columns[name], rtol=1e-8, atol=1e-12)
 
 
 def test_models_are_the_same_in_every_file(three, tmp_path):
@@ -161,46 +150,6 @@ def test_coupled_masses_are_no_nodal_masses(three, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_spreadsheet_holds_what_was_found(three, tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    found = three[2]["story"]
-    write_model(tmp_path / "frame.xlsx", found)
-    book = openpyxl.load_workbook(tmp_path / "frame.xlsx")
-    assert book.sheetnames == ["frame", "effects", "modes", "residuals"]
-    rows = list(book["frame"].iter_rows(values_only=True))
-    theta = three[0].theta
-    np.testing.assert_allclose([row[1] for row in rows[1:]], theta[:3])
-    np.testing.assert_allclose([row[4] for row in rows[1:]], 1e-3 * theta[3:])
-    np.testing.assert_allclose([row[5] for row in rows[1:]], found.damping.story_dashpot)
-
-
-def test_the_spreadsheet_holds_the_errors_of_both_models(three, tmp_path):
-    """Both models differ from the truth; a plain eigenvalue solver gives the modes, least squares scales the shapes."""
-    openpyxl = pytest.importorskip("openpyxl")
-    fitted, motion, _ = three
-    thetas = [fitted.theta * factors for factors in (np.linspace(0.9, 1.15, 6), np.linspace(1.02, 0.98, 6))]
-    before, after = (Fitted(fitted.experiment, (), theta, None) for theta in thetas)
-    write_model(tmp_path / "frame.xlsx", predict(Models(before, after), motion))
-    head, *rows = openpyxl.load_workbook(tmp_path / "frame.xlsx")["residuals"].iter_rows(values_only=True)
-    assert head == (
-        "configuration", "part", "quantity", "relative error, shear model", "relative error, with effects",
-        "standard deviations off, shear model", "standard deviations off, with effects",
-    )  # fmt: skip
-    (tested,) = fitted.experiment.configurations
-    parts = [(tested.name, f"mode {mode}", what) for what in ("frequency", "mode shape") for mode in (1, 2, 3)]
-    assert [row[:3] for row in rows] == parts
-    for column, theta in enumerate(thetas):
-        frequencies, shapes = modes_of(theta[:3], theta[3:])
-        errors = [row[3 + column] for row in rows]
-        np.testing.assert_allclose(errors[:3], frequencies / tested.frequencies - 1)
-        for measured, modelled, error in zip(tested.mode_shapes, shapes, errors[3:], strict=True):
-            unit = measured / measured[np.argmax(np.abs(measured))]
-            (scale,) = np.linalg.lstsq(modelled[:, None], unit, rcond=None)[0]
-            np.testing.assert_allclose(error, np.abs(scale * modelled - unit).max())
-        off = np.log(frequencies / tested.frequencies) / tested.log_frequency_std
-        np.testing.assert_allclose([row[5 + column] for row in rows[:3]], off, rtol=1e-9)
-
-
 def test_the_header_of_time_series_has_units(three, tmp_path):
     write_series(tmp_path / "series.csv", three[2]["modal"])
     head = (tmp_path / "series.csv").read_text().splitlines()[0].split(",")
@@ -209,9 +158,9 @@ def test_the_header_of_time_series_has_units(three, tmp_path):
 
 
 def test_names_of_files_that_nothing_is_written_as(three, tmp_path):
-    with pytest.raises(InputError, match=r"time series are written as .csv, .mat, .npz or .uff"):
+    with pytest.raises(InputError, match=r"time series are written as .csv, .mat or .npz"):
         write_series(tmp_path / "series.xls", three[2]["modal"])
-    with pytest.raises(InputError, match=r"a model is written as .npz, .mat, .json, .py or .xlsx"):
+    with pytest.raises(InputError, match=r"a model is written as .npz, .mat, .json or .py"):
         write_model(tmp_path / "model.xls", three[2]["modal"])
     with pytest.raises(InputError, match="cannot be written"):
         write_series(tmp_path / "nowhere" / "series.csv", three[2]["modal"])

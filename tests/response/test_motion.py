@@ -7,7 +7,6 @@ from scipy import signal
 from cvxshear.records.motion import band_limited
 from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, DrivenRecord, DrivenRun, Response, floor_spectra, response
-from cvxshear.response.damped import SMALL, first_order_hold
 from cvxshear.response.peaks import peaks_of
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking
@@ -33,7 +32,6 @@ def test_modes_that_do_not_swing():
     """Strong proportional dashpots overdamp the upper modes."""
     mass, stiffness, _ = damped_frame(3)
     of = DampedModel(*matrices(mass, stiffness, 0.05 * stiffness), np.ones(3))
-    assert np.sum(of.poles.values.imag == 0) == 4
     excitation = shaking(100, STEP)
     total, _ = integrated(of.M, of.C, of.K, excitation, STEP)
     np.testing.assert_allclose(
@@ -87,17 +85,6 @@ def test_pieces_of_any_length_and_a_still_ground_stay_finite(samples):
 def test_white_samples_are_no_band_limited_motion():
     white = np.random.default_rng(0).standard_normal(6000)
     assert np.sqrt(np.mean((band_limited(white) - white) ** 2)) < 0.02
-
-
-def test_the_hold_goes_over_into_its_series_without_a_step():
-    s = np.array([-0.3 + 1j, 1j]) / abs(-0.3 + 1j)
-    below, above = (first_order_hold(s * SMALL * factor, 1.0) for factor in (1 - 1e-9, 1 + 1e-9))
-    for a, b in zip(below, above, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-8)
-    # A constant input gives e^(s h) - 1 = s (sum of both weights).
-    E, now, before = first_order_hold(s * 1e-6, 1.0)
-    np.testing.assert_allclose(now + before, np.expm1(s * 1e-6) / (s * 1e-6), rtol=1e-15)
-    np.testing.assert_allclose(E, np.exp(s * 1e-6))
 
 
 def test_forces_are_in_equilibrium():

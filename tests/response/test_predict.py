@@ -19,9 +19,9 @@ from cvxshear.report.describe import describe
 from cvxshear.report.handover import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import compared, peak
-from cvxshear.response.damped import Response
 from cvxshear.response.peaks import peaks_of
 from cvxshear.response.sources import state_of
+from cvxshear.response.state_space import Response
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 from tests.studies.response_coverage import coverage, linear_over_sampled

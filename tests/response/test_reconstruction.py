@@ -17,12 +17,12 @@ from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
-from cvxshear.response.dynamics import Noise, Setting, doubled, dynamics, dynamics_slopes, recursion, settled_covariance
 from cvxshear.response.frame_motion import MOST_DIRECTIONS, PROBED_SAMPLES, FrameMotion, readings_of
 from cvxshear.response.innovations import Directions, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
 from cvxshear.response.sensor_checks import as_predicted
-from cvxshear.response.smoother import Observed, Steady, settled_slopes, settled_states, smooth
+from cvxshear.response.smoother import Observed, settled_states, smooth
+from cvxshear.response.state_space import Filter, Noise, Setting, doubled, dynamics, recursion
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError
@@ -172,7 +172,7 @@ def test_settled_covariances_solve_their_equations(three):
     unit = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(doubled(system.A, system.Q) / np.outer(unit, unit),
                                expected / np.outer(unit, unit), atol=1e-9)  # fmt: skip
-    P = settled_covariance(system)
+    P = Filter.settled(system).P
     S = system.H @ P @ system.H.T + np.diag(system.R)
     gain = P @ system.H.T @ np.linalg.inv(S)
     unit = np.sqrt(np.diag(P))
@@ -204,25 +204,6 @@ def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
     # A smoother that took the filled-in samples for data would trust them.
     filled = settled_states(system, excitation, found.completed + [0.0, 0.3] * ~np.isfinite(y), found.states[0], pieces)
     np.testing.assert_allclose(filled, states)
-
-
-def test_slopes_of_smoothed_states_are_those_of_differences(three):
-    """Omit the beginning, because there the covariance of a settled filter changes with the frame."""
-    model, setting, system, _ = three
-    noise, rng, near = Noise(np.array([0.05, 0.08]), 0.05), np.random.default_rng(3), 1e-5
-    top = np.array([0.0, 0.0, 1.0])
-    excitation, y = straight(shaking(700, STEP)), rng.standard_normal((700, 2))
-    either = [
-        dataclasses.replace(model, K=(1 + size) * model.K, C=(1 - 3 * size) * model.C, gain=model.gain + size * top)
-        for size in (near, -near)
-    ]
-    rates = dynamics_slopes((model, noise), [(either[0], noise)], np.array([near]), setting)
-    states, slopes = settled_slopes(Steady.of(system), rates, excitation, y, np.zeros(9))
-    whole = [(slice(0, 700), np.ones(2, dtype=bool))]
-    there, back = (settled_states(dynamics(each, noise, setting), excitation, y, np.zeros(9), whole) for each in either)
-    np.testing.assert_allclose(states, settled_states(system, excitation, y, np.zeros(9), whole), atol=1e-12)
-    scale = np.abs(slopes[400:, 0]).max(axis=0)
-    np.testing.assert_allclose(slopes[400:, 0] / scale, (there - back)[400:] / (2 * near) / scale, atol=1e-3)
 
 
 @pytest.mark.parametrize("force_floor", [0, 3])
@@ -261,7 +242,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_differences(force_floor, gap)
     total = 0.0
     for part, seen, own in zip(parts, sensors, start, strict=False):
         x = own
-        filtered = Steady.of(errors.dynamics(p).seen_by(seen))
+        filtered = Filter.settled(errors.dynamics(p).seen_by(seen))
         driven = filtered.model.driven(both[part])
         for t in range(part.start, part.stop):
             e = y[t, seen] - filtered.model.H @ x - filtered.model.direct * excitation[t]
@@ -424,11 +405,11 @@ def test_as_few_directions_are_followed_as_carry_what_they_must(softened):
     narrow = dataclasses.replace(fitted, covariance=0.01 * fitted.covariance)
     found = work.directions(narrow, most=len(fitted.covariance))
     noise, run = fitted.errors.noise_at(fitted.p), max(fitted.errors.stretches, key=lambda each: np.mean(each.y**2))
-    part, filtered = run.strongest(PROBED_SAMPLES), Steady.of(fitted.errors.dynamics(fitted.p))
+    part, filtered = run.strongest(PROBED_SAMPLES), Filter.settled(fitted.errors.dynamics(fitted.p))
     start = filtered.predicted(run.excitation, run.y, run.start)[0][part.start]
     probed = SimpleNamespace(completed=run.y[part], states=start[None])
     driven = RecordedRun(run.y[part], run.excitation[part, 1], "", between=run.excitation[part, 0])
-    along = np.array([next(work.moved_by(sides, noise, driven, probed))[1] for sides in found.sides])
+    along = np.array([work.moved_by(sides, noise, driven, probed) for sides in found.sides])
     system = dynamics(fitted.model, noise, work.setting)
     states = settled_states(system, run.excitation[part], run.y[part], start, work.pieces(driven))
     outputs = system.outputs.of(states, run.excitation[part])
@@ -448,7 +429,7 @@ def test_frames_a_hundredth_as_far_apart_move_a_hundredth_as_differently(softene
     )
     noise, (smoothed,) = fitted.errors.noise_at(fitted.p), work.smoothed(fitted.errors, fitted.p)
     far, near = (
-        np.abs(np.concatenate([moved for _, moved in work.moved_by(sides, noise, recording.runs[0], smoothed)]))
+        np.abs(work.moved_by(sides, noise, recording.runs[0], smoothed))
         for share in (1.0, 1e-4)
         for sides in work.directions(dataclasses.replace(fitted, covariance=share * fitted.covariance), most=1).sides
     )

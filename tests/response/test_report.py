@@ -89,7 +89,7 @@ def test_one_set_of_errors_where_nothing_was_added(closed):
     assert alike.to_dict()["before"] == alike.to_dict()["after"]
     table = next(part for section in describe(alike).sections for part in section.parts if section.key == "errors")
     assert table.head[:2] == ("floor", "error in time")
-    assert [row.cells[0] for row in table.rows] == ["3", "2", "1"]
+    assert [row[0] for row in table.rows] == ["3", "2", "1"]
     legend = [text.get_text() for text in transfer_functions(alike).legends[0].get_texts()]
     assert sorted(legend) == ["measured", "predicted"]
 
@@ -99,7 +99,7 @@ def test_two_sets_of_errors_where_an_effect_was_added(closed):
     pair = Models(Fitted.of(closed.estimate), Fitted.of(gained))
     found = predict(pair, motion(measured=True))
     table = next(part for section in describe(found).sections for part in section.parts if section.key == "errors")
-    assert [row.cells[:2] for row in table.rows[:2]] == [("3", "shear model"), ("3", "with effects")]
+    assert [row[:2] for row in table.rows[:2]] == [("3", "shear model"), ("3", "with effects")]
     legend = [text.get_text() for text in transfer_functions(found).legends[0].get_texts()]
     assert sorted(legend) == ["measured", "shear model", "with effects"]
 

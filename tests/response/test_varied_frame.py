@@ -14,9 +14,8 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import ExpectedEffect
 from cvxshear.response import DampedModel, Fitted, varied_frame
 from cvxshear.response import frame_prior as module
-from cvxshear.response.dynamics import Noise, Setting, dynamics, recursion
 from cvxshear.response.frame_prior import FramePrior, ModalRows
-from cvxshear.response.smoother import Steady
+from cvxshear.response.state_space import Filter, Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import Damped, UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame
 from tests.frames import chain
@@ -179,7 +178,7 @@ def test_larger_motions_and_smaller_gains_look_alike():
     np.testing.assert_allclose(moves[1], np.exp(0.05) * moves[0], atol=1e-12)
     np.testing.assert_allclose(moves[1] @ b.H.T, moves[0] @ a.H.T, atol=1e-9)
     # The covariance of the innovations, with the missed forces, is the same.
-    np.testing.assert_allclose(Steady.of(b).S, Steady.of(a).S, rtol=1e-6)
+    np.testing.assert_allclose(Filter.settled(b).S, Filter.settled(a).S, rtol=1e-6)
 
 
 def test_a_heavier_floor_leaves_the_stories_as_they_are():

@@ -9,7 +9,7 @@ import pytest
 import cvxshear
 from cvxshear.io.toml import write_measurement
 from tests.fe.experiments import simulated
-from tests.mistakes import with_mistake
+from tests.screening.mistakes import with_mistake
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from cvxshear.measurement.declaration import NAMES as ALL_NAMES
 from cvxshear.screening import refuse_mistakes, screen
 from tests.fe.experiments import simulated
 from tests.frames import EXAMPLES, configuration, experiment
-from tests.mistakes import MISTAKES, with_mistake
+from tests.screening.mistakes import MISTAKES, with_mistake
 from tests.studies.calibration import EFFECTS
 
 MASS = np.array([12.0, 10.0, 9.0, 8.0])

@@ -10,14 +10,18 @@ from cvxshear.programs import Acceptance, LeastSquares
 from tests.studies.timing import table
 
 RANDOM_PROGRAMS = 30
+COLUMNS = [*(each.value for each in Acceptance), "refused", "not solved: an inequality is active"]
 
 
 def main():
-    programs = [each.program for name in BUILT_IN for each in programs_of(cvxshear.load(name))[0]]
-    programs += [bounded(seed) for seed in range(RANDOM_PROGRAMS)]
-    rows = [[name, *_counts(name, programs)] for name in backends.available()]
-    columns = [*(each.value for each in Acceptance), "refused", "not solved: an inequality is active"]
-    table(f"Answers to {len(programs)} programs", ["backend", *columns], rows)
+    programs = programs_of_examples(BUILT_IN) + [bounded(seed) for seed in range(RANDOM_PROGRAMS)]
+    rows = [[name, *answers(name, programs).values()] for name in backends.available()]
+    table(f"Answers to {len(programs)} programs", ["backend", *COLUMNS], rows)
+
+
+def programs_of_examples(names):
+    """Return the programs of built-in examples."""
+    return [each.program for name in names for each in programs_of(cvxshear.load(name))[0]]
 
 
 def bounded(seed):
@@ -28,14 +32,14 @@ def bounded(seed):
     return LeastSquares(R, s, lower=np.full(10, np.quantile(free, 0.3)), upper=np.full(10, np.quantile(free, 0.8)))
 
 
-def _counts(name, programs):
-    """Return the numbers of answers, one per column of the table."""
-    counts = dict.fromkeys([*Acceptance, "refused", "unsuitable"], 0)
+def answers(name, programs):
+    """Return the number of a backend's answers for each column of the table."""
+    counts = dict.fromkeys(COLUMNS, 0)
     for program in programs:
         try:
-            counts[program.solve(name).acceptance] += 1
+            counts[program.solve(name).acceptance.value] += 1
         except UnsuitableError:
-            counts["unsuitable"] += 1
+            counts[COLUMNS[-1]] += 1
         except CvxshearError:
             counts["refused"] += 1
-    return list(counts.values())
+    return counts

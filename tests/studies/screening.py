@@ -18,7 +18,7 @@ import numpy as np
 from cvxshear import Experiment
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
-from tests.mistakes import MISTAKES, WHOLE, with_mistake
+from tests.screening.mistakes import MISTAKES, WHOLE, with_mistake
 from tests.studies.calibration import EFFECTS
 
 CLEAN = 5

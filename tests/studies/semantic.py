@@ -19,7 +19,7 @@ from cvxshear import CvxshearError, Experiment, InputError
 from cvxshear.loop.close import search_for_effects
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
-from tests.mistakes import MISTAKES, with_mistake
+from tests.screening.mistakes import MISTAKES, with_mistake
 
 SURE = 6.0
 """Limit of an error in standard deviations; a larger error counts as wrong. By chance one value in a thousand million
@@ -117,7 +117,7 @@ FAULTS = {
     mass_in_pounds: (*MASS, "total_mass"), total_in_pounds: ("total_mass",), total_with_added: ("total_mass",),
     heights_added_up: (), all_in_rad: (), tests_exchanged: MASS, one_frequency: (), one_entry: (),
 }  # fmt: skip
-"""Faults that `tests.mistakes` does not have, each with the effects that are a right answer to it."""
+"""Faults that `tests.screening.mistakes` does not have, each with the effects that are a right answer to it."""
 
 UNTOLD = {
     "all_in_rad": "a frame (2 pi)^2 times as stiff has these modes; masses are right, every stiffness is wrong by that"

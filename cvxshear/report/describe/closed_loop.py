@@ -1,35 +1,53 @@
-"""Describe the result of the loop: verdict, probabilities of the effects, open questions, recommended next test."""
+"""Describe the result of the loop: verdict, states, frame, probabilities, errors, open questions, next test."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
+import numpy as np
+
+from cvxshear.data import Deviation, Frequencies, noise_kinds
+from cvxshear.effects import compose
+from cvxshear.effects.state import State
 from cvxshear.loop import LoopResult
 from cvxshear.loop.next_test import NextTest
+from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect, EffectSet
-from cvxshear.report.describe.consequences import before_after, consequences, residual_section, steps_section
-from cvxshear.report.describe.headline import (
-    DOUBT,
-    NAMED,
-    evidence_in_words,
-    headline,
-    in_doubt,
-    numbering_sections,
-    numbers_in_words,
-    verdict_of,
-)
-from cvxshear.report.describe.identified import frame_table, generous_noise, in_words
-from cvxshear.report.describe.measured import declared, measured_modes, units_for
-from cvxshear.report.describe.vocabulary import (
+from cvxshear.report.describe import (
+    PAGE_COLUMNS,
     Block,
+    Column,
     Document,
     Facts,
     Points,
-    Row,
     Section,
     Sentence,
     Table,
     describe,
+    exact,
     line,
-    plain_rows,
+    places,
+    table,
+    table_of_rows,
+)
+from cvxshear.report.describe.headline import (
+    DOUBT,
+    MODELS,
+    NAMED,
+    evidence_in_words,
+    headline,
+    in_doubt,
+    noise_facts,
+    numbering_sections,
+    numbers_in_words,
+    verdict_of,
+)
+from cvxshear.report.describe.identified import (
+    declared,
+    frame_table,
+    frequencies_table,
+    generous_noise,
+    in_words,
+    measured_modes,
+    units_for,
 )
 from cvxshear.util.quantities import (
     AUTOMATIC,
@@ -39,38 +57,24 @@ from cvxshear.util.quantities import (
     counted,
     listed,
     per_force,
+    percents,
     probability,
+    signed,
     significant,
     significants,
     with_std,
 )
-
-BRIEF_SETS = 6
-"""Number of sets of effects that a terminal shows."""
-
-BRIEF_CANDIDATES = 8
-"""Number of candidates that a terminal shows."""
-
-SPELLED_OUT = 3
-"""Largest number of effects of a set that are all named. A larger set is named by its differences from the most
-probable."""
-
+from cvxshear.util.typing import Floats
 
 MOST_QUESTIONS = 4
 """Number of open questions on the first screen of a report; a later section lists all."""
-
-GAIN = 1.0
-"""Expected decrease of chi-square by chance for one additional parameter."""
-
-UNMOVED = 2.0
-"""Largest ratio of the posterior to the prior probability for an effect that counts as no more probable."""
 
 
 def effects_section(result: LoopResult) -> Section:
     """List the added effects, the most probable first, each with its rivals."""
     if not result.effects:
         return Section("effects", "Effects added", (Sentence("None was added to the model."),))
-    rows = tuple(row for item in result.effects for row in _with_rivals(item))
+    rows = (row for item in result.effects for row in _with_rivals(item))
     remarks = tuple(f"{item.placed.label}: {remark}" for item in result.effects for remark in item.remarks)
     title = "The effect found" if len(result.effects) == 1 else "Effects found"
     caption = "Effects that were added to the shear model"
@@ -80,27 +84,26 @@ def effects_section(result: LoopResult) -> Section:
         among = "the probabilities are among causes that were tried, none of which explains the data"
         said = f"None of them counts as found, as long as a residual is left: {among}."
         parts.append(Sentence(said, "warning"))
-    parts.append(Table("effects-table", caption, ("effect", "probability"), rows))
+    parts.append(table_of_rows("effects-table", caption, ("effect", "probability"), rows))
     return Section("effects", title, (*parts, *([Points("remarks", remarks)] if remarks else [])))
 
 
-def _with_rivals(item: AddedEffect) -> Iterator[Row]:
-    yield Row((item.size, chance(item.probability)))
+def _with_rivals(item: AddedEffect) -> Iterator[tuple[str, str]]:
+    yield item.size, chance(item.probability)
     for rival in item.rivals:
         words = "cannot be distinguished from" if rival.twin else "or in its place"
-        yield Row((f"   {words}: {rival.placed.label}", chance(rival.probability)))
+        yield f"   {words}: {rival.placed.label}", chance(rival.probability)
     if not item.rivals:
-        yield Row(("   rivals: none", ""))
+        yield "   rivals: none", ""
 
 
-def effect_sections(result: LoopResult, units: Units) -> Iterator[Section]:
-    """Describe each effect in full: its meaning, formula, parameters and consequences."""
+def effect_sections(result: LoopResult) -> Iterator[Section]:
+    """Describe each effect in full: its meaning, formula and parameters."""
     for place, item in enumerate(result.effects, 1):
         kind = item.placed.effect
         known = ("probability", chance(item.probability)), ("source of the formula", kind.source)
         facts = Facts((("formula", kind.formula), *_parameters(result, item), *known))
-        does = Points(f"size-{place}", tuple(consequences(result.judged, item.placed, units)))
-        parts = (Sentence(kind.summary), facts, does)
+        parts = (Sentence(kind.summary), facts)
         yield Section(f"effect-{place}", capital(item.placed.label), parts, detail=True, below=True)
 
 
@@ -112,14 +115,28 @@ def _parameters(result: LoopResult, item: AddedEffect) -> Iterator[tuple[str, st
         yield name.replace("_", " "), written(item.parameters[name], item.std[name], unit)
 
 
+def effects_table(result: LoopResult) -> Table:
+    """Tabulate each parameter of each effect, for programs."""
+    rows = []
+    for found in result.effects:
+        place, units = found.placed.place, found.placed.units(result.experiment)
+        where = found.placed.effect.name.replace("_", " "), place.floor, place.story, place.test or place.state
+        for parameter, unit in zip(found.placed.effect.parameters, units, strict=True):
+            name = parameter.name
+            rows.append((*where, name.replace("_", " "), unit, found.parameters[name], found.std[name]))
+    names = ("effect", "floor", "story", "configuration", "parameter", "unit", "value", "std")
+    values = zip(*rows, strict=True) if rows else [()] * len(names)
+    return Table("effects", "Effects", tuple(map(exact, names, values)))
+
+
 def sets_section(result: LoopResult) -> Section:
     """Tabulate the sets of effects with their probabilities."""
     chi2 = significants([item.chi2 for item in result.models])
     pairs = zip(result.models, chi2, strict=True)
-    rows = plain_rows((_label(item, result), chance(item.probability), shown) for item, shown in pairs)
+    rows = [(_label(item, result), chance(item.probability), shown) for item, shown in pairs]
     head = ("set", "probability", "chi-square")
-    table = Table("models", "Sets of effects, the most probable first", head, rows, brief=BRIEF_SETS)
-    return Section("sets", "Which effects together", (table,) if rows else (), below=True)
+    found = table_of_rows("models", "Sets of effects, the most probable first", head, rows, brief=True)
+    return Section("sets", "Which effects together", (found,) if rows else (), below=True)
 
 
 def _label(item: EffectSet, result: LoopResult) -> str:
@@ -134,7 +151,7 @@ def _set_label(effects: EffectSet, first: EffectSet) -> str:
     """Name the effects of a set, or its differences from the most probable set."""
     if not effects.effects:
         return "the shear model alone"
-    if len(effects.effects) <= SPELLED_OUT or effects is first:
+    if len(effects.effects) <= NAMED or effects is first:
         return " + ".join(placed.label for placed in effects.effects)
     come = listed([placed.label for placed in effects.effects if placed not in first.effects])
     gone = listed([placed.label for placed in first.effects if placed not in effects.effects])
@@ -152,36 +169,18 @@ def candidates_section(result: LoopResult) -> Section:
     chi2 = significants([max(item.chi2, 0.0) for item in result.candidates])
     title = f"The most probable first (p: of such a gain in chi-square by chance, counting that {count} were tried)"
     head = ("effect", "before", "with the data", "chi-square", "dof", "p of gain")
-    rows = plain_rows(
+    rows = (
         (item.placed.label, chance(item.prior), chance(item.probability), fit, str(item.dof), probability(item.p_value))
         for item, fit in zip(result.candidates, chi2, strict=True)
     )
-    table = Table("candidates-table", title, head, rows, brief=BRIEF_CANDIDATES)
+    found = table_of_rows("candidates-table", title, head, rows, brief=True)
     said = tuple(
         f"{capital(item.placed.label)} cannot be distinguished from {in_words(item.confounded_with)}."
         for item in result.candidates
         if item.confounded_with
     )
-    parts: tuple[Block, ...] = (table, *_unmoved(result), *([Points("confounded", said)] if said else []))
+    parts: tuple[Block, ...] = (found, *([Points("confounded", said)] if said else []))
     return Section("candidates", "What was looked for, and how probable it is", parts, below=True)
-
-
-def _unmoved(result: LoopResult) -> Iterator[Sentence]:
-    """Explain why some effects improve chi-square and are no more probable than before."""
-    added = {item.placed for item in result.effects}
-    final = result.estimate.chi2
-    seen = [
-        item.placed.label
-        for item in result.candidates
-        if item.placed not in added and final - max(item.chi2, 0.0) > GAIN and item.probability < UNMOVED * item.prior
-    ]
-    if seen:
-        names = listed(seen if len(seen) <= SPELLED_OUT else [*seen[:SPELLED_OUT], f"{len(seen) - SPELLED_OUT} more"])
-        yield Sentence(
-            f"With {names} chi-square would be lower, yet the probability hardly rises: any free number improves a fit "
-            "a little, and a cause gains only by what it improves beyond that; the column p of gain says how often "
-            "chance alone does as well."
-        )
 
 
 @describe.register
@@ -190,22 +189,31 @@ def _closure(result: LoopResult, units: Units = AUTOMATIC) -> Document:
     effort = f"Backend {result.backend}: {counted(result.fits, 'fit')}, {counted(result.programs, 'step program')}."
     sections = (
         verdict_section(result),
-        *numbering_sections(result),
+        states_section(result, units),
+        frame_section(result, units),
         effects_section(result),
+        *numbering_sections(result),
         sets_section(result),
         candidates_section(result),
-        *effect_sections(result, units),
+        *effect_sections(result),
         before_after(result),
         residual_section(result),
-        steps_section(result),
-        frame_section(result, units),
         limits_section(result),
         Section("next", "What to test next", (Sentence(_next(result, units)),)),
         declared(result.experiment, units),
         measured_modes(result.experiment, units),
-        Section("effort", "Effort", (Sentence(effort),)),
+        steps_section(result),
+        not_considered(result),
+        Section("effort", "Effort", (Sentence(effort),), below=True, appendix=True),
     )
-    return Document(result.experiment.name, f"{result.verdict.upper()}: {headline(result)}", sections)
+    headline_text = f"{result.verdict.upper()}: {headline(result)}"
+    data = (
+        frame_table(result.frame, "Identified frame", AUTOMATIC, key="frame", averaged=result.averaged),
+        effects_table(result),
+        errors_table(result),
+        frequencies_table(result.experiment, result.estimate.predictions),
+    )
+    return Document(result.experiment.name, headline_text, sections, data)
 
 
 @line.register
@@ -229,6 +237,181 @@ def verdict_section(result: LoopResult) -> Section:
     return Section("verdict", "Verdict", (Sentence(" ".join(each for each in said if each)),))
 
 
+Writer = Callable[[Sequence[float | None]], list[str]]
+
+
+def _each(written: Callable[[float | None], str]) -> Writer:
+    return lambda values: [written(value) for value in values]
+
+
+def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
+    """Yield the JSON key, the label and the format of each compared error.
+
+    Parameters
+    ----------
+    held_out : str
+        Text that explains the prediction of the held-out frequencies.
+    """
+    for kind in noise_kinds().values():
+        for figure in kind.figures:
+            yield figure.key, figure.label, percents if figure.relative else _each(lambda value: significant(value, 6))
+        if kind is Frequencies.noise:
+            yield "held_out_frequency_error", f"largest frequency error, {held_out}", percents
+    yield "chi2", "chi-square of the residual", significants
+    yield "dof", "its degrees of freedom", _each(lambda value: f"{value:.0f}" if value is not None else "–")
+    yield "p_value", "p: such a residual by chance", _each(probability)
+
+
+def before_after(result: LoopResult) -> Section:
+    """Compare the first and the final model of the loop."""
+    first = capital(result.before.action)
+    same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
+    which = f"{first} beside the final model, in the same noise.{same}"
+    noise = Facts(tuple(noise_facts(result)))
+    parts: tuple[Block, ...] = (Sentence(which), errors_table(result), *not_converged(result), noise)
+    return Section("before-after", "The shear model and the model with effects", parts)
+
+
+def errors_table(result: LoopResult) -> Table:
+    """Tabulate all errors of both models."""
+    before, after = result.before.to_dict(), result.after.to_dict()
+    several = len(result.experiment.configurations) > 1
+    held_out = "each test predicted from the others" if several else "each mode predicted from the others"
+    known = [each for each in compared_errors(held_out) if (before[each[0]], after[each[0]]) != (None, None)]
+    labels = tuple(label for _, label, _ in known)
+    texts = [written([before[key], after[key]]) for key, _, written in known]
+    columns = [Column("error", labels, words=True, name="error", values=labels)]
+    for name, side, cells in zip(MODELS, (before, after), zip(*texts, strict=True), strict=True):
+        columns.append(Column(name, cells, name=name.replace(" ", "_"), values=tuple(side[key] for key, _, _ in known)))
+    return Table("errors", "Errors of the model against the measurement", tuple(columns))
+
+
+def not_converged(result: LoopResult) -> Iterator[Sentence]:
+    """Warn of each shown fit that did not converge."""
+    for step in result.steps:
+        fit = step.estimate.fit
+        if not fit.converged:
+            yield Sentence(
+                f"NOT CONVERGED: {step.action} ({fit.reason}). Its numbers are where the fit stopped.", "warning"
+            )
+
+
+def residual_section(result: LoopResult) -> Section:
+    """Tabulate the residual of every part of the measurement, one table for each kind of data."""
+    before, after = by_part(result.before.estimate), by_part(result.estimate)
+    pairs = list(zip(before, after, strict=True))
+    kinds = dict.fromkeys(item.noise for item in after)
+    tables = tuple(_residuals(kind, [pair for pair in pairs if pair[1].noise == kind]) for kind in kinds)
+    return Section("residual", "Where the residual sits", tables, below=True)
+
+
+def _residuals(kind: str, pairs: list[tuple[Deviation, Deviation]]) -> Table:
+    signed = all(item.entries == 1 for pair in pairs for item in pair)
+    errors = percents([item.error for pair in pairs for item in pair], sign=signed)
+    rows = (
+        (after.configuration, after.place, *errors[2 * at : 2 * at + 2], *(_std(item) for item in (before, after)))
+        for at, (before, after) in enumerate(pairs)
+    )
+    title = f"{capital(kind.replace('_', ' '))}: model less measurement, in percent and in standard deviations (std)"
+    head = ("configuration", "part", *MODELS, *(f"std, {model}" for model in MODELS))
+    return table_of_rows(f"residual-{kind.replace('_', '-')}", title, head, rows, words=(0, 1))
+
+
+def _std(item: Deviation) -> str:
+    return signed(item.deviations, 1) if item.entries == 1 else f"{item.deviations:.1f}"
+
+
+def steps_section(result: LoopResult) -> Section:
+    """Tabulate each fit of the loop. With fewer than three fits, only the full report shows this table."""
+    errors = percents([step.estimate.quality.max_frequency_error for step in result.steps])
+    chi2 = significants([step.estimate.chi2 for step in result.steps])
+    steps = table("steps-table", "How the model was arrived at, in the noise of the last step", {
+        "step": [step.action for step in result.steps],
+        "chi-square": chi2,
+        "dof": [str(step.estimate.dof) for step in result.steps],
+        "p": [probability(step.p_value) for step in result.steps],
+        "largest frequency error": errors,
+    })  # fmt: skip
+    return Section("steps", "Step by step", (steps,), detail=len(result.steps) < 3, below=True, appendix=True)
+
+
+NOTHING = 1e-9
+"""Smallest relative change that is not rounding."""
+
+StateValues = tuple[Floats, Floats]
+"""A quantity of every story or floor, shape (N,), and its derivatives by every parameter, shape (P, N)."""
+
+
+def sway_stiffness(state: State) -> StateValues:
+    """Divide a force at the top by the drift of each story under it, N/m: the story stiffness of a shear frame."""
+    K, dK, n = state.system.K, state.system.dK, len(state.story_stiffness)
+    force = np.zeros(len(K))
+    force[n - 1] = 1.0
+    sway = np.linalg.solve(K, force)
+    by_parameters = -np.linalg.solve(K, (dK @ sway).T).T
+    drift, d_drift = (np.diff(each[..., :n], prepend=0.0) for each in (sway, by_parameters))
+    return 1.0 / drift, -d_drift / drift**2
+
+
+def moving_mass(state: State) -> StateValues:
+    """Sum the mass that moves with each floor, kg, without the declared added mass."""
+    n = len(state.story_stiffness)
+    rows, by_parameters = (each[..., :n, :n].sum(axis=-1) for each in (state.system.M, state.system.dM))
+    return rows - state.tested.added_mass, by_parameters
+
+
+def states_section(result: LoopResult, units: Units) -> Section:
+    """Tabulate every story and floor that an effect changes: frame alone or reference state, each state, the change."""
+    tables = (
+        _by_state(result, "stories", "Sway stiffness of each story", sway_stiffness, units.of_stiffness),
+        _by_state(result, "floors", "Mass that moves with each floor", moving_mass, units.of_mass),
+    )
+    return Section("states", "Every story and floor, before and after", tuple(part for each in tables for part in each))
+
+
+def _by_state(
+    result: LoopResult,
+    key: str,
+    title: str,
+    quantity: Callable[[State], StateValues],
+    unit_of: Callable[[Iterable[float]], tuple[float, str]],
+) -> Iterator[Table]:
+    """Tabulate one quantity in all states in which it differs; yield nothing if no effect changes it."""
+    estimate, experiment = result.judged, result.experiment
+    tests = {each.state: each for each in reversed(experiment.configurations)}
+    first = experiment.frame.reference
+    states = sorted(experiment.states, key=lambda name: name != first)
+    found = [
+        (f'"{name}"', quantity(compose(experiment, tests[name], estimate.effects, estimate.theta))) for name in states
+    ]
+    if first is None:
+        found.insert(0, ("shear frame", quantity(compose(experiment, tests[states[0]], (), estimate.theta))))
+    groups: list[tuple[list[str], StateValues]] = []
+    for name, values in found:
+        same = next((names for names, each in groups if np.allclose(each[0], values[0], rtol=NOTHING, atol=0.0)), None)
+        if same is None:
+            groups.append(([name], values))
+        else:
+            same.append(name)
+    if len(groups) == 1:
+        return
+    (_, before), *_ = groups
+    factor, unit = unit_of(before[0].tolist())
+    covariance = estimate.uncertainty.covariance()
+    columns = [places(len(before[0]), "story" if key == "stories" else "floor")]
+    for names, after in groups:
+        heading = listed(names if len(names) <= NAMED else [*names[:NAMED], f"{len(names) - NAMED} more"])
+        texts = significants((after[0] / factor).tolist(), 5)
+        change = after[0] / before[0] - 1.0
+        by_parameters = (after[1] - (1.0 + change) * before[1]) / before[0]
+        std = np.sqrt(np.einsum("pi,pq,qi->i", by_parameters, covariance, by_parameters))
+        written = (with_std(*each, "%", factor=0.01) for each in zip(change.tolist(), std.tolist(), strict=True))
+        changes = [f" ({text})" if abs(value) > NOTHING else "" for text, value in zip(written, change, strict=True)]
+        columns.append(Column(f"{heading}, {unit}", tuple(map("".join, zip(texts, changes, strict=True)))))
+    # A value with its change takes twice the width.
+    yield from Table(key, title, tuple(columns), top_first=True).folded(PAGE_COLUMNS // 2)
+
+
 def frame_section(result: LoopResult, units: Units) -> Section:
     """Tabulate the frame of the verdict's set and the average frame over all sets."""
     title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
@@ -239,20 +422,23 @@ def frame_section(result: LoopResult, units: Units) -> Section:
 
 
 def limits_section(result: LoopResult) -> Section:
-    """List the remaining residuals, the undetermined quantities and the effects that were not examined."""
+    """List the remaining residuals and the undetermined quantities."""
     parts: list[Block] = []
     if result.remains:
         parts += [Sentence("The residual sits in:", "warning"), Points("remains", result.remains)]
-    known = tuple(_limits(result))
-    if known:
+    if known := tuple(_undetermined(result)):
         parts.append(Points("untold", known))
     return Section("limits", "What is left open", tuple(parts))
 
 
-def _limits(result: LoopResult) -> Iterator[str]:
-    yield from _undetermined(result)
-    for name, lacking in result.not_considered.items():
-        yield f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
+def not_considered(result: LoopResult) -> Section:
+    """List the effects that the data cannot tell, and what would tell them."""
+    texts = tuple(
+        f"{capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
+        for name, lacking in result.not_considered.items()
+    )
+    parts = (Points("not-looked-for", texts),) if texts else ()
+    return Section("not-considered", "What was not looked for", parts, below=True, appendix=True)
 
 
 def _undetermined(result: LoopResult) -> Iterator[str]:
@@ -326,7 +512,7 @@ def _besides(result: LoopResult) -> str:
     left = [item for item in result.candidates if item.placed not in added and item.probability > DOUBT]
     if not left:
         return ""
-    named = [f"{item.placed.label} ({chance(item.probability)})" for item in left[:SPELLED_OUT]]
+    named = [f"{item.placed.label} ({chance(item.probability)})" for item in left[:NAMED]]
     if more := len(left) - len(named):
         named.append(f"{more} more")
     first = "No rival is left in the place of what was found" if added else "Nothing has to be added"

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cvxshear.records import ModalResult
-from cvxshear.report.describe.vocabulary import Block, Document, Facts, Section, Sentence, Table, describe, line, table
+from cvxshear.report.describe import Block, Document, Facts, Section, Sentence, Table, describe, exact, line, table
 from cvxshear.screening import FileFinding, Screening
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, numbered, percent, with_std, with_stds
@@ -31,9 +31,8 @@ def _modes(result: ModalResult, units: Units = AUTOMATIC) -> Document:
         _shapes(result),
         *(Sentence(f"{finding.kind}: {finding.message}", "warning") for finding in result.findings),
     ]
-    return Document(
-        result.name, f"{result.name}: {_modes_headline(result)}", (Section("modes", "Modes", tuple(parts)),)
-    )
+    sections = (Section("modes", "Modes", tuple(parts)),)
+    return Document(result.name, f"{result.name}: {_modes_headline(result)}", sections, (modes_data(result),))
 
 
 @line.register
@@ -59,6 +58,25 @@ def _table(result: ModalResult) -> Table:
         "MPC": [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
         "lost phase": [f"{value:.1f}°" for value in result.lost_phase],
     })  # fmt: skip
+
+
+def modes_data(result: ModalResult) -> Table:
+    """Tabulate the modes for programs, in the format that `csv` and `xlsx` of a configuration read."""
+    # The unit marks mass-normalized shapes; other shapes have the largest entry 1.
+    unit = "1/sqrt(kg)" if result.mass_normalized else ""
+    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
+    shapes = result.mode_shapes if result.mass_normalized else result.mode_shapes / largest
+    stds = (largest if result.mass_normalized else 1.0) * result.entry_std
+    values = {
+        ("mode", ""): result.modes,
+        ("frequency", "Hz"): result.frequencies,
+        ("frequency std", "Hz"): result.frequencies * result.frequency_std,
+        ("damping ratio", ""): result.damping_ratios,
+        **{(f"floor {floor}", unit): shapes[:, at] for at, floor in enumerate(result.floors)},
+        **{(f"floor {floor} std", unit): stds[:, at] for at, floor in enumerate(result.floors)},
+    }
+    columns = (exact(name, each, unit=unit) for (name, unit), each in values.items() if np.any(np.isfinite(each)))
+    return Table(result.name, "Modes", tuple(columns))
 
 
 def poles_table(result: ModalResult) -> Table:

@@ -10,9 +10,12 @@ from cvxshear.loop.posterior import ADDED, MANY_CAUSES
 from cvxshear.loop.residual import by_part
 from cvxshear.loop.results import AddedEffect
 from cvxshear.loop.verdicts import VERDICTS, Verdict
-from cvxshear.report.describe.vocabulary import Row, Section, Table
+from cvxshear.report.describe import Section, table_of_rows
 from cvxshear.util import ranking
-from cvxshear.util.quantities import chance, listed, percent, percents, significant, with_std
+from cvxshear.util.quantities import SURE, chance, listed, percent, percents, significant, with_std
+
+MODELS = ("shear model", "with effects")
+"""Names of the first and the final model of the loop. The words "before" and "after" may be names of states."""
 
 DOUBT = 0.05
 """Smallest probability of other mode numbers, or of an effect outside the model, that a sentence mentions."""
@@ -50,9 +53,9 @@ def numbering_sections(result: LoopResult) -> Iterator[Section]:
     rows = []
     for item in result.numberings:
         said = numbers_in_words(item.changes) if item.changes else "the modes are those given"
-        rows.append(Row((said, chance(item.probability)), exact=(item.probability,)))
-    table = Table("numberings", "Which modes of the frame were measured", ("numbering", "probability"), tuple(rows))
-    yield Section("numbering", "Which modes these are", (table,))
+        rows.append((said, chance(item.probability)))
+    title, head = "Which modes of the frame were measured", ("numbering", "probability")
+    yield Section("numbering", "Which modes these are", (table_of_rows("numberings", title, head, rows),))
 
 
 def noise_facts(result: LoopResult) -> Iterator[tuple[str, str]]:
@@ -87,12 +90,6 @@ def plural_of(noise: str) -> str:
 
 NAMED = 2
 """Largest number of effects that a sentence names; a table lists more."""
-
-CERTAINLY_THERE = 0.95
-"""Smallest probability of a certain effect; a verdict "explained" requires it for each effect."""
-
-CARRIES = 0.6
-"""Smallest share of the decrease in chi-square for one kind of data that decided the verdict alone."""
 
 
 def verdict_of(result: LoopResult) -> Verdict:
@@ -158,7 +155,7 @@ def _doubt(result: LoopResult) -> str:
         said = f"in place of {len(doubtful)} of them something else would explain the data as well"
     elif in_doubt(result):
         said = f"perhaps {other_numbers(result)} ({chance(result.numberings[1].probability)})"
-    elif unsure := [item.placed.label for item in result.effects if item.probability < CERTAINLY_THERE]:
+    elif unsure := [item.placed.label for item in result.effects if item.probability < SURE]:
         which = "it is" if len(result.effects) == 1 else f"{listed(unsure)} {'is' if len(unsure) == 1 else 'are'}"
         said = f"that {which} there at all is less sure than 95 %"
     return said
@@ -250,16 +247,13 @@ def evidence_in_words(result: LoopResult) -> str:
     share_of_kind = carried_by(result.before.estimate, result.estimate) if result.effects else {}
     if not share_of_kind:
         return ""
-    first, share = next(iter(share_of_kind.items()))
-    kind = plural_of(first)
+    kind = plural_of(next(iter(share_of_kind)))
     if _only_accuracy(result):
         return f"The evidence lies in the residuals of the {kind}, which scatter more than was declared."
-    if len(share_of_kind) == 1:
-        return f"The evidence lies in the {kind}; nothing else was measured."
-    if share > CARRIES:
-        return f"The evidence lies in the {kind}: {percent(share, 0)} of the fall in chi-square is theirs."
-    said = [f"{plural_of(each)} ({percent(part, 0)})" for each, part in share_of_kind.items()]
-    return f"The evidence lies in {listed(said)} of the fall in chi-square."
+    said = [f"{plural_of(each)} ({percent(part, 0)})" for each, part in share_of_kind.items() if round(100 * part)]
+    if len(said) == 1:
+        return f"The evidence lies in the {kind}."
+    return f"The evidence lies in the {listed(said)} of the fall in chi-square."
 
 
 def _only_accuracy(result: LoopResult) -> bool:

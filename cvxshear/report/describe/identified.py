@@ -1,30 +1,31 @@
-"""Describe an identified frame: its masses, stiffnesses and damping, and the fit of each configuration."""
+"""Describe the measured and declared data, and the identified frame with the fit of each configuration."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
-from cvxshear.fit.results import Identification, IdentifiedFrame, Quality, SingleIdentification
+from cvxshear.fit.results import Identification, IdentifiedFrame, Prediction, Quality, SingleIdentification
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs.certificate import ActiveConstraint
-from cvxshear.report.describe import vocabulary
-from cvxshear.report.describe.measured import declared, units_for
-from cvxshear.report.describe.vocabulary import (
+from cvxshear.report.describe import (
+    PAGE_COLUMNS,
     Block,
+    Column,
     Document,
+    Facts,
     Points,
-    Row,
     Section,
     Sentence,
     Table,
     describe,
+    exact,
     line,
-    plain_rows,
-    table,
+    places,
+    table_of_rows,
 )
-from cvxshear.response import IdentifiedDamping
 from cvxshear.util.quantities import (
     AUTOMATIC,
     NEGLIGIBLE_STD,
@@ -34,6 +35,7 @@ from cvxshear.util.quantities import (
     counted,
     equals,
     listed,
+    numbered,
     percent,
     percents,
     ranged,
@@ -42,6 +44,129 @@ from cvxshear.util.quantities import (
     with_std,
 )
 from cvxshear.util.typing import Floats
+
+
+@describe.register
+def _experiment(experiment: Experiment, units: Units = AUTOMATIC) -> Document:
+    sections = declared(experiment, units), measured_modes(experiment, units)
+    return Document(experiment.name, f"{experiment.name}: {_experiment_headline(experiment)}", sections)
+
+
+@line.register
+def _experiment_line(experiment: Experiment) -> str:
+    return f"<Experiment {experiment.name}: {_experiment_headline(experiment)}>"
+
+
+def _experiment_headline(experiment: Experiment) -> str:
+    tests = [counted(len(experiment.configurations), "configuration")]
+    if experiment.static:
+        tests.append(counted(len(experiment.static), "static test"))
+    return f"{counted(experiment.stories, 'story')}, {', '.join(tests)}"
+
+
+def units_for(experiment: Experiment, units: Units) -> Units:
+    """Choose the units: relative units if the total mass is unknown."""
+    return dataclasses.replace(units, relative=True) if experiment.frame.total_mass_placeholder else units
+
+
+def declared(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
+    """List the declarations of the frame, and each test in a line."""
+    facts = Facts(tuple(_facts(experiment, units)))
+    # All masses have one unit. A known mass of the frame determines this unit.
+    sums = [float(each.added_mass.sum()) for each in experiment.configurations]
+    mass = units.of_mass([*sums, experiment.frame.known_total or 0.0])
+    head = ("configuration", "modes", "floors", "added mass", "noise")
+    rows = (_test(each, mass) for each in experiment.configurations)
+    tests = table_of_rows("tests", "What was tested", head, rows, words=(0, 3, 4))
+    return Section("declared", "Measured and declared", (facts, tests), appendix=True)
+
+
+def _facts(experiment: Experiment, units: Units) -> Iterator[tuple[str, str]]:
+    frame = experiment.frame
+    yield "test", experiment.name
+    yield "stories", str(experiment.stories)
+    yield "story heights", "not declared" if frame.story_heights is None else each_or_all(frame.story_heights, "m")
+    if frame.total_mass_placeholder:
+        yield "total mass", "not given: 1 stands for it, and masses and stiffnesses are relative to it"
+    else:
+        yield "total mass", f"{_total(experiment, units)}, without added mass" if frame.known_total else "not declared"
+    if frame.reference is not None:
+        yield "reference state", frame.reference
+    for each in experiment.static:
+        yield f'static test "{each.name}"', f"displacements of {counted(int(each.measured.sum()), 'floor')}"
+    for prior in experiment.priors:
+        yield "known beforehand", prior.describe().replace("_", " ")
+    for expected in experiment.expected:
+        yield "expected beforehand", expected.name.replace("_", " ")
+
+
+def _total(experiment: Experiment, units: Units) -> str:
+    total = experiment.frame.known_total
+    assert total is not None
+    factor, unit = units.of_mass([total])
+    off = "" if experiment.frame.total_mass_std is None else f" ± {100 * experiment.frame.total_mass_std:g} %"
+    return f"{total / factor:g} {unit}{off}"
+
+
+def _test(each: Configuration, mass: tuple[float, str]) -> tuple[str, ...]:
+    floors = str(len(each.measured_floors)) if each.measured.any() else "none"
+    return each.name, str(len(each.frequencies)), floors, _added(each.added_mass, *mass), _noise(each)
+
+
+def _noise(each: Configuration) -> str:
+    """Return whether the file states the standard deviations of the measured quantities."""
+    stated = [each.frequency_std is not None]
+    if each.measured.any():
+        stated.append(each.mode_shape_std is not None)
+    return "stated" if all(stated) else "partly stated" if any(stated) else "not stated"
+
+
+def _added(mass: Floats, factor: float, unit: str) -> str:
+    """Write the added mass and its floors."""
+    floors = [int(place) + 1 for place in np.flatnonzero(mass)]
+    if not floors:
+        return "none"
+    return f"{mass.sum() / factor:g} {unit} on {numbered('floor', floors)}"
+
+
+def each_or_all(values: Floats, unit: str, factor: float = 1.0) -> str:
+    """Write the values, or one value if all are equal."""
+    shown = [f"{value / factor:g}" for value in values]
+    same = len(set(shown)) == 1 and len(shown) > 1
+    return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
+
+
+def measured_modes(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
+    """Tabulate the measured modes of every configuration."""
+    parts: list[Block] = []
+    for place, each in enumerate(experiment.configurations, 1):
+        parts += _modes(each, place, units)
+    return Section("modes", "Measured modes", tuple(parts), detail=True, below=True, appendix=True)
+
+
+def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
+    factor, unit = units.of_mass(each.added_mass.tolist())
+    # The masses are listed by floor unless only one floor has added mass.
+    single = np.count_nonzero(each.added_mass) < 2
+    added = _added(each.added_mass, factor, unit) if single else each_or_all(each.added_mass, unit, factor)
+    doubt = "" if _noise(each) == "stated" else " Standard deviations that are not stated are the default's."
+    yield Sentence(f"{each.name}. Added mass: {added}.{doubt}")
+    largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
+    scale = np.where(largest > 0, largest, 1.0)
+    shape_std = percents(np.max(each.entry_std / scale, axis=1, initial=0.0).tolist())
+    frequency_std = percents([float(std) for std in each.log_frequency_std])
+    floors = [f"floor {floor}" for floor in each.measured_floors]
+    rows = []
+    for j, mode in enumerate(each.modes):
+        shape = ("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j])
+        of_shape = shape_std[j] if each.measured[j].any() else "–"
+        frequency = significant(float(each.frequencies[j]), 5)
+        rows.append((str(mode), frequency, frequency_std[j], *shape, of_shape))
+    head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
+    title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
+    # Entries without deviations take half the width.
+    yield from table_of_rows(f"modes-{place}", title, head, rows).folded(2 * PAGE_COLUMNS)
+
 
 PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
 """Plurals of the quantities with one value for each floor or story."""
@@ -76,26 +201,68 @@ def frame_table(
     averaged: IdentifiedFrame | None = None,
 ) -> Table:
     """Tabulate floor masses, their sum and story stiffnesses, the top first, with optional averages over models."""
-    mass_factor, mass_unit = units.of_mass(frame.floor_mass.tolist())
-    factor, unit = units.of_stiffness(frame.story_stiffness.tolist())
-    head = ["floor / story", f"mass, {mass_unit}", f"stiffness, {unit}"]
-    shown = [frame] if averaged is None else [frame, averaged]
-    if averaged is not None:
-        head += [f"averaged mass, {mass_unit}", f"averaged stiffness, {unit}"]
-    cells = [[str(i) for i in range(1, len(frame.floor_mass) + 1)]]
-    for each in shown:
-        for quantity, values, std, size in (
-            ("floor_mass", each.floor_mass, each.floor_mass_std, mass_factor),
-            ("story_stiffness", each.story_stiffness, each.story_stiffness_std, factor),
-        ):
-            stopped = each.stopped(quantity)
-            written = _column(values, std, size)
-            cells.append([
-                f"{significant(value / size, 2)} (at a bound)" if at_bound else text
-                for value, text, at_bound in zip(values.tolist(), written, stopped, strict=True)
-            ])  # fmt: skip
-    sums = [text for each in shown for text in (significant(float(each.floor_mass.sum()) / mass_factor, 5), "")]
-    return Table(key, title, tuple(head), (*reversed(plain_rows(zip(*cells, strict=True))), Row(("sum", *sums))))
+    columns, foot = [places(len(frame.floor_mass), "floor / story", "floor")], ["sum"]
+    for word, each in (("", frame), ("averaged ", averaged)):
+        if each is not None:
+            columns += _of_frame(each, units, word)
+            factor, _ = units.of_mass(frame.floor_mass.tolist())
+            foot += [significant(float(each.floor_mass.sum()) / factor, 5), ""]
+    return Table(key, title, tuple(columns), foot=tuple(foot), top_first=True)
+
+
+def _of_frame(frame: IdentifiedFrame, units: Units, word: str) -> Iterator[Column]:
+    """Write the masses and stiffnesses of a frame; values at a bound have no standard deviation."""
+    for quantity, values, std, unit, unit_of in (
+        ("floor_mass", frame.floor_mass, frame.floor_mass_std, "kg", units.of_mass),
+        ("story_stiffness", frame.story_stiffness, frame.story_stiffness_std, "N/m", units.of_stiffness),
+    ):
+        factor, shown = unit_of(values.tolist())
+        texts = [
+            f"{significant(value / factor, 2)} (at a bound)" if at_bound else text
+            for value, text, at_bound in zip(
+                values.tolist(), _column(values, std, factor), frame.stopped(quantity), strict=True
+            )
+        ]
+        head, name = f"{word}{quantity.partition('_')[2]}, {shown}", f"{word.replace(' ', '_')}{quantity}"
+        yield Column(head, tuple(texts), name=name, values=tuple(values.tolist()), std=tuple(std.tolist()), unit=unit)
+
+
+def frames_table(result: Identification) -> Table:
+    """Tabulate the frames of all parts for programs, each part by the name of its configuration."""
+    tables = [frame_table(part.frame, "", AUTOMATIC) for part in result.parts]
+    names = [part.name for part in result.parts for _ in part.frame.floor_mass]
+    columns = (
+        []
+        if len(result.parts) == 1
+        else [Column("configuration", tuple(names), name="configuration", values=tuple(names))]
+    )
+    columns += [
+        Column(
+            same[0].head,
+            name=same[0].name,
+            values=tuple(value for each in same for value in each.values),
+            std=None if same[0].std is None else tuple(value for each in same for value in each.std or ()),
+            unit=same[0].unit,
+        )
+        for same in zip(*(each.columns for each in tables), strict=True)
+    ]
+    return Table("frame", "Identified frame", tuple(columns))
+
+
+def frequencies_table(experiment: Experiment, predictions: Iterable[Prediction]) -> Table:
+    """Tabulate every measured frequency beside that of the model, for programs."""
+    rows = []
+    for item in predictions:
+        configuration = next(each for each in experiment.configurations if each.name == item.configuration)
+        for mode, measured in zip(configuration.modes.tolist(), configuration.frequencies.tolist(), strict=True):
+            modelled = float(item.frequencies[mode - 1])
+            rows.append((configuration.name, mode, measured, modelled, modelled / measured - 1))
+    names = ("configuration", "mode", "measured", "model", "relative_error")
+    units = ("", "", "Hz", "Hz", "")
+    columns = (
+        exact(name, values, unit=unit) for name, unit, values in zip(names, units, zip(*rows, strict=True), strict=True)
+    )
+    return Table("modes", "Measured and modelled frequencies", tuple(columns))
 
 
 def in_one_unit(
@@ -139,35 +306,6 @@ def _short(written: list[str]) -> list[str]:
     return written
 
 
-@describe.register
-def _damping(result: IdentifiedDamping, units: Units = AUTOMATIC) -> Document:
-    remarks = tuple(Sentence(each, "warning") for each in result.remarks)
-    headline = f"{result.kind} damping of {counted(len(result.ratios), 'mode')}"
-    return Document("damping", headline, (damping_section(result), Section("remarks", "", remarks)))
-
-
-def damping_section(result: IdentifiedDamping) -> Section:
-    """Tabulate the damping ratios of the modes, and the dashpots or Rayleigh factors if they exist."""
-    return Section("damping", "Damping", tuple(_damping_parts(result)))
-
-
-def _damping_parts(result: IdentifiedDamping) -> Iterator[Block]:
-    measured = np.full(len(result.ratios), np.nan) if result.measured is None else result.measured
-    numbers = [str(number) for number in range(1, len(result.ratios) + 1)]
-    yield table("damping-ratios", f"damping ({result.kind})", {
-        "mode": numbers,
-        "ratio, %": map(partial(with_std, factor=0.01), result.ratios.tolist(), result.ratios_std.tolist()),
-        "measured, %": [significant(100 * float(seen), 3) for seen in measured],
-    })  # fmt: skip
-    if result.story_dashpot is not None and result.story_dashpot_std is not None:
-        dashpots = list(map(with_std, result.story_dashpot.tolist(), result.story_dashpot_std.tolist()))
-        stories = [str(story) for story in range(1, len(dashpots) + 1)]
-        yield table("story-dashpots", "story dashpots", {"story": stories, "N s/m": dashpots}, top_first=True)
-    if result.rayleigh is not None:
-        a, b = result.rayleigh
-        yield Sentence(f"C = a M + b K, a = {significant(float(a))} 1/s, b = {significant(float(b))} s")
-
-
 RULED_OUT = 1e-3
 """Smallest p-value of chi-square for a plausible model; 1 minus this value is the largest for a plausible noise."""
 
@@ -197,11 +335,13 @@ def _identification(result: Identification, units: Units = AUTOMATIC) -> Documen
     if result.undetermined:
         open_ones = [Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
         sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
-    return Document(result.experiment.name, _headline(result), tuple(sections))
+    predicted = [item for part in result.parts for item in part.predictions]
+    data = frames_table(result), frequencies_table(result.experiment, predicted)
+    return Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
 
 
 @line.register
-def _line(result: Identification) -> str:
+def _identification_line(result: Identification) -> str:
     worst = max(part.fit.max_frequency_error for part in result.parts)
     ended = "" if result.converged else ", not converged"
     return (
@@ -210,7 +350,7 @@ def _line(result: Identification) -> str:
     )
 
 
-def _headline(result: Identification) -> str:
+def _identification_headline(result: Identification) -> str:
     """Name the frame and the method; put a warning first if the stated noise rules the model out."""
     how = f"method {result.method}, backend {result.backend}"
     fit = result.parts[0].fit
@@ -297,11 +437,11 @@ def _fit(part: SingleIdentification) -> str:
     return f"{'; '.join(said)}."
 
 
-def _matrix(matrix: Floats, place: int, units: Units) -> vocabulary.Block:
+def _matrix(matrix: Floats, place: int, units: Units) -> Table:
     factor, unit = units.of_mass(np.diag(matrix).tolist())
     head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
     largest = float(np.max(np.abs(matrix))) / factor
     # The largest entry is appended to give all rows one format, then removed.
     written = [significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
-    rows = tuple(Row((str(i), *cells)) for i, cells in enumerate(written, 1))
-    return Table(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)
+    rows = ((str(i), *cells) for i, cells in enumerate(written, 1))
+    return table_of_rows(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)

@@ -5,18 +5,33 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.report.describe.consequences import MODELS
-from cvxshear.report.describe.identified import damping_section
-from cvxshear.report.describe.vocabulary import Document, Points, Section, Sentence, Table, describe, plain_rows, table
-from cvxshear.response import Peaks, Reconstruction, RecordComparison, RecordPrediction
+from cvxshear.report.describe import (
+    PAGE_COLUMNS,
+    Block,
+    Column,
+    Document,
+    Points,
+    Section,
+    Sentence,
+    Table,
+    describe,
+    exact,
+    places,
+    table,
+    table_of_rows,
+)
+from cvxshear.report.describe.headline import MODELS
+from cvxshear.response import IdentifiedDamping, Peaks, Reconstruction, RecordComparison, RecordPrediction
 from cvxshear.response.peaks import RESPONSES
 from cvxshear.response.reconstruction import SIGN_KNOWN, UNSETTLED
 from cvxshear.util import ranking
 from cvxshear.util.quantities import (
     AUTOMATIC,
+    SURE,
     Units,
     capital,
     chance,
+    counted,
     numbered,
     percent,
     probability,
@@ -25,15 +40,34 @@ from cvxshear.util.quantities import (
     with_std,
 )
 
-MODE_COLUMNS = 6
-"""Number of modes in the table of transfer-function errors; the JSON holds the higher modes."""
 
-SHOWN_MISSED = 0.0005
-"""Smallest relative error of a record that is reported: it is written as 0.1 %."""
+@describe.register
+def _damping(result: IdentifiedDamping, units: Units = AUTOMATIC) -> Document:
+    remarks = tuple(Sentence(each, "warning") for each in result.remarks)
+    headline = f"{result.kind} damping of {counted(len(result.ratios), 'mode')}"
+    return Document("damping", headline, (damping_section(result), Section("remarks", "", remarks)))
 
-CERTAINLY_PASSED = 0.95
-"""Smallest probability of an exceeded limit. A limit is not exceeded if the probability is at most 1 minus this
-value."""
+
+def damping_section(result: IdentifiedDamping) -> Section:
+    """Tabulate the damping ratios of the modes, and the dashpots or Rayleigh factors if they exist."""
+    return Section("damping", "Damping", tuple(_damping_parts(result)))
+
+
+def _damping_parts(result: IdentifiedDamping) -> Iterator[Block]:
+    measured = np.full(len(result.ratios), np.nan) if result.measured is None else result.measured
+    numbers = [str(number) for number in range(1, len(result.ratios) + 1)]
+    yield table("damping-ratios", f"damping ({result.kind})", {
+        "mode": numbers,
+        "ratio, %": map(partial(with_std, factor=0.01), result.ratios.tolist(), result.ratios_std.tolist()),
+        "measured, %": [significant(100 * float(seen), 3) for seen in measured],
+    })  # fmt: skip
+    if result.story_dashpot is not None and result.story_dashpot_std is not None:
+        dashpots = list(map(with_std, result.story_dashpot.tolist(), result.story_dashpot_std.tolist()))
+        stories = [str(story) for story in range(1, len(dashpots) + 1)]
+        yield table("story-dashpots", "story dashpots", {"story": stories, "N s/m": dashpots}, top_first=True)
+    if result.rayleigh is not None:
+        a, b = result.rayleigh
+        yield Sentence(f"C = a M + b K, a = {significant(float(a))} 1/s, b = {significant(float(b))} s")
 
 
 @describe.register
@@ -49,7 +83,19 @@ def _prediction(result: RecordPrediction, units: Units = AUTOMATIC) -> Document:
         damping_section(result.damping),
         Section("remarks", "", tuple(Sentence(remark, "warning") for remark in result.remarks)),
     ]
-    return Document(result.after.fitted.experiment.name, capital("; ".join(_predicted(result))), tuple(sections))
+    headline = capital("; ".join(_predicted(result)))
+    return Document(result.after.fitted.experiment.name, headline, tuple(sections), tuple(_peak_data(result.peaks)))
+
+
+def _peak_data(found: Peaks, *more: Column) -> Iterator[Table]:
+    """Tabulate the peaks for programs: by floor or story, with more columns, and those of the whole frame."""
+    columns = [
+        (RESPONSES[name].single, exact(name, values, found.std[name], RESPONSES[name].unit))
+        for name, values in found.values.items()
+    ]
+    numbers = places(len(found.values["story_drift"]), "floor / story", "story")
+    yield Table("peaks", "Peaks", (numbers, *(column for single, column in columns if not single), *more), indexed=True)
+    yield Table("base", "Peaks at the base", tuple(column for single, column in columns if single))
 
 
 def _predicted(result: RecordPrediction) -> Iterator[str]:
@@ -84,11 +130,11 @@ def _driven(result: RecordPrediction) -> str:
 
 def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
     """Tabulate the errors of each floor's acceleration for one or both models, the top floor first."""
-    modes = min(after.frf_error.shape[1], MODE_COLUMNS)
+    modes = min(after.frf_error.shape[1], PAGE_COLUMNS)
     sides: list[tuple[tuple[str, ...], RecordComparison]] = [((), after)]
     if before is not None:
         sides = [((MODELS[0],), before), ((MODELS[1],), after)]
-    rows = plain_rows(
+    rows = (
         (str(after.floors[at]), *word, *_errors(side, at, modes))
         for at in reversed(range(len(after.floors)))
         for word, side in sides
@@ -96,7 +142,7 @@ def errors(before: RecordComparison | None, after: RecordComparison) -> Table:
     transfer = (f"H, mode {mode}" for mode in range(1, modes + 1))
     head = ("floor", *(("model",) if before is not None else ()), "error in time", "rms", "peak", *transfer)
     words = (0,) if before is None else (0, 1)
-    return Table("prediction-errors", "predicted accelerations beside the measured", head, rows, words=words)
+    return table_of_rows("prediction-errors", "predicted accelerations beside the measured", head, rows, words=words)
 
 
 def _errors(side: RecordComparison, at: int, modes: int) -> Iterator[str]:
@@ -139,9 +185,6 @@ def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
         return
     floors = numbered("floor", result.after.comparison.floors.tolist())
     where = f"the accelerations of {floors} in this record were missed"
-    if result.missed < SHOWN_MISSED:
-        yield Sentence(f"the deviations hold what the frame leaves uncertain; {where} by no more than that")
-        return
     wide = " (for peaks too much, since the motions fall out of step)" if result.after.comparison.shifts else ""
     yield Sentence(
         f"the deviations hold what the frame leaves uncertain and {percent(result.missed, 1)} of each peak, by which "
@@ -170,7 +213,18 @@ def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Documen
         Section("evidence", "Sensors", (whiteness(result),)),
         Section("remarks", "What to bear in mind", (Points("remarks", result.remarks),)),
     )
-    return Document(result.fitted.experiment.name, capital("; ".join(_findings(result))), sections)
+    frame = result.frame
+    chances = (
+        () if result.passed is None or result.limits is None else zip(result.limits.names, result.passed, strict=True)
+    )
+    more = (
+        exact("story_factor", frame.factors, frame.factors_std),
+        exact("change_probability", frame.story_probability),
+        exact("dashpot_probability", frame.dashpot_probability),
+        *(exact(f"probability_beyond_{name}", each) for name, each in chances),
+    )
+    data = tuple(_peak_data(result.peaks, *more))
+    return Document(result.fitted.experiment.name, capital("; ".join(_findings(result))), sections, data)
 
 
 def _reconstructed(result: Reconstruction) -> str:
@@ -238,15 +292,13 @@ def _limits(result: Reconstruction) -> Iterator[str]:
     if result.limits is None or result.passed is None:
         return
     for limit, word, chances in zip(result.limits.story_drift, result.limits.names, result.passed, strict=True):
-        sure = [int(story) + 1 for story in np.flatnonzero(chances >= CERTAINLY_PASSED)]
-        unsure = (chances > 1 - CERTAINLY_PASSED) & (chances < CERTAINLY_PASSED)
+        sure = [int(story) + 1 for story in np.flatnonzero(chances >= SURE)]
+        unsure = (chances > 1 - SURE) & (chances < SURE)
         open_ = [int(story) + 1 for story in np.flatnonzero(unsure)]
         label = f"{100 * limit:g} %" if word == f"{100 * limit:g} %" else f"{word} ({100 * limit:g} %)"
         passed = f"passed in {numbered('story', sure)}" if sure else "passed in no story"
         if np.isnan(chances).any():
-            passed = (
-                f"passed in {numbered('story', sure)}, elsewhere that cannot be told" if sure else "cannot be told"
-            )
+            passed = f"passed in {numbered('story', sure)}, elsewhere that cannot be told" if sure else "cannot be told"
         yield f"limit {label}: {passed}" + (f", possibly in {numbered('story', open_)}" if open_ else "")
 
 
@@ -284,12 +336,12 @@ def stories(result: Reconstruction) -> Table:
         if result.passed is not None:
             cells += ["–" if np.isnan(each[story]) else chance(float(each[story])) for each in result.passed]
         rows.append(tuple(cells))
-    return Table("reconstructed-stories", "peak drift ± standard deviation", tuple(head), plain_rows(rows))
+    return table_of_rows("reconstructed-stories", "peak drift ± standard deviation", head, rows)
 
 
 def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
     before = result.frame.errors.varied.centre.model
-    shown = slice(min(len(result.model.M), MODE_COLUMNS))
+    shown = slice(min(len(result.model.M), PAGE_COLUMNS))
     yield table("reconstructed-modes", "modes of the frame", {
         "mode": [str(mode) for mode in range(1, shown.stop + 1)],
         "identified, Hz": map(significant, before.modes.frequencies[shown].tolist()),

@@ -16,46 +16,24 @@ from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.report.describe.headline import verdict_of
+from cvxshear.report.describe.headline import NAMED, verdict_of
 from cvxshear.report.describe.identified import in_one_unit
 from cvxshear.report.figures import style
-from cvxshear.report.figures.figure_table import figure
-from cvxshear.util import ranking
+from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.util.quantities import AUTOMATIC, chance, counted
 from cvxshear.util.typing import Floats
-
-LINE = 0.17
-"""Height of a line of text, inch."""
 
 SLAB = 0.3
 """Thickness of the heaviest floor as a fraction of the smallest story height."""
 
-PANEL_WIDTH = 6.8
-"""Width of a frame with its numbers, inch: room for the widest label on either side."""
-
 LABEL_DISTANCE = 0.07
 """Distance of a label from a column, as a fraction of the panel's width."""
 
-NEARLY_NOTHING = 1e-300
-"""Smallest divisor of masses or stiffnesses, kg or N/m; prevents a division by zero if all of them are zero."""
-
-THINNEST, THICKEST = 1.0, 7.0
-"""Widths of the columns of a vanishing and of the largest story stiffness, points."""
-
-MOST_PANELS = 4
-"""Largest number of drawn states; states with more certain effects come first."""
+THICKEST = 7.0
+"""Width of the columns of the largest story stiffness, points; other columns are proportional."""
 
 MOST_MARKS = 6
 """Largest number of marked effects in one state; the table lists all."""
-
-RIVALS_DRAWN = 2
-"""Largest number of drawn rivals of an effect; the table lists all."""
-
-WRAPPED = 30
-"""Largest number of letters in a line beside a frame."""
-
-MOST_TIES = 3
-"""Largest number of drawn springs between levels; the matrix of springs shows all."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +42,6 @@ class _Columns:
 
     left: float
     right: float
-
-
-BETWEEN_NUMBERS = _Columns(0.46, 0.57)
-"""Places of the columns of a frame with numbers on both sides."""
 
 
 def elevations(experiment: Experiment) -> tuple[Floats, str]:
@@ -82,8 +56,8 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     """Draw the ground, columns with widths by story stiffness, and slabs with thicknesses by floor mass."""
     heights, total = np.diff(z, prepend=0.0), float(z[-1])
     mass, stiffness = (np.nan_to_num(values) for values in (found.floor_mass, found.story_stiffness))
-    slabs = SLAB * float(heights.min()) * mass / max(float(mass.max()), NEARLY_NOTHING)
-    strokes = THINNEST + (THICKEST - THINNEST) * stiffness / max(float(stiffness.max()), NEARLY_NOTHING)
+    slabs = SLAB * float(heights.min()) * mass / (float(mass.max()) or 1.0)
+    strokes = THICKEST * stiffness / (float(stiffness.max()) or 1.0)
     wide = at.right - at.left
     below = (at.left - 0.04, -0.04 * total), wide + 0.08, 0.04 * total
     axes.add_patch(Rectangle(*below, fc="none", ec=style.GREY, hatch="////", lw=0))
@@ -97,7 +71,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
     # Without heights the axis shows floor numbers, which are integers.
-    axes.yaxis.set_major_locator(MaxNLocator(5, integer=bool(np.all(heights == 1.0))))
+    axes.yaxis.set_major_locator(MaxNLocator(style.MOST_TICKS, integer=bool(np.all(heights == 1.0))))
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
@@ -161,7 +135,7 @@ def findings(result: LoopResult) -> Figure:
 def _shown_states(result: LoopResult) -> list[str | None]:
     """List the drawn states; only None if no effect belongs to a single state."""
     every = [item.placed.place.state for item in result.effects]
-    every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:RIVALS_DRAWN]]
+    every += [rival.placed.place.state for item in result.effects for rival in item.rivals[:NAMED]]
     concerned = [state for state in every if state is not None]
     if not concerned:
         return [None]
@@ -193,7 +167,7 @@ def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]
     tied = {id(item): _standing_out(item, places) for item, places in networks(result)}
     found = []
     for item in result.effects:
-        place, rivals = item.placed.place, item.rivals[:RIVALS_DRAWN]
+        place, rivals = item.placed.place, item.rivals[:NAMED]
         if place.state == state or (first and place.state is None):
             said = [item.size if sure else f"provisional: {item.size}", f"{chance(item.probability)} probable"]
             said += [f"or: {rival.placed.label} ({chance(rival.probability)})" for rival in rivals]
@@ -218,18 +192,17 @@ def networks(result: LoopResult) -> list[tuple[AddedEffect, list[tuple[int, int]
 
 
 def _standing_out(item: AddedEffect, places: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Find up to `MOST_TIES` pairs of levels with springs above `STANDS_OUT` standard deviations."""
-    sizes = {
-        place: abs(item.parameters[name]) / (item.std[name] or np.inf)
+    """Find the pairs of levels with springs above `STANDS_OUT` standard deviations."""
+    return tuple(
+        place
         for place, name in zip(places, item.parameters, strict=True)
-    }
-    largest = ranking.ranked(sizes, sizes.__getitem__)[:MOST_TIES]
-    return tuple(place for place in largest if sizes[place] > STANDS_OUT)
+        if abs(item.parameters[name]) > STANDS_OUT * (item.std[name] or np.inf)
+    )
 
 
 def _wrapped(texts: Sequence[str]) -> str:
-    lines = [line for text in texts for line in textwrap.wrap(text, WRAPPED)]
-    return "\n".join(style.letters(line, WRAPPED + 2) for line in lines)
+    lines = [line for text in texts for line in textwrap.wrap(text, style.LONGEST_NAME)]
+    return "\n".join(style.letters(line, style.LONGEST_NAME + 2) for line in lines)
 
 
 def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_Mark], height: float) -> None:
@@ -344,19 +317,21 @@ def _numbered_frames(
     rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
     drawn = style.new_figure(
-        style.page_width() if style.narrow_page() else PANEL_WIDTH * columns, rows * (height + 0.75)
+        style.page_width() if style.narrow_page() else style.PAGE_WIDTH * columns, rows * (height + 0.75)
     )
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
-        _numbered(axes, result.experiment, found, title, height)
-        if sensors:
-            _sensors(axes, result.experiment, None, elevations(result.experiment)[0], BETWEEN_NUMBERS)
+        _numbered(axes, result.experiment, found, title, height, sensors=sensors)
     return drawn
 
 
-def _numbered(axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float) -> None:
+def _numbered(
+    axes: Axes, experiment: Experiment, found: IdentifiedFrame, title: str, inches: float, *, sensors: bool
+) -> None:
     z, label = elevations(experiment)
-    at = BETWEEN_NUMBERS
+    at = _Columns(0.46, 0.57)
     _structure(axes, found, z, at)
+    if sensors:
+        _sensors(axes, experiment, None, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
     axes.set_ylabel("" if style.narrow_page() else label)
     if style.narrow_page():

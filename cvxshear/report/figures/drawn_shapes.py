@@ -1,23 +1,29 @@
-"""Scale measured and modelled mode shapes at all floors, and draw them as displaced frames."""
+"""Draw mode shapes: measured and modelled ones as displaced frames, those of records, and their assurance criterion."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from cvxshear.data import Model, Shapes
-from cvxshear.data.pairing import mac
+from cvxshear.data.pairing import mac as mac_of
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.records import ModalResult
+from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
-from cvxshear.report.figures.figure_table import figure
+from cvxshear.report.figures.style import figure
 from cvxshear.util import ranking
+from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats, Ints
 
 
@@ -110,12 +116,9 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     for row, (shape, known) in enumerate(zip(configuration.mode_shapes, configuration.measured, strict=True)):
         if known.sum() >= 2:
             measured = shape[known] / np.max(np.abs(shape[known]))
-            table[row] = [mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
+            table[row] = [mac_of(measured, each[known]) if each[known].any() else 0.0 for each in model]
     return table
 
-
-ABOVE, BELOW, TITLE = 0.3, 0.55, 0.5
-"""Heights for the legend, the common label, and the two title lines of a panel, inch."""
 
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
 """Line style of the shear model's shape."""
@@ -142,15 +145,7 @@ def shapes(result: LoopResult) -> Figure:
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     counts = [len(each.frequencies) for each in result.experiment.configurations]
-    columns, rows, tall, width = style.shape_grid(counts, result.experiment.stories, 5.6)
-    above = 3 * ABOVE if style.narrow_page() else ABOVE
-    height = rows * (tall + TITLE) + above + BELOW
-    # Panels of equal size need no automatic layout, which is slow for many panels.
-    figure = style.new_figure(width, height, fixed=True)
-    figure.subplots_adjust(
-        left=0.6 / width, right=1 - 0.12 / width, bottom=BELOW / height, top=1 - (above + TITLE) / height,
-        hspace=TITLE / tall, wspace=0.08,
-    )  # fmt: skip
+    columns, figure = style.shape_figure(counts, result.experiment.stories)
     z, label = elevations(result.experiment)
     groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
@@ -158,10 +153,9 @@ def shapes(result: LoopResult) -> Figure:
         _displaced_frame(axes, z, first, last)
         if place % columns == 0:
             axes.set_ylabel(label)
-    figure.text(0.5, 0.08 / height, "sway (largest measured entry = 1)", ha="center", va="bottom")
-    figure.legend(
-        handles=_legend(changed=len(result.steps) > 1), loc="upper center", ncols=1 if style.narrow_page() else 3
-    )
+    figure.supxlabel("sway (largest measured entry = 1)", fontsize=8.5)
+    handles = _legend(changed=len(result.steps) > 1)
+    figure.legend(handles=handles, loc="outside upper center", ncols=1 if style.narrow_page() else 3)
     return figure
 
 
@@ -188,3 +182,141 @@ def _legend(*, changed: bool) -> list[Line2D]:
         Line2D([], [], label=first, **SHEAR),
         Line2D([], [], color=style.AFTER, lw=1.6, label="with effects" if changed else "shear model"),
     ]
+
+
+MOST_NUMBERED = 8
+"""Largest number of modes for a matrix with numbers in its cells."""
+
+
+@figure(
+    "mac",
+    LoopResult,
+    Identification,
+    title="Measured and modelled modes",
+    alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
+    section="shapes",
+    applies=lambda result: any(each.measured.any() for each in result.experiment.configurations),
+    needs="measured mode shapes",
+    narrow=True,
+)
+def mac(result: LoopResult | Identification) -> Figure:
+    """Draw the MAC matrix of each configuration.
+
+    The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every
+    mode of the model: where the diagonal is light and the rest is dark, every mode was recognised.
+
+    Each configuration has one panel; dark is 0, light is 1, also in black and white.
+    """
+    modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
+    every = list(range(1, result.experiment.stories + 1))
+    matrices = [(name, table, modes[name], every) for name, table in mac_tables(result)]
+    most = 1 if style.narrow_page() else 3 if len(every) <= 4 else 2
+    return _matrices(matrices, most, "measured mode", "mode of the model")
+
+
+def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most: int, row: str, column: str) -> Figure:
+    """Draw MAC matrices with their titles and the mode numbers of rows and columns, at most `most` in a row."""
+    rows, columns = style.grid_of(len(matrices), most)
+    side = 2.6 if style.narrow_page() else style.PAGE_WIDTH / most
+    figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
+    drawn = style.panels(figure, len(matrices), columns)
+    for axes, (name, table, measured, modelled) in zip(drawn, matrices, strict=True):
+        image = draw_matrix(axes, table, measured, modelled)
+        axes.set(title=style.letters(name), xlabel=column, ylabel=row)
+    figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
+    return figure
+
+
+def draw_matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
+    """Draw a MAC matrix with its mode numbers, and with its values if the cells are large enough."""
+    image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
+    step = 1 if len(columns) <= 10 else 2
+    axes.set_xticks(range(0, len(columns), step), [str(mode) for mode in columns[::step]])
+    axes.set_yticks(range(0, len(rows), step), [str(mode) for mode in rows[::step]])
+    axes.tick_params(length=0)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    if len(columns) <= MOST_NUMBERED:
+        _numbers(axes, table)
+    return image
+
+
+def _numbers(axes: Axes, table: Floats) -> None:
+    digits = 4 if table.shape[1] <= 4 else 2
+    for (row, column), value in np.ndenumerate(table):
+        if not np.isnan(value):
+            # A dark page exchanges pure black and white, but not the colours of the cells. These colours stay as they
+            # are.
+            colour = "#010101" if value > 0.5 else "#FEFEFE"
+            axes.text(column, row, f"{value:.{digits}f}", ha="center", va="center", color=colour, fontsize=6.5)
+
+
+@figure(
+    "shapes",
+    ModalResult,
+    title="Mode shapes",
+    alternative="Mode shapes; the numbers are in the table above.",
+    narrow=True,
+)
+def modal_shapes(*results: ModalResult) -> Figure:
+    """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
+
+    Real normal modes, the largest entry 1; bars are one standard deviation.
+
+    The largest entry is 1; a mode has the same sign in all records.
+    """
+    counts = [len(result.frequencies) for result in results]
+    stories = max(result.stories for result in results)
+    columns, figure = style.shape_figure(counts, stories)
+    groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
+    facing: dict[int, tuple[ModalResult, Floats]] = {}
+    for result, drawn in zip(results, groups, strict=True):
+        for row, (axes, mode) in enumerate(zip(drawn, result.modes, strict=True)):
+            shape = _facing(result, scaled_to_one(result.mode_shapes[row]), facing, int(mode))
+            _panel(axes, result, row, shape, stories)
+            if row % columns == 0:
+                axes.set_ylabel("floor")
+    figure.supxlabel("sway (largest entry = 1)", fontsize=8.5)
+    return figure
+
+
+@figure(
+    "mac",
+    ModalResult,
+    title="Modal assurance criterion",
+    alternative="Matrix of the modal assurance criterion of every mode with every other.",
+    narrow=True,
+)
+def modal_mac(*results: ModalResult) -> Figure:
+    """Draw the modal assurance criterion of the modes of each record with one another.
+
+    The modes against one another: values beside the diagonal that are not small mean that the sensors hardly
+    distinguish two modes.
+
+    Each record has one panel; off-diagonal values near 0 mean that the sensors distinguish the modes.
+    """
+    matrices = []
+    for result in results:
+        table = np.array([[mac_of(one, other) for other in result.mode_shapes] for one in result.mode_shapes])
+        matrices.append((result.name, table, result.modes.tolist(), result.modes.tolist()))
+    return _matrices(matrices, 1 if style.narrow_page() else 3, "mode", "mode")
+
+
+def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalResult, Floats]], mode: int) -> Floats:
+    """Give the shape the sign of this mode in the first record, by the floors that both records measured."""
+    first, before = facing.setdefault(mode, (result, shape))
+    _, mine, theirs = np.intersect1d(result.floors, first.floors, return_indices=True)
+    return -shape if shape[mine] @ before[theirs] < 0 else shape
+
+
+def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: int) -> None:
+    heights = np.concatenate([[0], result.floors])
+    axes.axvline(0, color="#C8C8C8", lw=0.5)
+    axes.plot(np.concatenate([[0.0], shape]), heights, color=style.AFTER, lw=1.2)
+    stds, frequency_std = result.written_entry_std[row], float(result.written_frequency_std[row])
+    style.error_bars(axes, shape, result.floors, stds if np.all(np.isfinite(stds)) else None)
+    axes.axhline(0, color=style.GREY, lw=0.8)
+    axes.set(xlim=(-1.3, 1.3), xticks=[-1, 0, 1], ylim=(0, 1.07 * stories))
+    axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+    std = f" ± {percents([frequency_std])[0]}" if np.isfinite(frequency_std) else ""
+    title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
+    axes.set_title(title, fontsize=7)

@@ -1,27 +1,30 @@
 """Draw predicted and measured responses: histories with a band, peaks over height, transfer functions, spectra."""
 
-from itertools import pairwise
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from cvxshear.report.figures import style
-from cvxshear.report.figures.figure_table import figure
-from cvxshear.report.figures.style import AFTER, BEFORE, GREY, MEASURED, new_figure, page_width, panels
+from cvxshear.report.figures.style import (
+    AFTER,
+    BEFORE,
+    GREY,
+    MEASURED,
+    MOST_PANELS,
+    figure,
+    new_figure,
+    page_width,
+    panels,
+)
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.peaks import RESPONSES
 from cvxshear.util import ranking
-from cvxshear.util.quantities import listed, scaled, with_std
+from cvxshear.util.quantities import NORMAL_95, listed, scaled
 from cvxshear.util.typing import Floats, Ints
-
-MOST_FLOORS = 4
-"""Largest number of floors with their own panel."""
 
 PERIODS = 16
 """Number of periods of the first mode in a time history; more periods would blur the lines."""
@@ -29,13 +32,10 @@ PERIODS = 16
 PROFILES = ("floor_acceleration", "story_drift", "story_shear")
 """Quantities with peaks that are drawn over the height."""
 
-SIDES = 1.96
-"""Half width of a 95 % band in standard deviations."""
-
 
 def _spread(places: Ints, largest: int) -> Ints:
     """Choose floors or stories to draw, the top first: spread over the height, and including the largest peak."""
-    chosen = places[np.unique(np.linspace(0, len(places) - 1, min(MOST_FLOORS, len(places))).round().astype(int))]
+    chosen = places[np.unique(np.linspace(0, len(places) - 1, min(MOST_PANELS, len(places))).round().astype(int))]
     if largest not in chosen:
         nearest = int(np.argmin(np.abs(chosen - largest)))
         chosen = np.sort(np.concatenate([np.delete(chosen, nearest), [largest]]))
@@ -71,10 +71,6 @@ def _floors_left_out(result: RecordPrediction) -> str:
     return _left_out(len(_floors(result)), total, "floors", "the table of peaks has all")
 
 
-HISTORY_TICKS = 4
-"""Largest number of steps between the ticks of a history: its panels are little more than an inch high."""
-
-
 @figure(
     "history",
     RecordPrediction,
@@ -102,11 +98,9 @@ def response_histories(result: RecordPrediction) -> Figure:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
             axes.plot(time, driven.responses[window, column], color=MEASURED, lw=1.8, label="measured")
         after = seen(model, result.after.responses[run], own)[window, 0]
-        band = SIDES * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
+        band = NORMAL_95 * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
         axes.set(title=f"floor {floor}", ylabel="m/s²")
-        # The number is fixed here: matplotlib's own number depends on the settings at the time of drawing.
-        axes.yaxis.set_major_locator(MaxNLocator(HISTORY_TICKS))
     axes.set_xlabel("time, s")
     style.legend(figure, axes, left=True)
     return figure
@@ -166,7 +160,7 @@ def _profile(axes: Axes, values: Floats, std: Floats) -> None:
     floors = np.arange(1, len(values) + 1)
     known = np.isfinite(std).all()
     axes.errorbar(
-        values, floors, xerr=SIDES * std if known else None, color=AFTER, marker="s", ls="-", lw=1.0, capsize=2.5,
+        values, floors, xerr=NORMAL_95 * std if known else None, color=AFTER, marker="s", ls="-", lw=1.0, capsize=2.5,
         label="predicted, 95 %" if known else "predicted",
     )  # fmt: skip
 
@@ -281,56 +275,44 @@ def floor_spectra(result: RecordPrediction) -> Figure:
     Reconstruction,
     title="Drift of every story",
     caption=lambda result: (
-        f"The frame, each story coloured by its peak drift, with its standard deviation; {_changes(result)}. Triangles "
-        "mark the floors with sensors. Beside or below it the same with bars that hold "
-        "95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, and the limits."
+        f"Peak drift of each story with bars that hold 95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, "
+        f"and the limits; {_changes(result)}. Triangles mark the floors with sensors."
     ),
     alternative=lambda result: (
-        f"The frame with the peak drift of each story; {_changes(result)}. The numbers are in the table of the stories."
+        f"Peak drift of each story over the height; {_changes(result)}. The numbers are in the table of the stories."
     ),
     section="findings",
     narrow=True,
 )
 def story_drifts(result: Reconstruction) -> Figure:
-    """Draw the frame with its stories coloured by peak drift, and the peaks with 95 % bars beside it."""
+    """Draw the peak drift of each story with 95 % bars, the prediction, the limits and the sensors."""
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (100.0, "% of height") if name == "story_drift_ratio" else (1000.0, "mm")
     peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
     heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
     levels = np.concatenate([[0.0], np.cumsum(heights)])
-    columns = 1 if style.narrow_page() else 2
-    figure = new_figure(page_width(), (float(np.clip(0.32 * len(peaks), 2.4, 8.0)) + 0.9) * 2 / columns)
-    left, right = panels(figure, 2, columns, sharey=True)
-    colours = matplotlib.colormaps["viridis_r"]
-    sensors = set(result.recording.floors.tolist())
-    for story, (low, high) in enumerate(pairwise(levels)):
-        share = float(peaks[story] / max(float(peaks.max()), 1e-300))
-        left.add_patch(Rectangle((0.2, low), 0.6, high - low, fc=colours(share), ec=GREY, lw=0.8))
-        change = f", {_change(result, story + 1)}" if story + 1 in result.changed else ""
-        left.text(
-            0.5, 0.5 * (low + high), with_std(float(peaks[story]), float(std[story]), factor=1.0) + change, ha="center",
-            # A dark page exchanges pure black and white, but not the colours of the stories. These colours stay as they
-            # are.
-            va="center", fontsize=8, color="#fefefe" if share > 0.5 else "#010101",
-        )  # fmt: skip
-        if story + 1 in sensors:
-            left.plot([0.86], [high], marker="<", color=MEASURED, ls="none")
-    left.set_xlim(0, 1)
-    left.set_xticks([])
-    left.set_ylabel("elevation, m" if result.model.heights is not None else "story (no heights declared)")
-    left.set_title(f"peak drift, {unit}")
     middle = 0.5 * (levels[1:] + levels[:-1])
-    right.errorbar(peaks, middle, xerr=SIDES * std, fmt="o", color=AFTER, ms=4, capsize=2, label="reconstructed")
+    figure = new_figure(page_width(), style.LINE * (2 * min(len(peaks), 24) + 8))
+    axes = figure.subplots()
+    for level in levels:
+        axes.axhline(level, color=GREY, lw=0.8, zorder=0)
+    axes.errorbar(peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=AFTER, ms=4, capsize=2, label="reconstructed")
     if result.predicted_peaks is not None:
-        right.plot(factor * result.predicted_peaks.values[name], middle, "x", color=BEFORE, ms=5, label="predicted")
+        axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=BEFORE, ms=5, label="predicted")
+    for story in result.changed:
+        at = peaks[story - 1], middle[story - 1]
+        axes.annotate(_change(result, story), at, (0, 4), textcoords="offset points", fontsize=7)
+    sensors = levels[np.asarray(result.recording.floors)]
+    axes.plot(np.zeros(len(sensors)), sensors, ls="none", marker=">", color=MEASURED, clip_on=False, label="sensor")
     if result.limits is not None and result.passed is not None:
         for word, limit in zip(result.limits.names, result.limits.story_drift, strict=True):
-            if 100 * limit < 2 * float(np.max(peaks + SIDES * std)):
-                right.axvline(100 * limit, color=GREY, ls=":", lw=1)
-                right.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
-    right.set_xlim(left=0)
-    right.set_xlabel(unit)
-    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+            if 100 * limit < 2 * float(np.max(peaks + NORMAL_95 * std)):
+                axes.axvline(100 * limit, color=GREY, ls=":", lw=1)
+                axes.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
+    axes.set_xlim(left=0)
+    axes.set_xlabel(f"peak drift, {unit}")
+    axes.set_ylabel("elevation, m" if result.model.heights is not None else "story (no heights declared)")
+    style.legend(figure, axes, left=True)
     return figure
 
 
@@ -355,7 +337,7 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     stories = _drawn_stories(result)
     figure = new_figure(page_width(), 1.35 * len(stories) + 0.9)
     for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
-        drift, band = 1000 * moved.drift[window, story - 1], 1000 * SIDES * std[window, story - 1]
+        drift, band = 1000 * moved.drift[window, story - 1], 1000 * NORMAL_95 * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set(title=f"story {story}", ylabel="mm")
     axes.set_xlabel("time, s")

@@ -1,12 +1,17 @@
-"""Define the house style of the figures, and write figures to files and pages.
+"""Define the table of figures and their house style, and write figures to files and pages.
+
+Reports, notebooks, the command line and the gallery of the documentation use the same table. The decorator `figure`
+adds a drawing function to it, in this package or in a user's module.
 
 The colours are from the set of Okabe and Ito, which colour-blind readers can distinguish. A marker, a line style or
 a hatch repeats the meaning of each colour.
 """
 
+import inspect
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache, wraps
 from io import BytesIO
 from itertools import cycle
@@ -22,8 +27,9 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
-from matplotlib.ticker import FuncFormatter, LogLocator
+from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator
 
+from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 from cvxshear.util.writing import ending_of, write_file
 
@@ -44,6 +50,15 @@ PAGE_WIDTH = 7.2
 
 NARROW_WIDTH = 3.6
 """Width of a figure on a telephone of 390 pixels, inch: the letters have the same size as on a wide page."""
+
+LINE = 0.18
+"""Height of a line of text, inch."""
+
+MOST_PANELS = 4
+"""Largest number of states, floors, stories or tests with their own panel; the tables list all."""
+
+MOST_TICKS = 5
+"""Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings."""
 
 SHAPES_A_ROW = 5
 """Number of panels of mode shapes in one row of a page."""
@@ -123,6 +138,9 @@ def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Fig
         with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is computed once: later drawing under other settings does not move the parts.
+            for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+                if isinstance(locator := axis.get_major_locator(), AutoLocator):
+                    locator.set_params(nbins=MOST_TICKS)
             engine = figure.get_layout_engine()
             if engine is not None:
                 engine.execute(figure)
@@ -142,9 +160,9 @@ class ShownFigure(Figure):
         return encoded(self, "svg").decode("utf-8")
 
 
-def new_figure(width: float, height: float, *, fixed: bool = False) -> Figure:
-    """Make an empty figure, inch. Unless `fixed`, its layout prevents overlaps of the parts."""
-    return ShownFigure(figsize=(width, height), layout=None if fixed else "constrained")
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure, inch, with a layout that prevents overlaps of the parts."""
+    return ShownFigure(figsize=(width, height), layout="constrained")
 
 
 def grid_of(panels: int, columns: int) -> tuple[int, int]:
@@ -203,12 +221,12 @@ def even_columns(most: int, fitting: int) -> int:
     return -(-most // -(-most // fitting))
 
 
-def shape_grid(counts: Sequence[int], stories: int, narrowest: float) -> tuple[int, int, float, float]:
-    """Lay out groups of mode-shape panels: columns, rows, height of a panel and width of the figure, inch."""
-    fitting = 2 if narrow_page() else SHAPES_A_ROW
-    columns = even_columns(max(counts), fitting)
-    width = page_width() if narrow_page() else max(PAGE_WIDTH * columns / fitting, narrowest)
-    return columns, sum(-(-count // columns) for count in counts), float(np.clip(0.16 * stories, 1.6, 3.0)), width
+def shape_figure(counts: Sequence[int], stories: int) -> tuple[int, Figure]:
+    """Make a figure for groups of mode-shape panels; return the number of columns and the figure."""
+    columns = even_columns(max(counts), 2 if narrow_page() else SHAPES_A_ROW)
+    rows = sum(-(-count // columns) for count in counts)
+    # A panel has its title of three lines, and a line for each story.
+    return columns, new_figure(page_width(), LINE * (rows * (float(np.clip(stories, 9, 17)) + 3.5) + 5))
 
 
 def letters(text: str, longest: int = LONGEST_NAME) -> str:
@@ -220,17 +238,15 @@ def letters(text: str, longest: int = LONGEST_NAME) -> str:
 
 
 def power_of_ten(value: float, _: object = None) -> str:
-    """Write the tick label of a logarithmic axis, such as 10⁻³."""
-    if value == 0 or not np.isfinite(value):
-        return "0"
-    exponent = np.log10(abs(value))
-    if abs(exponent - round(exponent)) > 1e-6:
+    """Write the tick label of a logarithmic axis, such as 10⁻³; empty between the powers."""
+    number = round(np.log10(value))
+    if abs(np.log10(value) - number) > 1e-6:
         return ""
-    sign = "−" if value < 0 else ""
-    number = round(exponent)
-    if 0 <= number <= 3:
-        return f"{sign}{10**number}"
-    return f"{sign}10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    return (
+        f"{10**number}"
+        if 0 <= number <= 3
+        else f"10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    )
 
 
 NARROW = 1.3
@@ -263,12 +279,9 @@ def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
 
 
 FIGURE_KINDS = ("svg", "png", "pdf")
+
 ENLARGED = 1.4
 """Pixels of a page for one point of a figure; the letters get the size of the page's text."""
-
-RESOLUTION = 200
-"""Dots per inch of a PNG."""
-
 
 _COLOUR = re.compile(r"(?<=[: ])#([0-9A-Fa-f]{6})(?=[;\"])")
 """Pattern of a colour in an SVG style; a dark page replaces the colour."""
@@ -297,7 +310,7 @@ def encoded(figure: Figure, kind: str, *, transparent: bool = False) -> bytes:
     out = BytesIO()
     with house_settings():
         FigureCanvasAgg(figure)
-        figure.savefig(out, format=kind, dpi=RESOLUTION, metadata=no_date, transparent=transparent)
+        figure.savefig(out, format=kind, metadata=no_date, transparent=transparent)
     # matplotlib copies every text into an unescaped comment; names from files must not reach the page this way.
     return re.sub(rb"<!--.*?-->", b"", out.getvalue(), flags=re.DOTALL) if kind == "svg" else out.getvalue()
 
@@ -327,3 +340,139 @@ def inline_svg(figure: Figure, name: str) -> str:
     body = _COLOUR.sub(lambda found: f"var(--c{found[1].lower()}, #{found[1]})", text[text.index(">") :])
     head = head.replace("<svg ", f'<svg aria-hidden="true" focusable="false" {size} ', 1)
     return head + body
+
+
+Words = str | Callable[..., str]
+"""A text, or a function that makes the text from the results."""
+
+
+@dataclass(frozen=True)
+class FigureEntry:
+    """A figure of one kind of result.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure, such as in `--figure name:OUT.svg`.
+    draw : callable
+        Takes the results and returns the figure.
+    title : str
+        Heading of the figure.
+    caption : str or callable
+        Text below the figure; a callable takes the results.
+    alternative : str or callable
+        Description for readers who cannot see the figure.
+    section : str
+        Key of the report section that ends with the figure; if empty, the figure has its own section.
+    applies : callable
+        Takes the results and returns whether they contain the data of the figure.
+    needs : str
+        Required data of the results, in words.
+    narrow : bool
+        Whether the drawing calls `narrow_page` and has a form for a telephone.
+    """
+
+    name: str
+    draw: Callable[..., Figure]
+    title: str
+    caption: Words
+    alternative: Words
+    section: str
+    applies: Callable[..., bool]
+    needs: str
+    narrow: bool
+
+    def caption_of(self, *results: Any) -> str:
+        """Write the caption of the figure of these results."""
+        return self.caption if isinstance(self.caption, str) else self.caption(*results)
+
+    def alternative_of(self, *results: Any) -> str:
+        """Describe the figure of these results for readers who cannot see the figure."""
+        return self.alternative if isinstance(self.alternative, str) else self.alternative(*results)
+
+
+FIGURE_TABLE: dict[type, dict[str, FigureEntry]] = {}
+"""Figures by the type of their result, in the order of a report."""
+
+
+def figure(
+    name: str,
+    *results: type,
+    title: str,
+    caption: Words = "",
+    alternative: Words = "",
+    section: str = "",
+    applies: Callable[..., bool] = lambda *results: True,
+    needs: str = "",
+    narrow: bool = False,
+) -> Callable[[Callable[..., Figure]], Callable[..., Figure]]:
+    """Add a drawing function to the table of figures, for each type of result that the function draws.
+
+    Parameters
+    ----------
+    name : str
+    *results : type
+        Types such as `LoopResult`. If the user names a file and no figure, the first figure of a type is drawn.
+    title, caption, alternative, section, applies, needs, narrow
+        As in `FigureEntry`. An empty alternative text becomes the first line of the function's docstring, and an empty
+        caption becomes its second paragraph.
+
+    Returns
+    -------
+    callable
+        A decorator. The decorated function draws in the house style, and raises `InputError` if the figure does not
+        apply.
+    """
+
+    def entered(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+        in_style = styled(draw)
+
+        @wraps(draw)
+        def drawn(*given: Any, **options: Any) -> Figure:
+            if not applies(*given):
+                raise InputError(f"the figure {name!r} needs {needs}")
+            return in_style(*given, **options)
+
+        drawn.__doc__ = _documented(draw, results)
+        said = [" ".join(part.split()) for part in (inspect.getdoc(draw) or "").split("\n\n")]
+        words = caption or "".join(part for part in said[1:2] if "---" not in part), alternative or said[0]
+        entry = FigureEntry(name, drawn, title, *words, section, applies, needs, narrow)
+        for result in results:
+            FIGURE_TABLE.setdefault(result, {})[name] = entry
+        return drawn
+
+    return entered
+
+
+def _documented(draw: Callable[..., Figure], results: tuple[type, ...]) -> str:
+    """Complete the docstring of a drawing function by its parameters and its return value."""
+    said = inspect.getdoc(draw) or ""
+    if "Parameters\n---" in said:
+        return said
+    several = inspect.getfullargspec(draw).varargs is not None
+    taken = f"{'*results' if several else 'result'} : {' or '.join(each.__name__ for each in results)}"
+    return f"{said}\n\nParameters\n----------\n{taken}\n\nReturns\n-------\nFigure"
+
+
+def figures_of(result: type) -> dict[str, FigureEntry]:
+    """List the figures of a type of result by name, in the order of the report."""
+    return dict(FIGURE_TABLE.get(result, {}))
+
+
+def applicable(*results: Any) -> Iterator[FigureEntry]:
+    """List the figures that apply to these results, all of one type."""
+    return (entry for entry in figures_of(type(results[0])).values() if entry.applies(*results))
+
+
+def drawn_figure(name: str, *results: Any) -> Figure:
+    """Draw a figure by its name.
+
+    Raises
+    ------
+    InputError
+        If there is no figure of that name, or the results lack its data.
+    """
+    known = figures_of(type(results[0]))
+    if name not in known:
+        raise InputError(f"there is no figure {name!r} of this result; there are {', '.join(known) or 'none'}")
+    return known[name].draw(*results)

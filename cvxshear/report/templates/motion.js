@@ -14,7 +14,7 @@
     for (const each of drawings) {
       const x = each.sway.map(function (value) { return centre + largest * part * value; });
       [-half, half].forEach(function (side, at) {
-        each.columns[at].setAttribute("points", x.map(function (value, i) { return (value + side).toFixed(2) + "," + each.heights[i]; }).join(" "));
+        each.columns[at].setAttribute("points", x.map(function (value, i) { return (value + side).toFixed(2) + "," + ({{ ground }} - {{ height }} * each.heights[i]).toFixed(2); }).join(" "));
       });
       each.floors.forEach(function (floor, i) {
         floor.setAttribute("x1", (x[i + 1] - half).toFixed(2));

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg
 
-from cvxshear.response.damped import poles
-from cvxshear.response.dynamics import Noise, Setting, _over_a_step, dynamics, recursion, settled_covariance
+from cvxshear.response.state_space import Filter, Noise, Setting, discretized, dynamics, recursion
 from tests.frames import chain
 from tests.response.common import straight
 
@@ -101,7 +100,7 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
     np.testing.assert_allclose(found.Q_input, np.outer(own, own), rtol=1e-12)
     np.testing.assert_allclose(found.Q - found.Q_input, integral, rtol=1e-6, atol=1e-12)
     settled = linalg.solve_discrete_are(found.A.T, found.H.T, found.Q, np.diag(found.R))
-    np.testing.assert_allclose(settled_covariance(found), settled, rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(Filter.settled(found).P, settled, rtol=1e-5, atol=1e-10)
 
 
 def test_base_motion_does_not_tell_how_heavy_a_frame_is():
@@ -126,21 +125,11 @@ def test_a_recursion_by_blocks_is_the_one_sample_by_sample(samples):
     np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
-@pytest.mark.parametrize("slower", [1.0, 1e3])
-def test_the_poles_add_up_to_the_flexibility(slower):
-    """At rest the transfer function is K^-1, both for a frame of some Hz and for one with a period of minutes."""
-    of = frame()
-    found = poles(of.M, of.C / slower, of.K / slower**2)
-    each = found.shapes[:, None, :] * found.shapes[None, :, :] / (-found.scales * found.values)
-    flexibility = np.sum(found.weights * each.real, axis=2)
-    np.testing.assert_allclose(flexibility, slower**2 * np.linalg.inv(of.K), rtol=1e-8)
-
-
 @pytest.mark.parametrize("fastest", [30.0, 3000.0, 3e5])
 def test_the_noise_of_a_step_in_which_a_mode_dies_away_is_what_is_missing_to_its_stationary_covariance(fastest):
     """Q = P - A P A' with the stationary P from scipy's Lyapunov equation, for decays of up to 3,000 over a step."""
     rates = np.array([[0.0, 1.0, 0.0], [-400.0, -fastest, 50.0], [0.0, 0.0, -8.0]])
-    A, _, _, Q = (each[0] for each in _over_a_step(rates, np.zeros(3), np.array([0.0, 0.0, 3.0]), 0.01))
+    A, _, _, Q = discretized(rates, np.zeros(3), np.diag([0.0, 0.0, 3.0]), 0.01)
     np.testing.assert_allclose(A, linalg.expm(0.01 * rates), rtol=1e-9, atol=1e-14)
     P = linalg.solve_continuous_lyapunov(rates, -np.diag([0.0, 0.0, 3.0]))
     np.testing.assert_allclose(Q, P - A @ P @ A.T, rtol=1e-6, atol=1e-12 * np.max(P))

@@ -1,6 +1,6 @@
 """Write the built-in measurement files of measured frames from the published data beside the project.
 
-    CVXSHEAR_SHARED=... python -m tests.built_in_files [FOLDER]
+    CVXSHEAR_SHARED=... python -m tests.studies built_in_files [FOLDER]
 
 writes them to cvxshear/builtin, or to another folder. `cvxshear modes` identifies the modes of the records and
 functions. The modes of the benchmark get seeded noise. The frequencies of the loosened joints are the published values.
@@ -20,7 +20,7 @@ import numpy as np
 from cvxshear.io.modes import modes_from_file
 from tests.records.shared import DATA, mini_table, southampton
 
-BUILT_IN = Path(__file__).parents[1] / "cvxshear" / "builtin"
+BUILT_IN = Path(__file__).parents[2] / "cvxshear" / "builtin"
 
 MINI = {
     "mini-flexible-northridge": "flexible-northridge",
@@ -58,7 +58,7 @@ OF_BENCHMARK = f"""\
 # The simulated benchmark of the IASC-ASCE task group on structural health monitoring, phase I, in {{direction}}: a
 # braced steel frame of four stories, 3.6 m tall, undamaged (pattern 0) and with six patterns of damage. Modes of its
 # model of 120 degrees of freedom, whose joints turn and whose columns stretch, with normal noise added by
-# `python -m tests.built_in_files`: {NOISE}.
+# `python -m tests.studies built_in_files`: {NOISE}.
 # Source: the task group's program datagen (P. Lam, 2000 and 2001; MIT licence as uploaded), as described by
 # E. Johnson, H. Lam, L. Katafygiotis, J. Beck, Phase I IASC-ASCE Structural Health Monitoring Benchmark Problem Using
 # Simulated Data, Journal of Engineering Mechanics 130, 2004. Floor masses are those of its model.

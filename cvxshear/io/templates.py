@@ -1,35 +1,25 @@
 """Files to fill in: a measurement file with every key explained, and a record file begun from a logger's own file.
 
-Their texts are in the folder `blank`. A record file marks the values that were guessed from names and numbers.
+Their texts are in the folder `blank`. A record file marks the values that were guessed from the names, the units and
+the numbers of columns.
 """
 
 import dataclasses
 import os
 import re
+import tomllib
 from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
 from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
-from cvxshear.io.columns import LIMIT, Columns
+from cvxshear.io.columns import Columns
 from cvxshear.io.csv import preamble_of
-from cvxshear.io.formats import format_of, read_columns, read_modes_of
-from cvxshear.io.guesses import (
-    FORCE,
-    HIT_FLOOR,
-    NO_MOTION,
-    RATE,
-    RELEASE,
-    ROOF,
-    Guess,
-    blank_text,
-    guesses_of,
-    said_unit,
-    time_column,
-)
-from cvxshear.io.inputs import named_after
+from cvxshear.io.formats import LIMIT, format_of, named_after, read_columns, read_modes_of
 from cvxshear.io.record_file import FREQUENCY_NAMES
 from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
@@ -50,6 +40,11 @@ total_mass = 1.0  # kg, all floors without added mass: FILL IN, or give two conf
 # {file} does not tell how heavy the frame is, and with 1 kg masses and stiffnesses come out per kilogram of it"""
 
 CARRIED = "# total_mass is not needed: the shapes carry the scale, 1/sqrt(kg)"
+
+
+def blank_text(name: str) -> str:
+    """Read a text of the folder `blank`."""
+    return resources.files("cvxshear.io").joinpath("blank", name).read_text(encoding="utf-8")
 
 
 def template(stories: int = 3) -> str:
@@ -139,6 +134,125 @@ def _filled(modes: str, stories: int, total: str) -> str:
 
 def _listed(values: Floats | np.ndarray, shown: str) -> str:
     return "[" + ", ".join(format(value, shown) for value in values) + "]"
+
+
+_WORDS = tomllib.loads(blank_text("words.toml"))
+(
+    TIME, GROUND, FORCE, ROOF, NO_MOTION, BASEMENT, AXIS, BRACKETED, ENDING, RATE, HIT_FLOOR, RELEASE,
+) = (re.compile(pattern, re.IGNORECASE) for pattern in _WORDS["name"].values())  # fmt: skip
+"""Patterns of columns, units and sampling rates in a preamble; comments in the file explain each, in this order."""
+
+NUMBER = re.compile(r"\d+")
+
+ASCENDING = 0.99
+"""Share of the steps of a column of time that are not negative; a handful may be torn."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Guess for one column, from its name and its numbers.
+
+    Parameters
+    ----------
+    column : str
+    unit : str or None
+        Of `CHANNEL_UNITS`, None where the file says none.
+    role : str
+        "ground", "force" or "floor".
+    floor : int
+    sure : bool
+        Whether a number in the name says the floor, and not the order of the columns.
+    axis : str
+    said : str
+        The unit as the file spells it, where it is not one of `CHANNEL_UNITS`.
+    why : str
+        What else the floor follows from.
+    """
+
+    column: str
+    unit: str | None
+    role: str
+    floor: int
+    sure: bool
+    axis: str
+    said: str = ""
+    why: str = ""
+
+
+def time_column(columns: Columns) -> str | None:
+    """Find the ascending column with a name of time, or else the first column if it ascends in even steps."""
+    called = [name for name in columns.names if TIME.match(name.strip())]
+    # Of a date and a time of the day the one that changes from sample to sample.
+    steps_of = {name: _steps(columns, name) for name in (*called, *columns.names[:1])}
+    for name, steps in sorted(
+        steps_of.items(), key=lambda each: (each[0] not in called, -np.count_nonzero(each[1] > 0))
+    ):
+        if steps.size == 0 or np.mean(steps >= 0) < ASCENDING:
+            continue
+        usual = np.median(steps)
+        # Steps of 1 count the samples.
+        even = np.mean(np.abs(steps - usual) < UNEVEN_STEP * usual) > ASCENDING
+        if name in called or (usual > 0 and usual != 1.0 and even):
+            return name
+    return None
+
+
+def _steps(columns: Columns, name: str) -> Floats:
+    values = columns.values[:, columns.names.index(name)]
+    return np.asarray(np.diff(values[np.isfinite(values)]))
+
+
+def said_unit(columns: Columns, name: str) -> tuple[str, str]:
+    """Find the unit that a line of units or the header says, as it is called here and as it is spelled there."""
+    said = columns.units[columns.names.index(name)] if columns.units else ""
+    candidates = [said] if said else [found[1] or found[2] or "" for found in BRACKETED.finditer(name)]
+    if not said and (found := ENDING.search(name)):
+        candidates.append(re.sub(r"_?p?s2", "/s2", found[1]))
+    known = [(unit, each) for each in candidates if (unit := _known_unit(each))]
+    # "Level 3 N" is to the north: of a last word only a unit of acceleration is taken for one.
+    last = name.rsplit(maxsplit=1)[-1] if " " in name.strip() else ""
+    if not said and CHANNEL_UNITS.get(_known_unit(last), ("",))[0] == "acceleration":
+        known.append((_known_unit(last), last))
+    return known[-1] if known else ("", candidates[0] if candidates else "")
+
+
+def _known_unit(said: str) -> str:
+    """Return the library's name of a unit; empty for an unknown unit."""
+    plain = re.sub(r"[\s*^]", "", said.strip().replace("²", "2").replace("**", ""))
+    known = {each.lower(): each for each in (*CHANNEL_UNITS, *TIME_UNITS)}
+    lower = plain.lower()
+    return str(_WORDS["unit"].get(lower, plain if plain in CHANNEL_UNITS else known.get(lower, "")))
+
+
+def guesses_of(columns: Columns, names: Sequence[str]) -> list[Guess]:
+    """Tell what each column is, those that hold no number left out."""
+    found: list[Guess] = []
+    for name in names:
+        if NO_MOTION.search(name) or not np.isfinite(columns.values[:, columns.names.index(name)]).any():
+            continue
+        unit, said = said_unit(columns, name)
+        known = unit in CHANNEL_UNITS
+        bare = ENDING.sub("", BRACKETED.sub("", name))
+        force = bool(FORCE.search(bare)) or (known and CHANNEL_UNITS[unit][0] == "force")
+        ground = not force and bool(GROUND.search(bare.replace("_", " ")) or BASEMENT.search(bare))
+        number, axis = NUMBER.findall(bare), AXIS.search(bare)
+        floor = 0 if ground else int(number[-1]) if number and 0 < int(number[-1]) < 200 else -1
+        role = "force" if force else "ground" if ground else "floor"
+        along = (axis[1] or axis[2]).lower() if axis else "x"
+        found.append(Guess(name, unit if known else None, role, floor, floor >= 0, along, "" if known else said))
+    # Columns without a number get the remaining floors, in order; a roof is above all others.
+    named = {each.floor for each in found if each.role == "floor"}
+    free = iter(sorted(set(range(1, len(found) + max({0, *named}) + 1)) - named))
+    result = []
+    for each in sorted(found, key=lambda each: bool(each.floor < 0 and ROOF.search(each.column))):
+        floor, why = each.floor, ""
+        if each.role == "floor" and floor < 0:
+            floor = next(free) if not ROOF.search(each.column) else max({0, *named}) + 1
+            if ROOF.search(each.column) and len(named) < floor - 1:
+                why = ", as low as it can be: CHECK how many stories there are"
+            named.add(floor)
+        result.append(dataclasses.replace(each, floor=floor, why=why))
+    return sorted(result, key=lambda each: names.index(each.column))
 
 
 def record_template(data: str | Path | Sequence[str | Path], folder: str | Path = ".") -> str:
@@ -291,23 +405,21 @@ def _rate(columns: Columns, time: str | None, preamble: str) -> str:
 
 
 def _channel(guess: Guess, hit: int, *, several: bool) -> str:
-    lines = ["", "[[channel]]", toml_line("column", guess.column)]
-    if guess.role == "force":
-        sure = "from the name" if guess.sure and guess.floor > 0 else "as the top, no name says where the force acts"
-        lines += [f"floor = {hit}  # GUESSED {sure}: CHECK", 'quantity = "force"  # GUESSED from the header']
-    elif guess.role == "ground":
-        lines.append(f"floor = 0  # GUESSED from the name: the ground{guess.why}")
-    else:
-        roof = "name: above the others" if ROOF.search(guess.column) else "order of the columns"
-        lines.append(f"floor = {guess.floor}  # GUESSED from the {'name' if guess.sure else roof}{guess.why}")
-    if guess.unit is not None:
-        lines.append(f'unit = "{guess.unit}"  # GUESSED from the header')
-    else:
-        usual = "N" if guess.role == "force" else "m/s2"
-        said = f"; the file says {printable(guess.said)!r}" if guess.said else ""
-        known = ", ".join(list(CHANNEL_UNITS)[:7])
-        lines.append(f'# unit = "g"  # FILL IN where it is not {usual}{said}: {known}, ...')
-    if several and guess.role != "force":
-        lines.append(f'axis = "{guess.axis}"  # GUESSED from the name')
-    lines.append("# sign = -1  # where the sensor points the other way; calibration = 1.0: a factor on the column")
-    return "\n".join(lines) + "\n"
+    known = ", ".join(list(CHANNEL_UNITS)[:7])
+    usual = "N" if guess.role == "force" else "m/s2"
+    said = f"; the file says {printable(guess.said)!r}" if guess.said else ""
+    named = "name" if guess.sure else "name: above the others" if ROOF.search(guess.column) else "order of the columns"
+    floor = {
+        "force": f"floor = {hit}  # GUESSED "
+        + ("from the name" if guess.sure and guess.floor > 0 else "as the top, no name says where the force acts")
+        + ': CHECK\nquantity = "force"  # GUESSED from the header',
+        "ground": "floor = 0  # GUESSED from the name: the ground",
+        "floor": f"floor = {guess.floor}  # GUESSED from the {named}{guess.why}",
+    }
+    return blank_text("channel.toml").format(
+        column=toml_line("column", guess.column),
+        floor=floor[guess.role],
+        unit=f'# unit = "g"  # FILL IN where it is not {usual}{said}: {known}, ...' if guess.unit is None
+        else f'unit = "{guess.unit}"  # GUESSED from the header',
+        axis=f'axis = "{guess.axis}"  # GUESSED from the name\n' if several and guess.role != "force" else "",
+    )  # fmt: skip

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cvxshear.effects import Effect, Parameter, Place, catalogue, open_classes, refuse_faulty, refuse_repeated, register
+from cvxshear.effects import Effect, Parameter, catalogue, open_classes, refuse_faulty, refuse_repeated, register
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.util.errors import InputError
@@ -97,14 +97,14 @@ FAULTS = {
     "complex": ({"apply": after(lambda s, *_: changed(s, K=s.system.K + 0j))}, "K is no array of real numbers"),
     "unsymmetric": ({"apply": after(bent)}, "K is not symmetric"),
     "never null": ({"apply": after(always)}, "K is not that of the shear frame at the null values"),
-    "in place": ({"apply": in_place}, r"apply\(\) changes K of the state"),
-    "values in place": ({"apply": greedy}, r"apply\(\) changes the parameters"),
+    "in place": ({"apply": in_place}, r"read-only; apply\(\) must change copies"),
+    "values in place": ({"apply": greedy}, r"read-only; apply\(\) must change copies"),
     "no state": ({"apply": lambda *_: None}, r"apply\(\) returned a NoneType"),
-    "raises": ({"apply": lambda *_: 1 / 0}, r"apply\(\) raised ZeroDivisionError: division by zero"),
+    "raises": ({"apply": lambda *_: 1 / 0}, "raised ZeroDivisionError: division by zero"),
     "no name": ({"name": " "}, "name is ' ', no text"),
     "no summary": ({"summary": None}, "summary is None, no text"),
     "stage": ({"stage": "elastic"}, "stage = 'elastic' is unknown; the stages are bracing, story"),
-    "place": ({"sits_at": ("level",)}, r"sits_at = \('level',\) must be a tuple of"),
+    "place": ({"sits_at": ("level",)}, r"sits_at = \('level',\) must be a tuple of 'floor'"),
     "needs": ({"needs": "heights"}, "needs = 'heights' must be a tuple of"),
     "usual in": ({"usual_in": "stiffness"}, "usual_in = 'stiffness' must be one of '', 'floor_mass'"),
     "no parameters": ({"parameters": None}, "parameters must be a tuple of objects of the class Parameter"),
@@ -115,7 +115,6 @@ FAULTS = {
     "negative size": ({"sizes": lambda *_: np.array([1.0, -1.0])}, "size of m is -1: it must be positive"),
     "nan size": ({"sizes": lambda *_: np.array([np.nan, 1.0])}, "size of s is nan: it must be positive"),
     "one size": ({"sizes": lambda *_: np.ones(1)}, r"sizes\(\) has the shape \(1,\), not \(2,\)"),
-    "list of sizes": ({"sizes": lambda *_: [1.0, 1.0]}, r"sizes\(\) returned a list"),
     "bounds": (
         {"parameters": (Parameter("s", "N/m", lower=1.0, upper=0.0), Parameter("m", "kg"))},
         "s: lower = 1 must be below upper = 0",
@@ -128,12 +127,9 @@ FAULTS = {
         {"parameters": (Parameter("s", "N/m", lower=0.0, null=-2.0), Parameter("m", "kg"))},
         "s: null = -2 is not between its bounds 0 and inf",
     ),
-    "one name": ({"parameters": (Parameter("s", "N/m"), Parameter("s", "kg"))}, "two parameters go by one name"),
     "parameters": ({"parameters": [Parameter("s", "N/m")]}, "parameters must be a tuple"),
     "limits": ({"limits": lambda *_: Constraints(G=np.ones((1, 3)), h=np.ones(1))}, "G must have 10 columns"),
-    "places": ({"places": lambda *_: [Place(floor=1), Place(floor=1)]}, r"places\(\) lists a place twice"),
-    "no places": ({"places": lambda *_: [3]}, "objects of the class Place"),
-    "silent": ({"phrase": lambda *_: ""}, r"phrase\(\) is empty"),
+    "no places": ({"places": lambda *_: [3]}, "objects of class Place"),
 }
 
 

@@ -1,0 +1,446 @@
+"""Draw charts: probabilities of the effects, residuals, planned tests, scatter under noise, the mass iteration."""
+
+import textwrap
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+
+from cvxshear.data import Deviation
+from cvxshear.fit.results import Identification, SingleIdentification
+from cvxshear.loop import LoopResult
+from cvxshear.loop.residual import by_part
+from cvxshear.loop.results import Candidate
+from cvxshear.paper.scatter import NoiseStudy, Scatter
+from cvxshear.planning.results import Plan, accuracy_curve
+from cvxshear.report.figures import style
+from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
+from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import chance
+from cvxshear.util.typing import Floats
+
+MOST_BARS = 14
+"""Number of drawn effects, the most probable first; all added effects are drawn."""
+
+LONGEST_LABEL = 44
+"""Largest number of letters of an effect's name beside its dots; a telephone shows two lines."""
+
+LEAST_DRAWN = 1e-4
+"""Smallest probability on the axis, and smallest distance to 1; an effect beyond them is drawn at the edge."""
+
+HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
+"""Style of the marks for the state before: a hollow diamond."""
+
+
+@figure(
+    "ranking",
+    LoopResult,
+    title="Probabilities of the effects",
+    alternative="How probable each effect is before and with the data; the numbers are in the table above.",
+    section="candidates",
+    applies=lambda result: bool(result.candidates),
+    needs="effects that were looked for",
+    narrow=True,
+)
+def ranking(result: LoopResult) -> Figure:
+    """Draw the probability of each effect before the data and with them, on an axis of log odds.
+
+    How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
+    effect is more probable than not.
+
+    The added effects are above, the other candidates below.
+    """
+    added = {item.placed for item in result.effects}
+    mine = [item for item in result.candidates if item.placed in added]
+    others = [item for item in result.candidates if item.placed not in added]
+    bars = [*mine, *others[: max(MOST_BARS - len(mine), 0)]]
+    lines = 2 if style.narrow_page() else 1
+    figure = style.new_figure(style.page_width(), LINE * (1.5 * lines * max(len(bars), 2) + 8))
+    axes = figure.subplots()
+    axes.set_xscale("logit")
+    axes.axvline(0.5, color="black", ls=":", lw=1.2)
+    _dots(axes, bars, len(mine))
+    wrap = 30 if style.narrow_page() else 90
+    labels = ["\n".join(textwrap.wrap(style.letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
+    axes.set_yticks(range(len(bars)), labels)
+    for label in axes.get_yticklabels()[: len(mine)]:
+        label.set_fontweight("bold")
+    axes.set_ylim(max(len(bars), 1) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("\n".join(textwrap.wrap("probability that it is there (scale of the logarithm of the odds)", wrap)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: chance(value).replace(".0 %", " %")))
+    axes.set_xlim(0.8 * LEAST_DRAWN, 1.0 - 0.8 * LEAST_DRAWN)
+    axes.grid(axis="x")
+    style.legend(figure, axes, 1 if style.narrow_page() else 3, left=True)
+    return figure
+
+
+def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
+    """Draw both probabilities and a line between; added effects have full dots, values beyond the edge arrows."""
+    places = np.arange(len(bars))
+    edges = LEAST_DRAWN, 1.0 - LEAST_DRAWN
+    before, after = np.clip([[item.prior for item in bars], [item.probability for item in bars]], *edges)
+    axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
+    axes.plot(before, places, label="before the data", **HOLLOW)
+    inside = np.array([LEAST_DRAWN <= item.probability <= 1.0 - LEAST_DRAWN for item in bars], dtype=bool)
+    for chosen, label, colour in (
+        (places < added, "with the data: added", style.AFTER),
+        (places >= added, "with the data: not added", style.GREY),
+    ):
+        for marker, there in (("o", inside), ("<", ~inside & (after < 0.5)), (">", ~inside & (after > 0.5))):
+            at = np.flatnonzero(chosen & there)
+            if len(at):
+                named = label if label not in axes.get_legend_handles_labels()[1] else None
+                axes.plot(after[at], at, ls="none", marker=marker, color=colour, ms=5.0, label=named)
+
+
+USUAL = 2.0
+"""Number of standard deviations that chance rarely exceeds."""
+
+Pair = tuple[Deviation, Deviation]
+
+
+@figure(
+    "residual",
+    LoopResult,
+    title="Residuals",
+    alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
+    "effects; the numbers are in the tables above.",
+    section="residual",
+    narrow=True,
+)
+def residual(result: LoopResult) -> Figure:
+    """How far the model is from each part of the measurement, in standard deviations, before and after.
+
+    The residual of every part of the measurement for the shear model (hollow diamonds) and with effects (dots),
+    both in standard deviations of the final model's noise. Within the grey band it is what noise alone makes.
+
+    Both residuals are in standard deviations of the final model's noise.
+
+    Each kind of data has one panel.
+    """
+    pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
+    kinds = list(dict.fromkeys(after.noise for _, after in pairs))
+    of_kind = {kind: [pair for pair in pairs if pair[1].noise == kind] for kind in kinds}
+    # A telephone shows the kinds of data below one another, each with its own rows.
+    listed = [of_kind[kind] for kind in kinds] if style.narrow_page() else [pairs]
+    rows = [list(dict.fromkeys((after.configuration, after.place) for _, after in each)) for each in listed]
+    heights = [LINE * (len(each) + 8) for each in rows]
+    figure = style.new_figure(style.page_width(), sum(heights))
+    columns = 1 if style.narrow_page() else len(kinds)
+    drawn = figure.subplots(len(rows), columns, sharey="row", squeeze=False, height_ratios=heights)
+    for at, (axes, kind) in enumerate(zip(drawn.ravel(), kinds, strict=True)):
+        _residual_panel(axes, rows[at // columns], of_kind[kind])
+    for axes, own in zip(drawn[:, 0], rows, strict=True):
+        axes.set_yticks(range(len(own)), [_row_label(name, place) for name, place in own])
+        axes.set_ylim(len(own) - 0.4, -0.6)
+    style.legend(figure, drawn[0, 0], 2)
+    return figure
+
+
+def _row_label(configuration: str, place: str) -> str:
+    """Name a part of the measurement, shortened to leave space for the panel; a prior has no configuration."""
+    name, statement = (12, 24) if style.narrow_page() else (20, 48)
+    return f"{style.letters(configuration, name)}, {place}" if configuration else style.letters(place, statement)
+
+
+def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence[Pair]) -> None:
+    """Draw one kind of data: single numbers with their sign, or the root mean square of each part."""
+    signed = all(after.entries == 1 for _, after in pairs)
+    places = np.array([rows.index((after.configuration, after.place)) for _, after in pairs], dtype=float)
+    axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
+    before, after = np.array([[before.deviations, after.deviations] for before, after in pairs]).T
+    _dumbbells(axes, places, *((before, after) if signed else (np.abs(before), np.abs(after))))
+    what = f"{pairs[0][1].noise.replace('_', ' ')}, {'model less measurement' if signed else 'root mean square'}"
+    wrapped = "\n".join(textwrap.wrap(f"{what}, standard deviations", 22))
+    axes.set_xlabel(wrapped if style.narrow_page() else f"{what},\nstandard deviations")
+    if signed:
+        axes.axvline(0, color=style.GREY, lw=0.8)
+    else:
+        axes.set_xlim(left=0)
+    axes.grid(axis="x")
+    axes.tick_params(axis="y", length=0)
+
+
+def _dumbbells(axes: Axes, places: Floats, before: Floats, after: Floats) -> None:
+    axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
+    axes.plot(before, places, label="shear model", **HOLLOW)
+    axes.plot(after, places, ls="none", marker="o", color=style.AFTER, ms=4.2, label="with effects")
+    # The axis is linear where chance is, and logarithmic beyond; the ticks have nearly equal distances.
+    largest = 1.3 * max(float(np.nanmax(np.abs([*before, *after]))), USUAL)
+    between = USUAL * np.sinh(np.array([0.45, 0.9]) * np.arcsinh(largest / USUAL))
+    ticks = [float(f"{value:.0e}") for value in between]
+    axes.set_xscale("asinh", linear_width=USUAL)
+    axes.xaxis.set_major_locator(FixedLocator([*(-tick for tick in reversed(ticks)), 0.0, *ticks]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlim(-largest, largest)
+
+
+@figure(
+    "plan",
+    Plan,
+    title="The planned tests",
+    alternative="Sensors and added masses of each test, and accuracy over the number of sensors.",
+    section="tests",
+)
+def plan(result: Plan) -> Figure:
+    """Draw the frame of each test with its added masses and sensors, and accuracy against number of sensors.
+
+    Left: the frame of each test with its sensors and the masses to add. Right: the expected accuracy over the
+    number of sensors, with the bound below which no choice can be.
+    """
+    shown = min(len(result.tests), MOST_PANELS)
+    n = result.model.design.stories
+    figure = style.new_figure(style.PAGE_WIDTH, LINE * (1.4 * n + 10))
+    left, right = figure.subplots(1, 2)
+    _tests(left, result, shown)
+    _curve(right, result)
+    return figure
+
+
+def _tests(axes: Axes, result: Plan, shown: int) -> None:
+    n = result.model.design.stories
+    heaviest = max(*(float(test.max()) for test in result.tests), 1e-300)
+    for place, test in enumerate(result.tests[:shown]):
+        for floor in range(1, n + 1):
+            for side in (place - 0.3, place + 0.3):
+                axes.plot([side, side], [floor - 1, floor], color=style.GREY, lw=1.2)
+            axes.add_patch(
+                Rectangle((place - 0.33, floor - 0.06), 0.66, 0.12, fc=style.PALE, ec="black", lw=0.7, zorder=3)
+            )
+            mass = float(test[floor - 1])
+            if mass > 0:
+                tall = 0.5 * mass / heaviest
+                load = {"fc": style.BEFORE, "ec": "black", "lw": 0.6, "hatch": "//", "zorder": 3}
+                axes.add_patch(Rectangle((place - 0.16, floor + 0.06), 0.32, tall, **load))  # type: ignore[arg-type]
+            if floor in result.sensors:
+                axes.plot(place + 0.24, floor + 0.16, "o", color=style.AFTER, ms=4.5, zorder=4)
+        axes.plot([place - 0.4, place + 0.4], [0, 0], color="black", lw=1.2)
+    axes.plot([], [], "o", color=style.AFTER, label="sensor")
+    axes.add_patch(
+        Rectangle((0, 0), 0, 0, fc=style.BEFORE, ec="black", hatch="//", label=f"mass, at most {heaviest:.3g} kg")
+    )
+    axes.set_xticks(range(shown), [style.letters(name.removeprefix("planned "), 11) for name in result.names[:shown]])
+    step = 1 if n <= 20 else 5
+    axes.set_yticks([1, *range(step, n + 1, step)] if step > 1 else range(1, n + 1))
+    axes.set_ylabel("floor")
+    axes.set_xlim(-0.6, shown - 0.4)
+    axes.set_ylim(-0.1, n + 0.8)
+    axes.tick_params(axis="x", length=0)
+    axes.spines[["bottom", "left"]].set_visible(False)
+    handles, names = axes.get_legend_handles_labels()
+    kept = len(handles) if heaviest > 1e-300 else 1
+    axes.legend(handles[:kept], names[:kept], loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2)
+
+
+def _curve(axes: Axes, result: Plan) -> None:
+    curve = accuracy_curve(result)
+    counts = [count for count, _, _ in curve]
+    axes.plot(counts, [100 * value for _, value, _ in curve], "o-", color=style.AFTER, label="best found")
+    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=style.GREY, label="no choice below")
+    axes.plot(len(result.sensors), 100 * result.objective, "s", color=style.BEFORE, ms=7, label="plan", zorder=4)
+    axes.set_xlabel("number of sensors")
+    axes.set_ylabel("\n".join(textwrap.wrap(f"{result.measure}, %", style.LONGEST_NAME)))
+    axes.set_ylim(0, 115 * max(value for _, value, _ in curve))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.grid(visible=True)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+
+
+BOX = 0.8
+"""Width of the boxes of all methods together, as a fraction of the distance between two noise levels."""
+
+
+@figure("boxes", NoiseStudy, title="Scatter of the estimates")
+def noise_boxes(study: NoiseStudy) -> Figure:
+    """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
+
+    Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.
+
+    Parameters
+    ----------
+    study : NoiseStudy
+        Of one frame at one or several noise levels.
+
+    Returns
+    -------
+    Figure
+        Boxes hold the middle half with the median, whiskers reach 1.5 box lengths at most; points lie beyond.
+    """
+    groups = _by_method(study)
+    first = next(iter(groups.values()))
+    figure, drawn, levels = _panels_of(first, "error, %")
+    width = BOX / len(groups)
+    for parameter, axes in enumerate(drawn):
+        axes.axhline(0, color="black", lw=0.7)
+        for place, scatters in enumerate(groups.values()):
+            at = np.arange(len(levels)) + (place - (len(groups) - 1) / 2) * width
+            _boxes(axes, [100 * each.errors[:, parameter] for each in scatters], at, width, place)
+        axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
+        axes.set_xlim(-0.6, len(levels) - 0.4)
+        axes.grid(axis="y")
+    handles = [Patch(ec="black", alpha=0.8, label=name, **_filling(i)) for i, name in enumerate(groups)]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
+@figure("variation", NoiseStudy, title="Coefficients of variation")
+def noise_variation(study: NoiseStudy) -> Figure:
+    """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
+
+    Coefficient of variation of each estimate over the noise level, beside the Cramér-Rao bound.
+
+    Parameters
+    ----------
+    study : NoiseStudy
+        Of one frame at one or several noise levels.
+
+    Returns
+    -------
+    Figure
+        One panel for each mass and stiffness, over the noise level.
+    """
+    groups = _by_method(study)
+    first = next(iter(groups.values()))
+    figure, drawn, levels = _panels_of(first, "coefficient of\nvariation, %")
+    for parameter, axes in enumerate(drawn):
+        for method, look in _styles(groups).items():
+            axes.plot(levels, [100 * each.variation[parameter] for each in groups[method]], label=method, **look)
+        bound = [100 * each.relative_bound[parameter] for each in first]
+        # A single level has no line: a dash marks its bound.
+        axes.plot(levels, bound, color="black", lw=2.2, ls=(0, (1, 1)), marker="_", ms=9.0, label="Cramér-Rao bound")
+        axes.set_ylim(bottom=0)
+        axes.set_xlim(left=0)
+        axes.set_xticks([0, *levels] if len(levels) <= 6 else axes.get_xticks())
+        axes.grid()
+    style.legend(figure, drawn[0])
+    return figure
+
+
+def _by_method(study: NoiseStudy) -> dict[str, list[Scatter]]:
+    """Select the scatters of each method over the noise levels of one frame."""
+    chosen = study.scatters
+    if len({(each.setup.name, each.setup.stories) for each in chosen}) > 1:
+        raise InputError("a figure shows one frame: give a study whose setups differ in their noise alone")
+    ordered = sorted(chosen, key=lambda each: [item.method for item in chosen].index(each.method))
+    return {method: list(group) for method, group in groupby(ordered, key=lambda each: each.method)}
+
+
+def _panels_of(scatters: list[Scatter], label: str) -> tuple[Figure, list[Axes], list[float]]:
+    """Make one panel for each mass and stiffness, masses first, and return the noise levels, %."""
+    numbers = range(1, scatters[0].setup.stories + 1)
+    names = [f"{quantity} {number}" for quantity in ("floor mass", "story stiffness") for number in numbers]
+    rows, columns = style.grid_of(len(names), 3 if scatters[0].setup.stories % 4 else 4)
+    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * rows + 0.8)
+    drawn = style.panels(figure, len(names), columns, sharex=True)
+    for place, (axes, name) in enumerate(zip(drawn, names, strict=True)):
+        axes.set_title(name)
+        if place % columns == 0:
+            axes.set_ylabel(label)
+    figure.supxlabel("standard deviation of a mode-shape entry, %", fontsize=8.5)
+    return figure, drawn, [100 * each.setup.mode_shape_std for each in scatters]
+
+
+def _styles(methods: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Choose colour, marker and line of each method; every other marker is hollow."""
+    names = list(methods)
+    every = zip(names, style.looks(len(names)), strict=True)
+    return {name: {**look, "mfc": "white" if i % 2 else look["color"]} for i, (name, look) in enumerate(every)}
+
+
+def _boxes(axes: Axes, samples: list[np.ndarray], at: np.ndarray, width: float, place: int) -> None:
+    boxes = axes.boxplot(
+        samples, positions=at, widths=0.85 * width, patch_artist=True, manage_ticks=False,
+        medianprops={"color": "black", "lw": 1.2}, whiskerprops={"lw": 0.7}, capprops={"lw": 0.7},
+        flierprops={"marker": ".", "ms": 1.5, "mec": "#555555", "alpha": 0.5},
+    )  # fmt: skip
+    for box in boxes["boxes"]:
+        box.set(alpha=0.8, linewidth=0.7, **_filling(place))
+
+
+def _filling(place: int) -> dict[str, Any]:
+    """Choose colour and hatch of the boxes of a method."""
+    return {
+        "facecolor": style.COLOURS[place % len(style.COLOURS)], "hatch": style.HATCHES[place % len(style.HATCHES)]
+    }  # fmt: skip
+
+
+MOST_LINES = 6
+"""Largest number of floors with one line each; for more floors, the largest and the median are drawn."""
+
+
+@figure(
+    "convergence",
+    Identification,
+    title="The mass iteration",
+    applies=lambda *results: bool(_iterated(*results)),
+    needs="a method that iterates on the masses: two-stage",
+)
+def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
+    """Error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
+
+    Error of each floor mass over the iterations of the two-stage method.
+
+    Parameters
+    ----------
+    *results : Identification
+        Results of a method that iterates on the masses; one panel for each configuration.
+    true_mass : ndarray, shape (N,), optional
+        Reference masses of the errors, kg. Default: the final masses of the iteration, without its last point.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        If no result has an iteration.
+    """
+    parts = _iterated(*results)
+    rows, columns = style.grid_of(len(parts), 2 if len(parts) in (2, 4) else 3)
+    figure = style.new_figure(max(style.PAGE_WIDTH * columns / 3, 5.0), 2.6 * rows + 0.6)
+    drawn = style.panels(figure, len(parts), columns, sharey=True)
+    for place, (axes, part) in enumerate(zip(drawn, parts, strict=True)):
+        _iterations(axes, part, true_mass)
+        title = style.letters(part.name, 20)
+        if sum(item.name == part.name for item in parts) > 1 and part.history is not None:
+            started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
+            title += f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
+        axes.set_title(title, fontsize=8.5)
+        if place % columns == 0:
+            axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
+    style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
+    return figure
+
+
+def _iterated(*results: Identification) -> list[SingleIdentification]:
+    """List the parts with more than one step of the mass iteration."""
+    return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
+
+
+def _iterations(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> None:
+    assert part.history is not None
+    final = part.history[-1] if true_mass is None else np.asarray(true_mass, dtype=float)
+    history = part.history[:-1] if true_mass is None else part.history
+    errors = np.abs(history / final - 1.0)
+    # A logarithmic axis cannot show an error of zero.
+    errors = np.where(errors > 0, errors, np.nan)
+    names = [f"floor {i + 1}" for i in range(errors.shape[1])]
+    if errors.shape[1] > MOST_LINES:
+        errors = np.column_stack([np.nanmax(errors, axis=1), np.nanmedian(errors, axis=1)])
+        names = ["largest of all floors", "median of all floors"]
+    for values, name, look in zip(errors.T, names, style.looks(len(names)), strict=True):
+        axes.plot(values, ms=3.5, lw=1.0, label=name, **look)
+    axes.set_yscale("log")
+    style.logarithmic(axes.yaxis)
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axes.set_xlabel("iteration")
+    axes.grid(axis="y")
