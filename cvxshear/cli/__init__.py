@@ -6,10 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from cvxshear.cli import before, frames, recorded, studies
-from cvxshear.cli import plan as planning
-from cvxshear.cli.options import documented, used
-from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed
+from cvxshear.cli import frames, modes_and_check, studies
+from cvxshear.cli.options import documented
+from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed, used
 from cvxshear.io.formats import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
@@ -39,8 +38,8 @@ app = typer.Typer(
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
-    frames.identify, frames.loop, recorded.predict, recorded.reconstruct, before.modes, before.new, before.check,
-    studies.backends, planning.plan, studies.reproduce,
+    frames.identify, frames.loop, frames.predict, frames.reconstruct, modes_and_check.modes, modes_and_check.new,
+    modes_and_check.check, studies.backends, studies.plan, studies.reproduce,
 ):  # fmt: skip
     app.command()(documented(command))
 study.command()(documented(studies.noise))

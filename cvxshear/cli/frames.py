@@ -1,29 +1,43 @@
-"""Commands for a frame: identify its masses and stiffnesses, and find the missing physical effects."""
+"""Commands for a frame: identify it, find the missing physical effects, predict and reconstruct its motion."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.before import measured, records_in_json, tables_of
-from cvxshear.cli.options import BackendName, File, Files, JsonOut, Quiet, ReportOut, UnitsOption, input_files
+from cvxshear.cli.modes_and_check import measured, records_in_json, tables_of
+from cvxshear.cli.options import (
+    LIST,
+    BackendName,
+    File,
+    Files,
+    Outputs,
+    ReportOut,
+    SeriesOut,
+    UnitsOption,
+    Writer,
+    handed_over,
+    input_files,
+)
 from cvxshear.cli.output import as_typed, deliver, doubts_of, heading_of, names, numbers, progress, show
-from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
-from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
 from cvxshear.util.results import as_json
 from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from rich.console import RenderableType
 
     from cvxshear import Identification
-    from cvxshear.response import IdentifiedDamping
+    from cvxshear.response import IdentifiedDamping, Reconstruction, RecordPrediction
+    from cvxshear.response.sources import ModelSource
+    from cvxshear.screening import FileFinding
     from cvxshear.util.quantities import Units
 
 
@@ -38,10 +52,8 @@ def identify(
     initial_mass: str | None = None,
     tolerance: float = 1e-6,
     units: UnitsOption = None,
-    figure: FiguresOut = None,
-    csv: CsvOut = None,
-    xlsx: XlsxOut = None,
-    out: JsonOut = None,
+    *,
+    outputs: Outputs,
 ) -> None:
     """Identify floor masses and story stiffnesses.
 
@@ -63,29 +75,27 @@ def identify(
     # The solvers load slowly, and the help does not need them.
     from cvxshear import Identification, load
     from cvxshear import identify as run
-    from cvxshear.report.handover import sheets_of
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
     from cvxshear.util.quantities import Units
 
-    pictures, tables, display = Pictures(figure, Identification), Spreadsheets(csv, xlsx), Units.parse(units)
+    files_of, display = outputs.prepared(Identification), Units.parse(units)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
     result = run(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
     beside = None
-    if method is None and named == "efficient" and out != "-":
+    if method is None and named == "efficient" and outputs.out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
     fitted = Fitted.of_identification(result)
     damping = None if fitted is None else damping_of(experiment, fitted, backend)
-    files = [*pictures.of(result), *tables.of(lambda: sheets_of(result))]
     said = {**result.to_dict(), "damping": as_json(damping), "warnings": as_json(doubts)}
     deliver(
         said,
-        out,
-        lambda: [*doubts_of(doubts), *_identified(result, beside, display), *_damping_of(damping)],
-        *files,
+        outputs.out,
+        lambda: [*doubts_of(doubts), *_identified(result, beside, damping, display)],
+        *files_of(result),
         title=experiment.report.title or experiment.name,
     )
 
@@ -105,11 +115,8 @@ def loop(
     validate: Annotated[str | None, typer.Option(metavar="RECORD", callback=input_files)] = None,
     strict: bool = False,
     units: UnitsOption = None,
-    figure: FiguresOut = None,
-    csv: CsvOut = None,
-    xlsx: XlsxOut = None,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    *,
+    outputs: Outputs,
 ) -> None:
     """Find the physical effect that the shear model lacks, and report the error before and after.
 
@@ -144,7 +151,6 @@ def loop(
     from cvxshear import LoopResult
     from cvxshear.loop.verdicts import VERDICTS
     from cvxshear.report import terminal
-    from cvxshear.report.handover import sheets_of
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import close_loop
     from cvxshear.util.quantities import Units
@@ -152,11 +158,11 @@ def loop(
     if effects == LIST:
         show(_catalogued())
         raise typer.Exit
-    pictures, tables, display = Pictures(figure, LoopResult), Spreadsheets(csv, xlsx), Units.parse(units)
+    files_of, display = outputs.prepared(LoopResult), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import photograph_of, render
     said_of_it = heading_of(report, title=title, client=client, author=author, date=date, photograph=photograph)
-    with progress("closing the loop", quiet) as advance:
+    with progress("closing the loop", outputs.quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
         heading = dataclasses.replace(experiment.report, **said_of_it)
         if report is not None:
@@ -187,15 +193,15 @@ def loop(
     }
     if tried is not None:
         said["validation"] = tried.to_dict()
-    files = [*pictures.of(result), *tables.of(lambda: sheets_of(result))]
+    files = files_of(result)
     if report is not None:
         page = partial(render, result, as_typed(), units=display, prediction=tried, heading=heading)
         files.append(lambda: write_file(report, page()))
-    beside = _damping_of(damping) if tried is None else ("", *terminal.shown(tried))
-    beside = [*beside, *filter(None, [without])]
+    moved = damping if tried is None else tried
+    beside = [*(() if moved is None else ("", *terminal.shown(moved))), *filter(None, [without])]
     deliver(
         said,
-        out,
+        outputs.out,
         lambda: [*tables_of(found), *doubts_of(result.warnings), *terminal.shown(result, display), *beside],
         *files,
         title=heading.title or experiment.name,
@@ -204,15 +210,10 @@ def loop(
         raise typer.Exit(UNCERTAIN)
 
 
-def _damping_of(found: IdentifiedDamping | None) -> Iterable[RenderableType]:
-    from cvxshear.report import terminal
-    from cvxshear.report.describe.responses import damping_section
-
-    return () if found is None else terminal.rendered(damping_section(found))
-
-
-def _identified(result: Identification, beside: Identification | None, units: Units) -> Iterator[RenderableType]:
-    """Render an identification, and the frames of another one for comparison."""
+def _identified(
+    result: Identification, beside: Identification | None, damping: IdentifiedDamping | None, units: Units
+) -> Iterator[RenderableType]:
+    """Render an identification, the frames of another one for comparison, and the damping."""
     from cvxshear.report import terminal
     from cvxshear.report.describe import describe
 
@@ -222,6 +223,9 @@ def _identified(result: Identification, beside: Identification | None, units: Un
         for section in describe(beside, units).sections:
             if section.key.startswith("part-"):
                 yield from terminal.rendered(section)
+    if damping is not None:
+        yield ""
+        yield from terminal.shown(damping)
 
 
 def _catalogued() -> Iterator[RenderableType]:
@@ -242,3 +246,137 @@ def _catalogued() -> Iterator[RenderableType]:
     yield ""
     verdicts = ((x.name, x.sentence) for x in VERDICTS.values())
     yield plain_table("Verdicts", "name", "what it means", words=(0, 1), rows=verdicts)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Options of commands that model the motion of a frame in a record.
+
+    Parameters
+    ----------
+    file
+        What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.
+    damping
+        modal, story or rayleigh; what FILE declares where not given.
+    configuration
+        Which test or state; the one with the record's added mass where not given.
+    assume : NAME,...
+        Effects that are in the model from the start.
+    detrend
+        Take the straight line through each recorded acceleration off.
+    """
+
+    file: File
+    record: Annotated[str, typer.Option("--record", callback=input_files)]
+    backend: BackendName = "auto"
+    damping: str | None = None
+    configuration: str | None = None
+    assume: str | None = None
+    detrend: bool = True
+    series: SeriesOut = None
+    report: ReportOut = None
+
+    def prepared(self, context: typer.Context) -> list[Callable[..., None]]:
+        """Make the functions that write the requested time series and report of a result."""
+        from cvxshear.report.handover import series_kind, write_series
+
+        series = [self.series] if self.series else []
+        written = handed_over(context, "--out", series, series_kind, write_series)
+        if self.report is not None:
+            written.append(partial(_write_page, self.report))
+        return written
+
+    def screened(self) -> tuple[ModelSource, Sequence[FileFinding] | None]:
+        """Close the loop on a measurement; return its models and warnings, or the result of a loop without warnings."""
+        from cvxshear.response import models_of_loop
+        from cvxshear.response.sources import load_unscaled
+        from cvxshear.screening import close_loop
+
+        if Path(self.file).suffix.lower() == ".json":
+            if self.assume:
+                raise InputError(
+                    f"{self.file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'"
+                )
+            return self.file, None
+        try:
+            experiment, found = measured([self.file])
+        except NoScaleError:
+            # Only forces need the scale of the masses; the result leaves forces out.
+            experiment, found = load_unscaled(self.file), []
+        # A record has no declared mode numbers: the loop compares possible numbers together with the effects.
+        weighed = [each.name for each in experiment.configurations if found]
+        result = close_loop(experiment, assume=names(self.assume) or (), backend=self.backend, weighed=weighed)
+        return models_of_loop(result), result.warnings
+
+    @property
+    def model(self) -> dict[str, Any]:
+        """Keywords of `predict` and `reconstruct`."""
+        shared = ("backend", "damping", "configuration", "detrend")
+        return {name: getattr(self, name) for name in shared}
+
+
+def _write_page(path: str, result: RecordPrediction | Reconstruction) -> None:
+    from cvxshear.report.html import render_response
+
+    write_file(path, render_response(result, as_typed()))
+
+
+def predict(context: typer.Context, *, motion: Motion, export: list[str] | None = None, outputs: Outputs) -> None:
+    """Predict how every floor answers to a record, beside what was measured.
+
+    Example: cvxshear predict frame.toml --record earthquake.toml
+
+    Parameters
+    ----------
+    record
+        A record file: the base motion or force, and responses to compare with.
+    export : OUT
+        Write the model here: .npz, .mat, .json or .py (OpenSeesPy); may be repeated.
+    """
+    from cvxshear.report.handover import model_kind, write_model
+    from cvxshear.response import RecordPrediction
+    from cvxshear.response import predict as run
+
+    written = motion.prepared(context)
+    written += handed_over(context, "--export", export or [], model_kind, write_model)
+    files_of = outputs.prepared(RecordPrediction)
+    with progress("predicting", outputs.quiet):
+        source, doubts = motion.screened()
+        result = run(source, motion.record, **motion.model)
+    _deliver_motion(result, doubts, outputs.out, *files_of(result), *(partial(write, result) for write in written))
+
+
+def reconstruct(
+    context: typer.Context, *, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: Outputs
+) -> None:
+    """Find how every floor moved, from the floors that carry sensors: drifts, forces, and whether a story changed.
+
+    Example: cvxshear reconstruct frame.toml --record earthquake.toml --report drifts.html
+
+    Parameters
+    ----------
+    record
+        A record file: floors that carry sensors, with gaps or not, and the base motion; input = "none" where nobody
+        measured that.
+    fit
+        Fit the frame to the record; otherwise it stays as identified.
+    leave_out
+        Leave each sensor out in turn and predict it from the others.
+    """
+    from cvxshear.response import Reconstruction
+    from cvxshear.response import reconstruct as run
+
+    written, files_of = motion.prepared(context), outputs.prepared(Reconstruction)
+    with progress("reconstructing", outputs.quiet) as advance:
+        source, doubts = motion.screened()
+        result = run(source, motion.record, fit=fit, leave_out=leave_out, progress=advance, **motion.model)
+    _deliver_motion(result, doubts, outputs.out, *files_of(result), *(partial(write, result) for write in written))
+
+
+def _deliver_motion(
+    result: RecordPrediction | Reconstruction, doubts: Sequence[FileFinding] | None, out: str | None, *files: Writer
+) -> None:
+    from cvxshear.report import terminal
+    from cvxshear.screening import in_json
+
+    deliver({**result.to_dict(), **in_json(doubts)}, out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)

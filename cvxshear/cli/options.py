@@ -1,23 +1,31 @@
-"""Define the options of the commands, and check the named files against each other before a command runs."""
+"""Define the options of the commands in groups, and check the named files before a command runs."""
+
+from __future__ import annotations
 
 import copy
 import inspect
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import partial, wraps
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from cvxshear.cli.output import show, used
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import check_output, same_file
+
+if TYPE_CHECKING:
+    from cvxshear.report.figures import FigureEntry
+
+Writer = Callable[[], None]
+"""Writes one file of a result that is known."""
 
 OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
 """Forbidden endings of a JSON file: a typing error must not replace a file of another kind."""
 
-
-used: list[str] = []
-"""Names of the files that the running command reads, as typed; the written results list these names."""
 
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
 """Keys of a command's context for its written and read files; options are checked in the typed order."""
@@ -97,9 +105,10 @@ PARAMETER = re.compile(r"^(\w+)(?: :(?: (--\S+))?(?: (\S+))?)?\n((?: {4}.*\n?)+)
 
 
 def documented(command: Callable[..., None]) -> Callable[..., None]:
-    """Take the help of a command's options from the numpydoc parameters of its docstring.
+    """Make a command of a function: groups of options become single options, with their help from the docstrings.
 
-    The name of a parameter may be followed by a different name of the option, and by the name of its value in the help:
+    A group is a dataclass. The numpydoc parameters of the command and of its groups are the help of the options. The
+    name of a parameter may be followed by a different name of the option, and by the name of its value in the help:
     "goal : --for" or "modes : --from FILE". A flag with the default false has no option that turns the flag off.
 
     Parameters
@@ -107,17 +116,56 @@ def documented(command: Callable[..., None]) -> Callable[..., None]:
     command : callable
         Function of the command. Its docstring keeps the part before the parameters, which is the help of the command.
     """
-    command.__doc__, _, listed = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
-    hints, types = get_type_hints(command, include_extras=True), get_type_hints(command)
-    for name, called, value, text in PARAMETER.findall(listed):
-        *_, option = getattr(hints[name], "__metadata__", [None])
-        if option is None:
-            flag = f"--{name.replace('_', '-')}" if inspect.signature(command).parameters[name].default is False else ""
-            option = typer.Option(*filter(None, [called or flag]), metavar=value or None)
-        option = copy.copy(option)
-        option.help = " ".join(text.split())
-        command.__annotations__[name] = Annotated[types[name], option]
-    return command
+    given = inspect.signature(command, eval_str=True).parameters
+    groups: dict[str, Any] = {name: each.annotation for name, each in given.items() if is_dataclass(each.annotation)}
+    parameters, listed = [], []
+    for name, parameter in given.items():
+        if name not in groups:
+            parameters.append(parameter)
+            continue
+        hints = get_type_hints(groups[name], include_extras=True)
+        parameters += [
+            inspect.Parameter(
+                each.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if each.default is MISSING else each.default,
+                annotation=hints[each.name],
+            )
+            for each in fields(groups[name])
+        ]
+        listed.append((inspect.getdoc(groups[name]) or "").partition(HEADING)[2])
+    text, _, own = (inspect.getdoc(command) or "").partition(HEADING)
+    described = {found[0]: found[1:] for part in (*listed, own) for found in PARAMETER.findall(part)}
+    parameters = [_with_help(each, *described[each.name]) if each.name in described else each for each in parameters]
+
+    @wraps(command)
+    def run(**options: Any) -> None:
+        grouped = {
+            name: group(**{each.name: options.pop(each.name) for each in fields(group)})
+            for name, group in groups.items()
+        }
+        command(**options, **grouped)
+
+    run.__doc__ = text
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what `inspect.signature` returns
+    return run
+
+
+HEADING = "\n\nParameters\n----------\n"
+"""Text between the summary of a docstring and its parameters."""
+
+
+def _with_help(parameter: inspect.Parameter, called: str, value: str, text: str) -> inspect.Parameter:
+    """Return a parameter whose option has this help; called and value name the option and its value if not empty."""
+    declared = getattr(parameter.annotation, "__metadata__", ())
+    if declared:
+        kind, option = parameter.annotation.__origin__, copy.copy(declared[-1])
+    else:
+        flag = f"--{parameter.name.replace('_', '-')}" if parameter.default is False else ""
+        kind, option = parameter.annotation, typer.Option(*filter(None, [called or flag]), metavar=value or None)
+    option.help = " ".join(text.split())
+    return parameter.replace(annotation=Annotated[kind, option])
 
 
 File = Annotated[str, typer.Argument(metavar="FILE", callback=input_files)]
@@ -134,7 +182,6 @@ FIGURES = (".svg", ".png", ".pdf")
 JsonOut = Annotated[
     str | None, writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
 ]
-FigureOut = Annotated[str | None, writes("--figure", what="Draw into this file: .svg, .png or .pdf.", endings=FIGURES)]
 ReportOut = Annotated[
     str | None, writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm"))
 ]
@@ -147,3 +194,162 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
     str, typer.Option("--backend", help="Which solver; 'cvxshear backends' lists them.", metavar="NAME")
 ]
+
+
+LIST = "list"
+"""Value of --figure that prints the available figures."""
+
+
+def _among_figures(context: typer.Context, option: typer.CallbackParam, asked: list[str] | None) -> list[str] | None:
+    """Check every output file of a figure before the command runs."""
+    for text in asked or ():
+        if not context.resilient_parsing and text != LIST:
+            claim(context, option.opts[0], _path(text), FIGURES)
+    return asked
+
+
+FiguresOut = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--figure",
+        help="Draw a figure into this file, .svg, .png or .pdf; which one by its kind, such as mac:OUT.svg. "
+        "'list' prints the kinds.",
+        metavar="[KIND:]OUT",
+        callback=_among_figures,
+    ),
+]
+CsvOut = Annotated[str | None, writes("--csv", what="Write the result's main table here.", endings=(".csv",))]
+XlsxOut = Annotated[
+    str | None, writes("--xlsx", what="Write the result's tables as a workbook here.", endings=(".xlsx",))
+]
+SeriesOut = Annotated[
+    str | None, typer.Option("--out", help="Write the time series here: .csv, .mat or .npz.", metavar="OUT")
+]
+
+
+@dataclass(frozen=True)
+class FigureOutputs:
+    """Options of commands that draw figures of their result."""
+
+    figure: FiguresOut = None
+    quiet: Quiet = False
+    out: JsonOut = None
+
+    def prepared(self, result: type, first: str = "") -> Callable[..., list[Writer]]:
+        """Check the requested files before the command runs; "list" alone prints the figures and ends the command.
+
+        Parameters
+        ----------
+        result : type
+            Type of the results.
+        first : str, optional
+            Figure that is drawn if the user names none. Default: the first of the type.
+
+        Returns
+        -------
+        callable
+            (*results, **options of the drawing functions) -> functions that write the files.
+
+        Raises
+        ------
+        InputError
+            If a kind of figure is unknown, or a package for a file is not installed.
+        """
+        wanted = self._figures(result, first)
+
+        def writers(*results: Any, **options: Any) -> list[Writer]:
+            return [*(partial(_draw, entry, path, results, options) for entry, path in wanted), *self.tables(results)]
+
+        return writers
+
+    def tables(self, results: Sequence[object]) -> list[Writer]:
+        """Return the functions that write the tables of results."""
+        return []
+
+    def _figures(self, result: type, first: str) -> list[tuple[FigureEntry, str]]:
+        if not self.figure:
+            return []
+        from cvxshear.report.figures import figures_of
+
+        figures = figures_of(result)
+        if LIST in self.figure:
+            from cvxshear.report.terminal import plain_table
+
+            title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
+            rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
+            show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
+            raise typer.Exit
+        return [_split(text, figures, first or next(iter(figures))) for text in self.figure]
+
+
+@dataclass(frozen=True)
+class Outputs(FigureOutputs):
+    """Options of commands that draw figures of their result and write its tables."""
+
+    csv: CsvOut = None
+    xlsx: XlsxOut = None
+
+    def prepared(self, result: type, first: str = "") -> Callable[..., list[Writer]]:
+        if self.xlsx is not None:
+            from cvxshear.io.spreadsheets import load_openpyxl
+
+            load_openpyxl()
+        return super().prepared(result, first)
+
+    def tables(self, results: Sequence[object]) -> list[Writer]:
+        from cvxshear.io.spreadsheets import write_csv, write_xlsx
+
+        asked = ((write_csv, self.csv), (write_xlsx, self.xlsx))
+        return [partial(_tabulate, write, path, results) for write, path in asked if path is not None]
+
+
+def _draw(entry: FigureEntry, path: str, results: Sequence[Any], options: Mapping[str, Any]) -> None:
+    from cvxshear.report.figures import save
+
+    save(entry.draw(*results, **options), path)
+
+
+def _tabulate(write: Callable[..., None], path: str, results: Sequence[object]) -> None:
+    from cvxshear.report.handover import sheets_of
+
+    write(path, sheets_of(*results))
+
+
+def _path(text: str) -> str:
+    """Return the path of a requested figure; a colon after one letter belongs to a Windows path."""
+    kind, colon, path = text.partition(":")
+    return path if colon and len(kind) > 1 else text
+
+
+def _split(text: str, figures: Mapping[str, FigureEntry], first: str) -> tuple[FigureEntry, str]:
+    """Return the figure and the path of a request."""
+    path = _path(text)
+    kind = text[: -len(path) - 1] or first
+    if kind not in figures:
+        from cvxshear.util import checks
+
+        hint = checks.near(kind, figures)
+        raise InputError(f"--figure: there is no figure {kind!r} here; there are {', '.join(figures)}{hint}")
+    return figures[kind], path
+
+
+def handed_over(
+    context: typer.Context, option: str, paths: Iterable[str], kind_of: Callable[[str], str], write: Callable[..., None]
+) -> list[Callable[..., None]]:
+    """Check the output files, and return one function for each file that writes a given result.
+
+    Parameters
+    ----------
+    context : typer.Context
+    option : str
+        Option that names the files.
+    paths : iterable of str
+    kind_of : callable
+        (path) -> ending; raises `InputError` for an unknown ending.
+    write : callable
+        (path, result)
+    """
+    asked = list(paths)
+    for path in asked:
+        claim(context, option, path, [f".{kind_of(path)}"])
+    return [partial(write, path) for path in asked]

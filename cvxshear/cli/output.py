@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cvxshear.cli.options import used
 from cvxshear.util.errors import InputError, printable
 from cvxshear.util.writing import json_text, shell_line, write_file
 from cvxshear.version import __version__
@@ -25,6 +24,9 @@ if TYPE_CHECKING:
 
     from cvxshear.screening import FileFinding
     from cvxshear.util.typing import Json
+
+used: list[str] = []
+"""Names of the files that the running command reads, as typed; the written results list these names."""
 
 typed: list[str] = []
 """Arguments of the command line, as typed."""
@@ -132,8 +134,8 @@ def about(files: Sequence[str], title: str | None) -> Json:
 
 def present() -> datetime:
     """Return the present time, or the time in SOURCE_DATE_EPOCH (reproducible-builds.org)."""
-    stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
-    if not stamp:
+    stamp = os.environ.get("SOURCE_DATE_EPOCH")
+    if stamp is None:
         return datetime.now(UTC)
     try:
         return datetime.fromtimestamp(int(stamp), UTC)

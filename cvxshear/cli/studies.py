@@ -1,33 +1,163 @@
-"""Commands for studies: recompute the paper's tables, run the noise study, compare all backends."""
+"""Commands for studies: plan a test, recompute the paper, run the noise study, compare the backends."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.options import FIGURES, BackendName, FigureOut, JsonOut, Quiet, input_files, writes
-from cvxshear.cli.output import deliver, progress
+from cvxshear.cli.options import (
+    BackendName,
+    FigureOutputs,
+    File,
+    JsonOut,
+    Outputs,
+    Quiet,
+    TomlOut,
+    UnitsOption,
+    input_files,
+)
+from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
-from cvxshear.cli.written import Pictures
 from cvxshear.util.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear.backends import Solver
+    from cvxshear.planning import TestNoise
 
 Samples = Annotated[int, typer.Option(min=2)]
 
 
+def plan(
+    file: File,
+    sensors: int | None = None,
+    tests: str = "1",
+    added_mass: str | None = None,
+    added_mass_total: float | None = None,
+    modes: str | None = None,
+    frequency_std: float | None = None,
+    mode_shape_std: float | None = None,
+    duration: float | None = None,
+    excitation: str | None = None,
+    damping: float | None = None,
+    sensor_noise: float | None = None,
+    goal: str = "all",
+    criterion: str | None = None,
+    backend: str = "clarabel",
+    fresh: bool = False,
+    loop: bool = False,
+    configuration: str | None = None,
+    output: TomlOut = None,
+    units: UnitsOption = None,
+    *,
+    outputs: Outputs,
+) -> None:
+    """Choose the floors to measure and the masses to add, before a test.
+
+    Example: cvxshear plan paper --fresh --tests 2 --added-mass 41 --goal gravity
+
+    Parameters
+    ----------
+    file
+        Design values (a frame and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.
+    sensors
+        How many floors can be measured; all where not given.
+    tests
+        How many tests, or 'declared' for those of FILE as if they were still to come.
+    added_mass
+        kg that each floor can carry: one number, or one a floor with commas between.
+    added_mass_total
+        kg that one test can carry in all.
+    modes
+        How many of the lowest modes will be identified, or which: 1,2,4.
+    frequency_std
+        Expected relative standard deviation of frequencies; where neither this nor the next is given that of FILE's
+        tests, and 0.002 where they state none.
+    mode_shape_std
+        Of shape entries, the largest being 1; where neither is given that of the tests as well, and 0.01 where they
+        state none.
+    duration
+        Seconds recorded in each test, from which the noise follows instead.
+    excitation
+        ambient, shaker or hammer; with --duration.
+    damping
+        Fraction of critical; with --duration.
+    sensor_noise
+        Noise of a channel over its standard deviation; with --duration.
+    goal
+        masses, stiffnesses, all, or effects to distinguish: gravity,ground_spring@4=2000 (floor, size).
+    criterion
+        D (where the plan is for the frame), A, E or worst (where it is for effects).
+    backend
+        clarabel or scs.
+    fresh
+        Count nothing that FILE measured as known.
+    loop
+        Plan for the frame with the effects that the loop finds in FILE.
+    configuration
+        Test or state of FILE that is to be tested; its first configuration where not given.
+    output
+        Write a measurement file to fill in.
+    """
+    from cvxshear.planning import Plan, measurement_of, write_template
+    from cvxshear.planning import plan as run
+    from cvxshear.report import terminal
+    from cvxshear.screening import in_json, refuse_mistakes
+    from cvxshear.util.quantities import Units
+
+    files_of, display = outputs.prepared(Plan), Units.parse(units)
+    noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
+    wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
+    masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
+    measured = measurement_of(file)
+    doubts = None if measured is None else refuse_mistakes(measured)
+    count = int(tests) if tests.strip().lstrip("-").isdigit() else tests
+    with progress("planning", outputs.quiet):
+        result = run(
+            measured or file, sensors, count, modes=_one_or_many(wanted), noise=noise,
+            added_mass=_one_or_many(masses),
+            added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop,
+            configuration=configuration, backend=backend,
+        )  # fmt: skip
+    files = files_of(result)
+    if output is not None:
+        files.append(lambda: write_template(output, result))
+    said = {**result.to_dict(), **in_json(doubts)}
+    deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result, display)], *files)
+
+
+def _noise(
+    declared: tuple[float | None, float | None],
+    duration: float | None,
+    record: tuple[str | None, float | None, float | None],
+) -> TestNoise | None:
+    """Make the expected noise from the options; None if no option concerns the noise."""
+    from cvxshear.planning import Declared, Recorded
+
+    stds = zip(("frequency_std", "mode_shape_std"), declared, strict=True)
+    given = {name: value for name, value in stds if value is not None}
+    parts = zip(("excitation", "damping", "sensor_noise"), record, strict=True)
+    of_record = {name: value for name, value in parts if value is not None}
+    if duration is None:
+        if of_record:
+            raise InputError("--excitation, --damping and --sensor-noise need --duration, the seconds recorded")
+        return Declared(**given) if given else None
+    if given:
+        raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
+    # The options have the names of the fields of `Recorded`, which checks the values; mypy cannot match their types.
+    return Recorded(**{"excitation": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
+
+
+def _one_or_many(found: list[Any] | None) -> Any:
+    """Return the only number of a list with one entry, else the list."""
+    return found[0] if found is not None and len(found) == 1 else found
+
+
 def reproduce(
-    backend: BackendName = "auto",
-    samples: Samples = 10_000,
-    seed: int = 2023,
-    figure: FigureOut = None,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    backend: BackendName = "auto", samples: Samples = 10_000, seed: int = 2023, *, outputs: FigureOutputs
 ) -> None:
     """Print the paper's figures beside recomputed ones, with the difference.
 
@@ -47,15 +177,15 @@ def reproduce(
     from cvxshear.paper.tables import PRINTED
     from cvxshear.report import terminal
 
-    pictures = Pictures.named(Identification, convergence=figure)
-    with progress("reproducing the paper", quiet):
+    files_of = outputs.prepared(Identification, "convergence")
+    with progress("reproducing the paper", outputs.quiet):
         result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
     files = []
-    if pictures:
+    if outputs.figure:
         # The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses.
         found = [identify(exact_modes(), "two-stage", initial_mass=start) for start in PRINTED["initial_mass"].values()]
-        files = pictures.of(*found, true_mass=three_story(0.01).floor_mass)
-    deliver(result.to_dict(), out, lambda: terminal.shown(result), *files)
+        files = files_of(*found, true_mass=three_story(0.01).floor_mass)
+    deliver(result.to_dict(), outputs.out, lambda: terminal.shown(result), *files)
 
 
 def noise(
@@ -63,10 +193,8 @@ def noise(
     seed: int = 2023,
     methods: str = "two-stage,one-shot,efficient",
     jobs: int = 1,
-    figure: FigureOut = None,
-    boxes: Annotated[str | None, writes("--boxes", endings=FIGURES)] = None,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    *,
+    outputs: FigureOutputs,
 ) -> None:
     """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
 
@@ -82,20 +210,18 @@ def noise(
         Methods, commas between.
     jobs
         Processes; -1 takes every core.
-    boxes
-        Draw box plots (Fig. 5) into this file.
     """
     from cvxshear.paper import NoiseStudy, noise_study, paper_setups, six_story_study
     from cvxshear.report import terminal
 
-    pictures = Pictures.named(NoiseStudy, variation=figure, boxes=boxes)
-    with progress("three stories", quiet) as advance:
+    files_of = outputs.prepared(NoiseStudy, "variation")
+    with progress("three stories", outputs.quiet) as advance:
         of_methods = tuple(listed_names(methods) or ())
         three = noise_study(paper_setups(), of_methods, samples, seed, jobs=jobs, progress=advance)
-    with progress("six stories", quiet) as advance:
+    with progress("six stories", outputs.quiet) as advance:
         six = six_story_study(samples, seed, jobs=jobs, progress=advance)
     said = {"three_story": three.to_dict(), "six_story": six.to_dict()}
-    deliver(said, out, lambda: [*terminal.shown(three), *terminal.shown(six)], *pictures.of(three))
+    deliver(said, outputs.out, lambda: [*terminal.shown(three), *terminal.shown(six)], *files_of(three))
 
 
 def backends(

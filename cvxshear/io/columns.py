@@ -49,7 +49,7 @@ class Columns:
             seen.add(name)
 
     def at(self, row: int) -> str:
-        """Name the place of a row as a person would."""
+        """Name the place of a row for a message: its line or its sample."""
         if self.lines is None:
             return f"{self.source}, sample {row + 1}"
         return f"{self.source}, line {int(self.lines[row])}"
@@ -66,7 +66,7 @@ class Columns:
             raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
 
     def column(self, name: str, asked: str) -> Floats:
-        """Return the values of a column, once they are known to be finite, shape (rows,).
+        """Return the values of a column after a check that they are finite, shape (rows,).
 
         Parameters
         ----------

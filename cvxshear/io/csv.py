@@ -41,7 +41,7 @@ STAMP = re.compile(
     rf"(?:(?P<date>{DATE.pattern})[T ] *)?(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,:]\d+)?))?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d\d:?\d\d)?"
 )
-"""A time of the day, of 24 hours or of twice 12, with or without a date before it."""
+"""A time of day with 24 hours or with AM and PM, with or without a date before it."""
 
 ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
 DAY = 86_400.0
@@ -52,7 +52,7 @@ Line = tuple[int, str]
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text's cells are separated, and what stands before its numbers.
+    """Separator of the cells of a text, and its lines before the numbers.
 
     Parameters
     ----------
@@ -87,12 +87,12 @@ def read_csv(path: str | Path, limit: float = LIMIT) -> Columns:
     Returns
     -------
     Columns
-        With nan where a cell is empty or says nan, for the caller to judge: not every column is used.
+        Empty cells are nan. The caller checks the columns that it uses.
 
     Raises
     ------
     InputError
-        Where the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
+        If the file is empty, too large, has no header, or a cell is not a number, naming the column and the line.
         Messages quote the file only if it is a table of numbers.
     """
     return columns_of(_text(Path(path), limit), str(path))
@@ -115,14 +115,14 @@ def columns_of(text: Iterable[str], where: str) -> Columns:
 
 
 def preamble_of(path: str | Path, limit: float = LIMIT) -> str:
-    """Split off what stands before the line of names, comments among it; as for `read_csv`."""
+    """Return the lines before the line of names, with comments; parameters as for `read_csv`."""
     head = [(number, line) for number, line in enumerate(islice(_text(Path(path), limit), LONGEST_HEAD), 1)]
     layout = layout_of([each for each in head if each[1].strip()], str(path))
     return "".join(line for number, line in head if number < layout.line)
 
 
 def layout_of(head: Sequence[Line], where: str) -> Layout:
-    """How a text is laid out, from its first lines.
+    """Find the layout of a text from its first lines.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _first_line(line: Line, where: str) -> Layout:
 def _header(
     before: Sequence[Line], separator: str | None, count: int
 ) -> tuple[tuple[str, ...], int, tuple[str, ...]] | None:
-    """Names, their line, and units, from the lines right before the first numbers; None where none fits."""
+    """Find names, their line, and units in the lines right before the first numbers; None if no line fits."""
     fitting: list[tuple[int, tuple[str, ...]]] = []
     for number, line in reversed(before[-3:]):
         # A tab at the start of a line of units means that the time column has no unit.
@@ -183,7 +183,7 @@ def _header(
 
 
 def _numbers_in(line: str, separator: str | None) -> int:
-    """How many cells a line has where each is a number, a stamp or empty, and one at least is a number; else 0."""
+    """Count the cells of a line of numbers, stamps and empty cells with at least one number; 0 for another line."""
     cells = _split(line if separator == "," else line.replace(",", "."), separator)
     if not cells or not all(_is_datum(cell.strip()) for cell in cells):
         return 0
@@ -248,7 +248,7 @@ def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
 
 
 def _seconds(stamp: re.Match[str], where: str) -> float:
-    """Read a stamp in s, since midnight or, where its date is an ISO date, since the start of 1970.
+    """Read a stamp in s, since midnight or, with an ISO date, since the start of 1970.
 
     In other dates the day or the month may come first. The date is not needed: the clock shows midnight.
     """
@@ -274,7 +274,7 @@ def _cells(line: str, separator: str | None, where: str) -> list[str]:
 
 
 def _split(line: str, separator: str | None) -> list[str] | None:
-    """Split a line into its cells; None where its quotation marks do not close."""
+    """Split a line into its cells; None if its quotation marks do not close."""
     if separator is None:
         return line.split()
     if '"' not in line:

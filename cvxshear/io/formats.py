@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 MEGABYTE = 1_000_000
 
 LARGEST_FILE = 5_000_000
-"""Bytes; a larger file without samples is taken for a mistake (a record in place of a measurement file, say)."""
+"""Largest size of a file without samples, bytes. A larger file is refused as a mistake, such as a record."""
 LIMIT = 100_000_000
 """Default limit on the size of a record's file, bytes."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
@@ -38,7 +38,7 @@ _read_before: ContextVar[dict[str, bytes] | None] = ContextVar("read_before", de
 
 @contextmanager
 def streams_read_once() -> Iterator[None]:
-    """Keep what a pipe gives while this lasts: who looks at it a second time sees the same, and does not wait."""
+    """Keep the content of pipes in this context, so that a second reading returns the same and does not wait."""
     token = _read_before.set({})
     try:
         yield
@@ -53,18 +53,18 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
     ----------
     path : Path
     largest : float
-        Bytes; a pipe or a device, which tells no size beforehand, is read no further either.
+        Bytes; the limit holds for pipes and devices, too.
     remedy : str
-        What to do about a file that is larger.
+        End of the message about a larger file.
     absent : str, optional
-        What to know where there is no such file.
+        Addition to the message if the file does not exist.
     named : bool, optional
-        Whether the file will be opened again by its name: a pipe would hold nothing any more.
+        Whether the file will be opened again by its name. A pipe is then refused: it can be read once.
 
     Raises
     ------
     InputError
-        Where it cannot be read or is larger.
+        If the file cannot be read or is larger.
     """
     where = str(path)
     try:
@@ -94,7 +94,7 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
 
 
 def named_after(path: str | Path) -> str:
-    """Name what a file holds after the file; bytes of its name that are no text are marked so."""
+    """Return the name of a file without its ending; bytes that are not text are replaced by a mark."""
     stem = os.fsencode(Path(path).stem).decode("utf-8", "replace")
     return stem if stem.strip() else "unnamed"
 
@@ -103,7 +103,7 @@ ColumnReader = Callable[[Path, float], "Columns"]
 ModeReader = Callable[[str | Path], dict[str, Any]]
 
 ANY_TEXT = (".txt", ".dat", ".asc")
-"""Endings that tell nothing of what a text holds."""
+"""Endings that do not identify the kind of a text."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,11 @@ class Format:
     Parameters
     ----------
     name : str
-        The key of a [[configuration]] that names such a file, where it holds modes.
+        Name of the format; for a format of modes, the key of a [[configuration]] that names such a file.
     endings : tuple of str
         In small letters, with the dot; the first is the usual one.
     words : str
-        What such a file is called: "a workbook".
+        Name of such a file in messages: "a workbook".
     columns : callable or str, optional
         (path, limit in bytes) to `Columns`: the reader of time histories and frequency response functions. A
         reader that loads slowly is named, "module:function".
@@ -140,7 +140,7 @@ class Format:
         return cast("dict[str, Any]", self._read(self.modes, path))
 
     def _read(self, reader: Callable[..., object] | str | None, *given: object) -> object:
-        """Call a reader; a file that it cannot make sense of is refused by name, whatever the reader raised."""
+        """Call a reader, and convert its errors to an error that names the file."""
         assert reader is not None
         if isinstance(reader, str):
             module, _, name = reader.partition(":")
@@ -176,7 +176,7 @@ def register(added: Format) -> None:
     Raises
     ------
     InputError
-        Where an ending is another format's.
+        If an ending belongs to another format.
     """
     for other in FORMATS:
         shared = set(other.endings) & set(added.endings)
@@ -186,7 +186,7 @@ def register(added: Format) -> None:
 
 
 def format_of(path: str | Path) -> Format | None:
-    """Find the format that a file's ending tells; None where it tells none."""
+    """Find the format of a file by its ending; None for an unknown ending."""
     name = Path(path).name.lower()
     return next((each for each in FORMATS if any(name.endswith(ending) for ending in each.endings)), None)
 
@@ -208,7 +208,7 @@ def read_columns(path: Path, limit: float) -> Columns:
     Raises
     ------
     InputError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
     found = format_of(path)
     return (FORMATS[0] if found is None or found.columns is None else found).read_columns(path, limit)
@@ -220,7 +220,7 @@ def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
     Raises
     ------
     InputError
-        Where such files hold no modes, or this one cannot be read.
+        If such files hold no modes, or this file cannot be read.
     """
     found = format_of(path)
     if found is None or found.modes is None:
@@ -229,7 +229,7 @@ def read_modes_of(path: str | Path) -> tuple[str, dict[str, Any]]:
 
 
 def refuse_data(path: Path, *, toml: bool = True) -> None:
-    """Refuse a file of samples in place of the record file that says what they are of.
+    """Refuse a file of samples where a record file is needed.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def refuse_data(path: Path, *, toml: bool = True) -> None:
     Raises
     ------
     InputError
-        Saying how to begin a record file.
+        The message says how to begin a record file.
     """
     found = format_of(path)
     if found is not None and found.columns is not None and not (toml and path.suffix.lower() in ANY_TEXT):

@@ -74,7 +74,7 @@ def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
 
 
 def _stated_rate(read: Mapping[str, Any]) -> tuple[str, float] | None:
-    """Find the lone number that is called a sampling rate, or the step of one."""
+    """Find a single number with the name of a sampling rate or of a time step."""
     for name, array in _arrays(read, lone=True):
         number = float(array.real.ravel()[0])
         if np.isfinite(number) and number > 0:
@@ -86,7 +86,7 @@ def _stated_rate(read: Mapping[str, Any]) -> tuple[str, float] | None:
 
 
 def _arrays(content: Mapping[str, Any], prefix: str = "", *, lone: bool = False) -> Iterator[tuple[str, Array]]:
-    """Yield the numeric vectors and matrices, or the lone numbers."""
+    """Yield the numeric vectors and matrices, or with `lone` the single numbers."""
     for name, value in content.items():
         if name.startswith("__"):
             continue
@@ -155,7 +155,7 @@ def read_npz(path: str | Path, limit: float = LIMIT) -> Columns:
     Raises
     ------
     InputError
-        Where the file cannot be read, is too large, or holds no numbers. Pickled objects are never read.
+        If the file cannot be read, is too large, or holds no numbers. Pickled objects are never read.
     """
     where = str(path)
     content = read_bytes(Path(path), limit, TOO_LARGE)

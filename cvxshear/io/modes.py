@@ -28,7 +28,7 @@ UNKNOWN_SCALE = (
 
 
 def called(name: str | Path) -> list[Path]:
-    """List the files that a pattern matches, in the order of the numbers in their names; else the one of that name."""
+    """List the files that a pattern matches, ordered by the numbers in their names; a plain name is one file."""
     if Path(name).exists() or not glob.has_magic(str(name)):
         return [Path(name)]
     matched = sorted(glob.glob(str(name), recursive=True), key=_by_number)
@@ -53,7 +53,7 @@ def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
     Raises
     ------
     InputError
-        Where a pattern matches no record file, or a file that it matches cannot be read.
+        If a pattern matches no record file, or a file that it matches cannot be read.
     """
     files: list[Path] = []
     left_out: list[Path] = []
@@ -93,20 +93,20 @@ def identify_modes_many(
     Raises
     ------
     TypeError
-        Where an option is not one of `identify_modes`.
+        If an option is not one of `identify_modes`.
     """
     return each(partial(_tested, options=options), [str(file) for file in files], jobs=jobs, progress=progress)
 
 
 def modes_from_file(path: str | Path, *, output: str | Path | None = None, **options: Any) -> tuple[ModalResult, Json]:
-    """Identify the modes of a record file, and write the measurement file where one is asked for.
+    """Identify the modes of a record file, and write the measurement file if `output` is given.
 
     Parameters
     ----------
     path : str or Path
         The record file (TOML).
     output : str or Path, optional
-        Where to write the measurement file, `.toml`.
+        File for the measurement file, `.toml`.
     **options
         As for `identify_modes`; `pick` takes precedence over the list in the record file.
 
@@ -122,7 +122,7 @@ def modes_from_file(path: str | Path, *, output: str | Path | None = None, **opt
         The record file or a file that it names is wrong, or a file to write would replace one of them. No file is
         written then.
     NoSolutionError
-        Where no mode was found.
+        If no mode was found.
     """
     if output is not None:
         check_output(output, endings=(".toml",), keep=files_of(path))
@@ -140,7 +140,7 @@ def modes_from_file(path: str | Path, *, output: str | Path | None = None, **opt
 
 
 def experiment_from_file(path: str | Path) -> Experiment:
-    """Read what was measured from a measurement file, or identify the modes of a record file.
+    """Read a measurement file, or identify the modes of a record file.
 
     Parameters
     ----------
@@ -150,9 +150,9 @@ def experiment_from_file(path: str | Path) -> Experiment:
     Raises
     ------
     InputError
-        Where a file cannot be read or is wrong.
+        If a file cannot be read or is wrong.
     NoSolutionError
-        Where no mode was found in a record.
+        If no mode was found in a record.
     """
     if not is_record_file(path):
         return load(path)
@@ -185,12 +185,12 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
 
 
 def cables_of(tests: Sequence[IdentifiedRecord]) -> list[Finding]:
-    """Warn of changes between each record and the first that a cable explains, before any damage is looked for."""
+    """Warn of changes between each record and the first that a cable explains."""
     return [finding for test in tests[1:] for finding in cables_changed(tests[0].modes, test.modes)]
 
 
 def _by_number(path: str) -> list[tuple[int, str]]:
-    """Run 2 comes before run 10."""
+    """Return a sorting key that puts run 2 before run 10."""
     return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", path)]
 
 

@@ -47,15 +47,15 @@ PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
 """Patterns of the header of the record's table, and of the line of poles picked by hand."""
 
 OFF_CENTER = 50.0
-"""m from the center of a floor to a sensor; few halls are wider than twice that."""
+"""Largest usual distance of a sensor from the center of its floor, m; few halls are wider than twice this."""
 SLENDER = 20.0
-"""Story heights from the center of a floor to a sensor: 60 m in a building, 8 m in a frame of a laboratory."""
+"""The same distance in story heights: 60 m in a building, 8 m in a frame of a laboratory."""
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
 
 @dataclass(frozen=True, eq=False)
 class RecordFile:
-    """A record, and what its file says of the frame besides.
+    """A record, and the declarations of its file about the frame.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class RecordFile:
     files : tuple of Path
         The record file and those it names.
     notes : tuple of Finding
-        What was left out of the files' samples.
+        Samples that were left out.
     """
 
     record: Record
@@ -101,7 +101,7 @@ def read_record(path: str | Path) -> RecordFile:
     Raises
     ------
     InputError
-        Naming the file, and the key or the channel and the line, and what would be right.
+        The message names the file, the key or the channel with its line, and the expected input.
     """
     path = Path(path)
     tables = RecordTables(path)
@@ -120,7 +120,7 @@ def read_record(path: str | Path) -> RecordFile:
 
 
 def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
-    """Write the frequencies of modes that were chosen by hand into a record file; all else in it stays.
+    """Write the frequencies of modes that were chosen by hand into a record file, and change nothing else.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
     Raises
     ------
     InputError
-        Where the file has no table `[record]` under a header of its own, or cannot be written.
+        If the file has no table `[record]` under a header of its own, or cannot be written.
     """
     path = Path(path)
     text = read_text(path)
@@ -192,7 +192,7 @@ class RecordTables:
 
     @property
     def driver(self) -> ChannelDeclaration | None:
-        """The channel that measures what drove the frame."""
+        """The channel of the excitation."""
         return driver_of(self.channels, self.input)
 
     @property
@@ -209,7 +209,7 @@ class RecordTables:
         )
 
     def floor(self, place: int, otherwise: int | None = None) -> int:
-        """Find where the force of a run acts, the runs counted from 1."""
+        """Find the floor of the force of a run; runs are counted from 1."""
         floor = self.runs[place - 1].get("input_floor", self.declared.get("input_floor", otherwise))
         if floor is None:
             raise InputError(f"run {place}: the key 'input_floor' is missing: which floor does the force act on?")
@@ -226,7 +226,7 @@ class RecordTables:
         Raises
         ------
         InputError
-            Where a file cannot be read, or two were sampled at different rates.
+            If a file cannot be read, or two were sampled at different rates.
         """
         driver, found, rates = self.driver, [], []
         for place, run in enumerate(self.runs, 1):
@@ -267,7 +267,7 @@ class Piece:
     excitation : ndarray, shape (samples,), or None
         m/s2 or N.
     floor : int
-        Where a force acts, 0 but for a force.
+        Floor of the force; 0 without a force.
     span : tuple of (float or None, float or None)
         Start and end in its file, s; None where the piece is all of it.
     left_out : str
@@ -285,7 +285,7 @@ class Piece:
 
 
 def _common(tables: RecordTables) -> dict[str, Any]:
-    """Return what records of both kinds have."""
+    """Return the arguments of both kinds of records."""
     declared = tables.declared
     return {
         "stories": checks.whole(declared.get("stories", 0), "record: stories", least=0, most=MOST_STORIES),
@@ -318,7 +318,7 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
 
 
 def _far_off(channels: Sequence[ChannelDeclaration], heights: object) -> Iterator[Finding]:
-    """Ask about sensors that are declared farther from the center of their floor than frames are wide."""
+    """Report sensors whose declared distance from the center of their floor exceeds the width of frames."""
     known = [each for each in (heights if isinstance(heights, list) else [heights]) if isinstance(each, int | float)]
     limit = min(OFF_CENTER, SLENDER * max(known, default=np.inf))
     for channel in channels:
@@ -358,7 +358,7 @@ def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
 
 
 def read_motion(path: str | Path) -> DrivenRecord:
-    """Read what drove a frame from a record file, with the floors' accelerations where it names such channels.
+    """Read the excitation from a record file, and the accelerations of its floors if it has such channels.
 
     Parameters
     ----------

@@ -26,10 +26,10 @@ RUN_KEYS = ("file", "name", "input_floor", "start", "end")
 PASSED_ON = ("frame", "prior", "added_mass", "state")
 
 LONG_STEP = 1.75
-"""Longest step without a gap, as a multiple of the usual one; a longer one lost a sample, whatever the rounding."""
+"""Longest step without a gap, as a multiple of the usual step. A longer step lost a sample, for any rounding."""
 
 MOST_GAPS = 0.01
-"""Share of the steps: where more are too long it is no gap but another sampling rate, which is refused."""
+"""Largest share of long steps that are gaps. More long steps are another sampling rate, which is refused."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ class ChannelDeclaration(Channel):
 
     @property
     def responds(self) -> bool:
-        """Whether it measures a floor."""
+        """Whether the channel measures a floor."""
         return self.floor > 0 and self.quantity != "force"
 
 
 def tables_of(path: Path) -> tuple[Mapping[str, Any], list[int]]:
-    """Read the tables of a record file, and the lines that its channels stand on."""
+    """Read the tables of a record file, and the line of each channel."""
     refuse_data(path)
     text = read_text(path)
     declared = parse(text, path)
@@ -69,7 +69,7 @@ def tables_of(path: Path) -> tuple[Mapping[str, Any], list[int]]:
 
 @contextmanager
 def placed(path: Path) -> Iterator[None]:
-    """Say which file it is that a message is about."""
+    """Put the name of the file before the messages of errors."""
     try:
         yield
     except InputError as error:
@@ -79,7 +79,7 @@ def placed(path: Path) -> Iterator[None]:
 
 
 def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[ChannelDeclaration]:
-    """Read what the tables `[[channel]]` declare."""
+    """Read the tables `[[channel]]`."""
     if not isinstance(tables, list) or not tables:
         raise InputError("channel must be a list of tables, one [[channel]] a column")
     found = []
@@ -180,7 +180,7 @@ def pieces_of(
     run: Mapping[str, Any],
     path: Path,
 ) -> tuple[list[slice], float, str]:
-    """Find the longest stretches of a file without gaps, its sampling rate, and what was left out, in words.
+    """Find the longest stretches of a file without gaps, its sampling rate, and a sentence on what was left out.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def pieces_of(
 
 
 def since_first(columns: Columns, declared: Mapping[str, Any]) -> Floats:
-    """Return the time of each sample since the first, s, by the clock where there is one."""
+    """Return the time of each sample since the first, s, by the time column if there is one."""
     name = time_column_of(declared, columns)
     if name is None:
         return np.arange(len(columns.values)) / rate_of(declared, columns)
@@ -263,7 +263,7 @@ def _asked(columns: Columns, declared: Mapping[str, Any], run: Mapping[str, Any]
 
 
 def rate_of(declared: Mapping[str, Any], columns: Columns) -> float:
-    """Find the sampling rate: of the time column, as declared where the two agree, or else as the file states it."""
+    """Find the sampling rate from the time column, from the declaration if both agree, or from a number in the file."""
     name = time_column_of(declared, columns)
     said = declared.get("sampling_rate")
     if said is not None:

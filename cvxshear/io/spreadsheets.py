@@ -18,16 +18,16 @@ from cvxshear.util.writing import cell_text, write_file
 Cell = str | float | int | None
 
 LONGEST_TITLE = 31
-"""Letters that the title of a sheet may have (Excel)."""
+"""Largest length of the title of a sheet, letters (Excel)."""
 
 LONGEST_CELL = 32_767
-"""Letters that a cell may have (Excel)."""
+"""Largest length of a cell, letters (Excel)."""
 
 WIDEST = 28
-"""Letters that a column of a workbook is made wide for at most."""
+"""Largest width of a column of a workbook, letters."""
 
 RESERVED = "history"
-"""A title that Excel keeps for itself."""
+"""Title that Excel reserves."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class Sheet:
 
 
 def write_csv(path: str | Path, sheets: Sequence[Sheet]) -> None:
-    """Write the first table; of several with one header all of them, each row led by its table's title.
+    """Write the first table, or all tables with its header; the rows of several tables begin with their titles.
 
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     alike = [sheet for sheet in sheets if sheet.header == sheets[0].header]
     if len(alike) > 1:
@@ -74,7 +74,7 @@ def write_xlsx(path: str | Path, sheets: Sequence[Sheet]) -> None:
     Raises
     ------
     InputError
-        Where openpyxl (the extra `xlsx`) is not installed, or the file cannot be written.
+        If openpyxl (the extra `xlsx`) is not installed, or the file cannot be written.
     """
     write_file(path, workbook(sheets))
 
@@ -85,7 +85,7 @@ def workbook(sheets: Iterable[Sheet]) -> bytes:
     Raises
     ------
     InputError
-        Where openpyxl (the extra `xlsx`) is not installed.
+        If openpyxl (the extra `xlsx`) is not installed.
     """
     book = load_openpyxl().Workbook()
     book.remove(book.active)
@@ -113,12 +113,12 @@ def read_xlsx_rows(path: str | Path, limit: float, remedy: str) -> list[tuple[in
     limit : float
         Bytes that the file may have.
     remedy : str
-        What to do about a larger one.
+        End of the message about a larger file.
 
     Raises
     ------
     InputError
-        Where openpyxl (the extra `xlsx`) is not installed, or the file is no workbook or too large.
+        If openpyxl (the extra `xlsx`) is not installed, or the file is no workbook or too large.
     """
     openpyxl = load_openpyxl()
     content = io.BytesIO(read_bytes(Path(path), limit, remedy))
@@ -159,13 +159,13 @@ def load_openpyxl() -> Any:
     Raises
     ------
     InputError
-        Where it is not installed.
+        If it is not installed.
     """
     return optional("openpyxl", "workbooks need")
 
 
 def _title(name: str, taken: set[str]) -> str:
-    """Clear the title of a sheet of the marks that none may have, no two the same but for capitals."""
+    """Remove forbidden characters from the title of a sheet, and make it unique regardless of case."""
     plain = re.sub(r"[\\/*?:\[\]]", " ", printable(name))[:LONGEST_TITLE].strip(" '") or "sheet"
     title, place = plain, 1
     while title.lower() in taken:

@@ -33,7 +33,7 @@ MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
 """Floor mass (kg) and story stiffness (N/m) of the example frame, and a pull at its top (N)."""
 
 TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
-"""The line that a new file has where its modes are made up."""
+"""Line of a new file whose modes are an example."""
 
 TO_FILL_IN = """\
 total_mass = 1.0  # kg, all floors without added mass: FILL IN, or give two configurations with different added masses;
@@ -82,7 +82,7 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     modes : str or Path
         Of one of the formats in `files.formats.FORMATS` that hold modes.
     folder : str or Path, optional
-        Where the measurement file will stand; it names the other from there.
+        Folder of the measurement file, which the name of the other file is relative to.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def template_from(modes: str | Path, folder: str | Path = ".") -> str:
     Raises
     ------
     InputError
-        Where the file cannot be read.
+        If the file cannot be read.
     """
     key, found = read_modes_of(modes)
     named = toml_line(key, os.path.relpath(modes, folder))
@@ -110,7 +110,7 @@ def toml_line(key: str, name: str) -> str:
     Raises
     ------
     InputError
-        Where the name has bytes that are no text, which TOML cannot hold.
+        If the name has bytes that are no text, which TOML cannot hold.
     """
     try:
         name.encode("utf-8")
@@ -145,7 +145,7 @@ _WORDS = tomllib.loads(blank_text("words.toml"))
 NUMBER = re.compile(r"\d+")
 
 ASCENDING = 0.99
-"""Share of the steps of a column of time that are not negative; a handful may be torn."""
+"""Least share of steps that are not negative in a column of time; a few cells may be damaged."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _steps(columns: Columns, name: str) -> Floats:
 
 
 def said_unit(columns: Columns, name: str) -> tuple[str, str]:
-    """Find the unit that a line of units or the header says, as it is called here and as it is spelled there."""
+    """Find the unit in a line of units or in the header: its name in the library, and its spelling in the file."""
     said = columns.units[columns.names.index(name)] if columns.units else ""
     candidates = [said] if said else [found[1] or found[2] or "" for found in BRACKETED.finditer(name)]
     if not said and (found := ENDING.search(name)):
@@ -225,7 +225,7 @@ def _known_unit(said: str) -> str:
 
 
 def guesses_of(columns: Columns, names: Sequence[str]) -> list[Guess]:
-    """Tell what each column is, those that hold no number left out."""
+    """Guess the quantity of each column; columns without numbers are left out."""
     found: list[Guess] = []
     for name in names:
         if NO_MOTION.search(name) or not np.isfinite(columns.values[:, columns.names.index(name)]).any():
@@ -256,7 +256,7 @@ def guesses_of(columns: Columns, names: Sequence[str]) -> list[Guess]:
 
 
 def record_template(data: str | Path | Sequence[str | Path], folder: str | Path = ".") -> str:
-    """Write a record file for the samples in a logger's files, every guess marked as one.
+    """Write a record file for the samples in a logger's files, with a mark at every guess.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         Of one of the formats in `files.formats.FORMATS` that hold columns; several files, with the same columns, are
         the runs of one record: hits of a hammer, releases, or repetitions of one shaking.
     folder : str or Path, optional
-        Where the record file will stand; it names the other from there.
+        Folder of the record file, which the names of the other files are relative to.
 
     Returns
     -------
@@ -274,7 +274,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
     Raises
     ------
     InputError
-        Where a file cannot be read, holds no column of numbers besides time, or other columns than the first.
+        If a file cannot be read, holds no column of numbers besides time, or other columns than the first.
     """
     path, *others = [Path(data)] if isinstance(data, str | Path) else [Path(each) for each in data]
     columns = read_columns(path, LIMIT)
@@ -329,7 +329,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
 
 
 def _functions(columns: Columns, path: Path) -> Columns:
-    """Keep of a file of functions one column for each pair of real and imaginary parts, called as a channel is."""
+    """Keep one column for each pair of real and imaginary parts, with the name of the channel."""
     kept = [i for i, name in enumerate(columns.names) if name.endswith("_re") and f"{name[:-3]}_im" in columns.names]
     if not kept:
         raise InputError(f"{path} has a column of frequencies, and no pair of columns such as floor1_re and floor1_im")
@@ -343,7 +343,7 @@ def _preamble(path: Path) -> str:
 
 
 def _common_name(files: Sequence[Path]) -> str:
-    """Name a record after what the names of its files have in common, without a part of a word or a number."""
+    """Name a record after the common beginning of its files' names, without parts of words and numbers."""
     names = [named_after(each) for each in files]
     common = "".join(letters[0] for letters in takewhile(lambda each: len(set(each)) == 1, zip(*names, strict=False)))
     if len(files) > 1:
@@ -370,7 +370,7 @@ def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int, top: i
 
 
 def _hit_floor(path: Path, top: int) -> tuple[int, str] | None:
-    """Find the floor that was hit in the name of a file, or in a line of its preamble that speaks of a force."""
+    """Find the floor that was hit in the name of a file, or in a line about a force of its preamble."""
     force_lines = [line for line in _preamble(path).splitlines() if FORCE.search(line)]
     for text, why in ((path.stem, "from its name"), *((line, "from its preamble") for line in force_lines)):
         found = HIT_FLOOR.search(text)
@@ -380,7 +380,7 @@ def _hit_floor(path: Path, top: int) -> tuple[int, str] | None:
 
 
 def _rate(columns: Columns, time: str | None, preamble: str) -> str:
-    """Write the lines that say how the record was sampled."""
+    """Write the lines about the sampling of the record."""
     if time is None and columns.stated_rate is not None:
         name, rate = columns.stated_rate
         return f"sampling_rate = {rate:.9g}  # Hz, GUESSED from {toml_line('x', name)[4:]} in the file"

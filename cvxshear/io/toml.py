@@ -27,13 +27,13 @@ MEASURED_FRAMES = (
     "los-alamos", "mini-flexible-northridge", "mini-flexible-sine", "mini-stiff-northridge", "mini-stiff-sine",
     "southampton", "e-defense", "iasc-asce-x", "iasc-asce-y", "ucl-loosened-joints",
 )  # fmt: skip
-"""Tables of modes of measured frames that travel with the package, each with its source."""
+"""Measured frames in the package: tables of modes, each with its source."""
 
 BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
 """Examples in the package, with their paths."""
 
 _HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
-"""A line that begins a table, which no line of samples does."""
+"""A line that begins a table; no line of samples does."""
 
 
 @usual_arithmetic
@@ -55,7 +55,7 @@ def load(path: str | Path) -> Experiment:
     Raises
     ------
     InputError
-        Naming the file, and the key, the value found and what would be right.
+        The message names the file, the key, the value found and the expected input.
     """
     if is_built_in(path):
         return Experiment.from_dict(tomllib.loads(built_in_text(str(path))), name=str(path))
@@ -81,18 +81,18 @@ def load(path: str | Path) -> Experiment:
 
 
 def read_tables(path: Path) -> dict[str, object]:
-    """Read the tables of a TOML file that is no file of samples."""
+    """Read the tables of a TOML file, and refuse a file of samples."""
     refuse_data(path)
     return parse(read_text(path), path)
 
 
 def is_built_in(path: object) -> bool:
-    """Whether this is the name of an example that travels with the package."""
+    """Return whether this is the name of an example in the package."""
     return isinstance(path, str) and path in BUILT_IN
 
 
 def built_in_text(name: str) -> str:
-    """Read the text of an example that travels with the package."""
+    """Read the text of an example in the package."""
     return resources.files("cvxshear").joinpath(*BUILT_IN[name]).read_text(encoding="utf-8")
 
 
@@ -137,7 +137,7 @@ def parse(text: str, path: Path) -> dict[str, object]:
 
 
 def is_record_file(path: str | Path) -> bool:
-    """Whether a TOML file declares a record (a table [record]) and not a measurement.
+    """Return whether a TOML file is a record file (it has a table [record]) and not a measurement file.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def is_record_file(path: str | Path) -> bool:
     Raises
     ------
     InputError
-        Where the file cannot be read or is not TOML.
+        If the file cannot be read or is not TOML.
     """
     return not is_built_in(path) and "record" in read_tables(Path(path))
 
@@ -163,7 +163,7 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        Where the file cannot be read or is not TOML.
+        If the file cannot be read or is not TOML.
     """
     if is_built_in(path):
         return ()
@@ -184,13 +184,13 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
 
 
 def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the tables of a measurement file, the files that its configurations name read.
+    """Return the tables of a measurement file, with the modes of the files that its configurations name.
 
     Parameters
     ----------
     declared : dict
     folder : Path
-        Where the files are looked for.
+        Folder of the files.
 
     Returns
     -------
@@ -200,7 +200,7 @@ def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]
     Raises
     ------
     InputError
-        Naming the configuration, and what is wrong with its file.
+        The message names the configuration, and what is wrong with its file.
     """
     tables = declared.get("configuration")
     if not isinstance(tables, list):
@@ -224,7 +224,7 @@ def _resolved(table: object, place: int, folder: Path) -> object:
 
 COMMENT_WIDTH = 110
 WRITTEN_DIGITS = 8
-"""Significant ones: no record tells more."""
+"""Significant digits of written numbers; no record has more."""
 
 _NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
 """A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""
@@ -245,7 +245,7 @@ def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: I
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     head = [
         # A line break in a comment must not end it.

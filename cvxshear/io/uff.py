@@ -51,7 +51,7 @@ def read_uff(path: str | Path, limit: float = LIMIT) -> Columns:
     Raises
     ------
     InputError
-        Where the file cannot be read or its functions have different abscissae, naming the function.
+        If the file cannot be read or its functions have different abscissae, naming the function.
     """
     where = str(path)
     functions = _sets(Path(path), 58, limit)
@@ -91,7 +91,7 @@ def write_uff(path: str | Path, result: ModalResult) -> None:
     Raises
     ------
     InputError
-        Where pyuff is not installed, a value is not finite, or the file cannot be written.
+        If pyuff is not installed, a value is not finite, or the file cannot be written.
     """
     if not (np.all(np.isfinite(result.mode_shapes)) and np.all(np.isfinite(result.frequencies))):
         raise InputError("a universal file cannot hold nan: pyuff would write it as 0")
@@ -124,7 +124,7 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
     Raises
     ------
     InputError
-        Where the file cannot be read or holds no mode.
+        If the file cannot be read or holds no mode.
     """
     where = str(path)
     modes = _sets(Path(path), 55, LIMIT)
@@ -140,7 +140,7 @@ def read_modes(path: str | Path) -> tuple[Floats, Floats, Complexes, Ints]:
 
 
 def read_mode_uff(path: str | Path) -> dict[str, Any]:
-    """Read the modes of a universal file, its nodes 1, 2, ... being the floors.
+    """Read the modes of a universal file; its nodes 1, 2, ... are the floors.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def read_mode_uff(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Where the file cannot be read or holds no mode.
+        If the file cannot be read or holds no mode.
     """
     frequencies, damping, shapes, nodes = read_modes(path)
     upward, rising = np.argsort(nodes), np.argsort(frequencies)
@@ -171,7 +171,7 @@ def read_mode_uff(path: str | Path) -> dict[str, Any]:
 
 
 def load_pyuff() -> Any:
-    """Import pyuff, which is optional."""
+    """Import the optional package pyuff."""
     return optional("pyuff", "universal files need")
 
 

@@ -29,7 +29,6 @@ def results() -> dict[str, object]:
         "five-story": cvxshear.close_loop(cvxshear.load(EXAMPLES / "five_story.toml")),
         "story": cvxshear.close_loop(story),
         "three-story": cvxshear.identify(three, method="two-stage", initial_mass=[9.5, 7.5, 5.5]),
-        "backends": cvxshear.compare_backends(three),
     }
 
 

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.options import File, JsonOut, Quiet, ReportOut, TomlOut, input_files, writes
+from cvxshear.cli.options import LIST, File, JsonOut, Outputs, ReportOut, TomlOut, input_files, writes
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
-from cvxshear.cli.written import LIST, CsvOut, FiguresOut, Pictures, Spreadsheets, XlsxOut
 from cvxshear.io.formats import endings_of
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output, write_file
@@ -119,11 +118,8 @@ def modes(
     accept_swapped: bool = False,
     jobs: int = 1,
     report: ReportOut = None,
-    figure: FiguresOut = None,
-    csv: CsvOut = None,
-    xlsx: XlsxOut = None,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    *,
+    outputs: Outputs,
 ) -> None:
     """Identify natural frequencies, damping and mode shapes from records.
 
@@ -159,14 +155,13 @@ def modes(
     from cvxshear.records import ModalResult
     from cvxshear.report import terminal
     from cvxshear.report.describe.from_records import poles_table
-    from cvxshear.report.handover import sheets_of
 
     sources = _files(records, output)
-    pictures, sheets = Pictures(figure, ModalResult), Spreadsheets(csv, xlsx)
+    files_of = outputs.prepared(ModalResult)
     if report is not None:
         from cvxshear.report.html import render_modes
     options = {
-        "functions": bool(pictures) or report is not None,
+        "functions": bool(outputs.figure) or report is not None,
         "method": method,
         "second": second,
         "count": count,
@@ -176,14 +171,14 @@ def modes(
     }
     if uff is not None and len(sources) > 1:
         raise InputError("--uff holds the modes of one record; identify the records one by one for it")
-    with progress("identifying modes", quiet) as advance:
+    with progress("identifying modes", outputs.quiet) as advance:
         found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors)
     tests = _kept(found)
     if tests:
         results = [test.modes for test in tests]
-        files = [*pictures.of(*results), *sheets.of(lambda: sheets_of(*results))]
+        files = files_of(*results)
         if output is not None:
             files.append(lambda: write_merged(output, tests))
         if uff is not None:
@@ -193,7 +188,7 @@ def modes(
             files.append(lambda: write_file(report, page()))
         deliver(
             _said(sources, found),
-            out,
+            outputs.out,
             lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == LIST else tables_of(tests),
             *files,
         )
