@@ -267,7 +267,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified, against the others ({probable} probable)"
     elif result.names_changes:
-        yield "no single story changed by itself"
+        yield "no single story changed"
     for story in result.dampers:
         damper, deviation = (float(each[story - 1]) for each in result.frame.dashpots)
         how_large = f" of {with_std(damper, deviation, 'N s/m')}" if result.fitted.mass_known else ""
