@@ -105,12 +105,6 @@ def test_functions_of_other_units_are_labelled_at_each_record(hammer, base):
     assert figure.axes[0].get_ylabel() == "accelerance, (m/s²)/N"
     assert figure.axes[3].get_ylabel() == "acceleration / base acceleration"
     assert_readable(figure)
-    assert figures.functions(hammer, hammer).axes[0].get_ylabel() == ""
-
-
-def test_the_method_is_said_in_words(hammer, shaker):
-    titles = [axes.get_title(loc="left") for axes in figures.stabilization(hammer, shaker).axes if axes.lines]
-    assert titles[0].endswith("eigensystem realization (era)")
 
 
 def test_a_deviation_that_nobody_stated_is_not_drawn(hammer):

@@ -1,4 +1,4 @@
-"""Draw charts: probabilities of the effects, residuals, planned tests, scatter under noise, the mass iteration."""
+"""Draw charts: residuals, planned tests, scatter under noise, the mass iteration."""
 
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -15,90 +15,15 @@ from cvxshear.data import Deviation
 from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.loop import LoopResult
 from cvxshear.loop.residual import by_part
-from cvxshear.loop.results import Candidate
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.planning.results import Plan, accuracy_curve
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import chance
 from cvxshear.util.typing import Floats
-
-MOST_BARS = 14
-"""Number of drawn effects, the most probable first; all added effects are drawn."""
-
-LONGEST_LABEL = 44
-"""Largest number of letters of an effect's name beside its dots; a telephone shows two lines."""
-
-LEAST_DRAWN = 1e-4
-"""Smallest probability on the axis, and smallest distance to 1; an effect beyond them is drawn at the edge."""
 
 HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
 """Style of the marks for the state before: a hollow diamond."""
-
-
-@figure(
-    "ranking",
-    LoopResult,
-    title="Probabilities of the effects",
-    alternative="How probable each effect is before and with the data; the numbers are in the table above.",
-    section="candidates",
-    applies=lambda result: bool(result.candidates),
-    needs="effects that were looked for",
-    narrow=True,
-)
-def ranking(result: LoopResult) -> Figure:
-    """Draw the probability of each effect before the data and with them, on an axis of log odds.
-
-    How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
-    effect is more probable than not.
-
-    The added effects are above, the other candidates below.
-    """
-    added = {item.placed for item in result.effects}
-    mine = [item for item in result.candidates if item.placed in added]
-    others = [item for item in result.candidates if item.placed not in added]
-    bars = [*mine, *others[: max(MOST_BARS - len(mine), 0)]]
-    lines = 2 if style.narrow_page() else 1
-    figure = style.new_figure(style.page_width(), LINE * (1.5 * lines * max(len(bars), 2) + 8))
-    axes = figure.subplots()
-    axes.set_xscale("logit")
-    axes.axvline(0.5, color="black", ls=":", lw=1.2)
-    _dots(axes, bars, len(mine))
-    wrap = 30 if style.narrow_page() else 90
-    labels = ["\n".join(textwrap.wrap(style.letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
-    axes.set_yticks(range(len(bars)), labels)
-    for label in axes.get_yticklabels()[: len(mine)]:
-        label.set_fontweight("bold")
-    axes.set_ylim(max(len(bars), 1) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("\n".join(textwrap.wrap("probability that it is there (scale of the logarithm of the odds)", wrap)))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: chance(value).replace(".0 %", " %")))
-    axes.set_xlim(0.8 * LEAST_DRAWN, 1.0 - 0.8 * LEAST_DRAWN)
-    axes.grid(axis="x")
-    style.legend(figure, axes, 1 if style.narrow_page() else 3, left=True)
-    return figure
-
-
-def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
-    """Draw both probabilities and a line between; added effects have full dots, values beyond the edge arrows."""
-    places = np.arange(len(bars))
-    edges = LEAST_DRAWN, 1.0 - LEAST_DRAWN
-    before, after = np.clip([[item.prior for item in bars], [item.probability for item in bars]], *edges)
-    axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    axes.plot(before, places, label="before the data", **HOLLOW)
-    inside = np.array([LEAST_DRAWN <= item.probability <= 1.0 - LEAST_DRAWN for item in bars], dtype=bool)
-    for chosen, label, colour in (
-        (places < added, "with the data: added", style.AFTER),
-        (places >= added, "with the data: not added", style.GREY),
-    ):
-        for marker, there in (("o", inside), ("<", ~inside & (after < 0.5)), (">", ~inside & (after > 0.5))):
-            at = np.flatnonzero(chosen & there)
-            if len(at):
-                named = label if label not in axes.get_legend_handles_labels()[1] else None
-                axes.plot(after[at], at, ls="none", marker=marker, color=colour, ms=5.0, label=named)
-
 
 USUAL = 2.0
 """Number of standard deviations that chance rarely exceeds."""
