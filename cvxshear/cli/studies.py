@@ -157,7 +157,11 @@ def _one_or_many(found: list[Any] | None) -> Any:
 
 
 def reproduce(
-    backend: BackendName = "auto", samples: Samples = 10_000, seed: int = 2023, *, outputs: FigureOutputs
+    backend: BackendName = "auto",
+    samples: Samples = 10_000,
+    seed: int = 2023,
+    quiet: Quiet = False,
+    out: JsonOut = None,
 ) -> None:
     """Print the paper's figures beside recomputed ones, with the difference.
 
@@ -170,22 +174,12 @@ def reproduce(
     seed
         Seed of the noise.
     """
-    from cvxshear import Identification, identify
     from cvxshear.paper import reproduce as run
-    from cvxshear.paper.reproduction import exact_modes
-    from cvxshear.paper.setups import three_story
-    from cvxshear.paper.tables import PRINTED
     from cvxshear.report import terminal
 
-    files_of = outputs.prepared(Identification, "convergence")
-    with progress("reproducing the paper", outputs.quiet):
+    with progress("reproducing the paper", quiet):
         result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
-    files = []
-    if outputs.figure:
-        # The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses.
-        found = [identify(exact_modes(), "two-stage", initial_mass=start) for start in PRINTED["initial_mass"].values()]
-        files = files_of(*found, true_mass=three_story(0.01).floor_mass)
-    deliver(result.to_dict(), outputs.out, lambda: terminal.shown(result), *files)
+    deliver(result.to_dict(), out, lambda: terminal.shown(result))
 
 
 def noise(
@@ -214,7 +208,7 @@ def noise(
     from cvxshear.paper import NoiseStudy, noise_study, paper_setups, six_story_study
     from cvxshear.report import terminal
 
-    files_of = outputs.prepared(NoiseStudy, "variation")
+    files_of = outputs.prepared(NoiseStudy)
     with progress("three stories", outputs.quiet) as advance:
         of_methods = tuple(listed_names(methods) or ())
         three = noise_study(paper_setups(), of_methods, samples, seed, jobs=jobs, progress=advance)

@@ -183,39 +183,6 @@ BOX = 0.8
 """Width of the boxes of all methods together, as a fraction of the distance between two noise levels."""
 
 
-@figure("boxes", NoiseStudy, title="Scatter of the estimates")
-def noise_boxes(study: NoiseStudy) -> Figure:
-    """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
-
-    Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.
-
-    Parameters
-    ----------
-    study : NoiseStudy
-        Of one frame at one or several noise levels.
-
-    Returns
-    -------
-    Figure
-        Boxes hold the middle half with the median, whiskers reach 1.5 box lengths at most; points lie beyond.
-    """
-    groups = _by_method(study)
-    first = next(iter(groups.values()))
-    figure, drawn, levels = _panels_of(first, "error, %")
-    width = BOX / len(groups)
-    for parameter, axes in enumerate(drawn):
-        axes.axhline(0, color="black", lw=0.7)
-        for place, scatters in enumerate(groups.values()):
-            at = np.arange(len(levels)) + (place - (len(groups) - 1) / 2) * width
-            _boxes(axes, [100 * each.errors[:, parameter] for each in scatters], at, width, place)
-        axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
-        axes.set_xlim(-0.6, len(levels) - 0.4)
-        axes.grid(axis="y")
-    handles = [Patch(ec="black", alpha=0.8, label=name, **_filling(i)) for i, name in enumerate(groups)]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-    return figure
-
-
 @figure("variation", NoiseStudy, title="Coefficients of variation")
 def noise_variation(study: NoiseStudy) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
@@ -246,6 +213,39 @@ def noise_variation(study: NoiseStudy) -> Figure:
         axes.set_xticks([0, *levels] if len(levels) <= 6 else axes.get_xticks())
         axes.grid()
     style.legend(figure, drawn[0])
+    return figure
+
+
+@figure("boxes", NoiseStudy, title="Scatter of the estimates")
+def noise_boxes(study: NoiseStudy) -> Figure:
+    """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
+
+    Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.
+
+    Parameters
+    ----------
+    study : NoiseStudy
+        Of one frame at one or several noise levels.
+
+    Returns
+    -------
+    Figure
+        Boxes hold the middle half with the median, whiskers reach 1.5 box lengths at most; points lie beyond.
+    """
+    groups = _by_method(study)
+    first = next(iter(groups.values()))
+    figure, drawn, levels = _panels_of(first, "error, %")
+    width = BOX / len(groups)
+    for parameter, axes in enumerate(drawn):
+        axes.axhline(0, color="black", lw=0.7)
+        for place, scatters in enumerate(groups.values()):
+            at = np.arange(len(levels)) + (place - (len(groups) - 1) / 2) * width
+            _boxes(axes, [100 * each.errors[:, parameter] for each in scatters], at, width, place)
+        axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
+        axes.set_xlim(-0.6, len(levels) - 0.4)
+        axes.grid(axis="y")
+    handles = [Patch(ec="black", alpha=0.8, label=name, **_filling(i)) for i, name in enumerate(groups)]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 
 
@@ -308,17 +308,15 @@ MOST_LINES = 6
     applies=lambda *results: bool(_iterated(*results)),
     needs="a method that iterates on the masses: two-stage",
 )
-def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
+def convergence(*results: Identification) -> Figure:
     """Error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
 
-    Error of each floor mass over the iterations of the two-stage method.
+    Difference of each floor mass from its last value over the iterations of the two-stage method.
 
     Parameters
     ----------
     *results : Identification
         Results of a method that iterates on the masses; one panel for each configuration.
-    true_mass : ndarray, shape (N,), optional
-        Reference masses of the errors, kg. Default: the final masses of the iteration, without its last point.
 
     Returns
     -------
@@ -334,14 +332,14 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     figure = style.new_figure(max(style.PAGE_WIDTH * columns / 3, 5.0), 2.6 * rows + 0.6)
     drawn = style.panels(figure, len(parts), columns, sharey=True)
     for place, (axes, part) in enumerate(zip(drawn, parts, strict=True)):
-        _iterations(axes, part, true_mass)
+        _iterations(axes, part)
         title = style.letters(part.name, 20)
         if sum(item.name == part.name for item in parts) > 1 and part.history is not None:
             started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
             title += f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
         axes.set_title(title, fontsize=8.5)
         if place % columns == 0:
-            axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
+            axes.set_ylabel("mass still to go, relative")
     style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
     return figure
 
@@ -351,11 +349,9 @@ def _iterated(*results: Identification) -> list[SingleIdentification]:
     return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
 
 
-def _iterations(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> None:
+def _iterations(axes: Axes, part: SingleIdentification) -> None:
     assert part.history is not None
-    final = part.history[-1] if true_mass is None else np.asarray(true_mass, dtype=float)
-    history = part.history[:-1] if true_mass is None else part.history
-    errors = np.abs(history / final - 1.0)
+    errors = np.abs(part.history[:-1] / part.history[-1] - 1.0)
     # A logarithmic axis cannot show an error of zero.
     errors = np.where(errors > 0, errors, np.nan)
     names = [f"floor {i + 1}" for i in range(errors.shape[1])]
