@@ -134,8 +134,8 @@ def about(files: Sequence[str], title: str | None) -> Json:
 
 def present() -> datetime:
     """Return the present time, or the time in SOURCE_DATE_EPOCH (reproducible-builds.org)."""
-    stamp = os.environ.get("SOURCE_DATE_EPOCH", "")
-    if not stamp:
+    stamp = os.environ.get("SOURCE_DATE_EPOCH")
+    if stamp is None:
         return datetime.now(UTC)
     try:
         return datetime.fromtimestamp(int(stamp), UTC)

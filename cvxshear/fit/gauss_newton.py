@@ -37,7 +37,7 @@ RESIDUAL_ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Rounding of a residual, relative to the sizes of its terms, |J| |theta|. In 64 bits a ratio that is declared to 1e-12
 is known to 1e-3 of its standard deviation."""
 
-ROUNDING = 1e-13
+CONSTRAINT_ROUNDING = 1e-13
 """Rounding of a constraint, relative to its row."""
 
 FLAT = 0.1
@@ -334,6 +334,6 @@ def satisfied(program: LeastSquares, scale: Floats) -> bool:
     G, h = program.inequalities
     A, b = program.equalities
     return bool(
-        np.all(h >= -ROUNDING * np.linalg.norm(G * scale, axis=1))
-        and np.all(np.abs(b) <= ROUNDING * np.linalg.norm(A * scale, axis=1))
+        np.all(h >= -CONSTRAINT_ROUNDING * np.linalg.norm(G * scale, axis=1))
+        and np.all(np.abs(b) <= CONSTRAINT_ROUNDING * np.linalg.norm(A * scale, axis=1))
     )

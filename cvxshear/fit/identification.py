@@ -10,6 +10,7 @@ from cvxshear.fit.domain import domain_of
 from cvxshear.fit.efficient import efficient, parameter_names
 from cvxshear.fit.gauss_newton import step_program
 from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.other_frames import other_frames
 from cvxshear.fit.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.fit.start import uniform
@@ -97,6 +98,7 @@ def identify(
             parameter_names=parameter_names(experiment, ()),
             undetermined=estimate.uncertainty.null_directions,
             programs=_kept(recorder),
+            other_frames=other_frames(estimate, backends.get("auto")),
         )
     tests = [complete_test(experiment, each, f"method {method}", rows=rows) for each in experiment.configurations]
     parts = tuple(_part(method, test, solver, start, tolerance) for test in tests)
@@ -123,11 +125,7 @@ TIGHTER = 0.95
 
 @usual_arithmetic
 def compare_backends(
-    experiment: Measurement,
-    names: Sequence[str] | None = None,
-    *,
-    repeats: int = 3,
-    tolerance: float | None = None,
+    experiment: Measurement, names: Sequence[str] | None = None, *, repeats: int = 3, tolerance: float | None = None
 ) -> Comparison:
     """Solve the same programs of an experiment with every backend.
 

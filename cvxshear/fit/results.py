@@ -61,6 +61,29 @@ class IdentifiedFrame(InJson):
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class OtherFrame(InJson):
+    """A frame that fits the data as well as the identified one, or nearly so.
+
+    Parameters
+    ----------
+    floor_mass : ndarray, shape (N,)
+        kg, without added mass.
+    story_stiffness : ndarray, shape (N,)
+        N/m.
+    chi2 : float
+    probability : float
+        Relative to all frames that were found.
+    """
+
+    floor_mass: Floats
+    story_stiffness: Floats
+    chi2: float
+    probability: float
+
+    json_keys = "floor_mass story_stiffness chi2 probability"
+
+
 @dataclass(frozen=True)
 class Quality(InJson):
     """Errors of a model, relative and not in percent.
@@ -238,6 +261,8 @@ class Identification(Shown):
         For each direction that the data leave open, the parameters that take part in it.
     programs : tuple of SolvedProgram
         Every program that was solved, in order, with its solution, if `identify` was asked to keep them.
+    other_frames : tuple of OtherFrame
+        Other frames that fit the same data as well, if these are few (`fit/other_frames.py`).
     """
 
     experiment: Experiment
@@ -249,6 +274,7 @@ class Identification(Shown):
     parameter_names: tuple[str, ...] = ()
     undetermined: tuple[tuple[str, ...], ...] = field(default=())
     programs: tuple[SolvedProgram, ...] = ()
+    other_frames: tuple[OtherFrame, ...] = ()
 
     @property
     def single(self) -> SingleIdentification | None:
@@ -305,6 +331,7 @@ class Identification(Shown):
             result["parameters"] = list(self.parameter_names)
             result["correlation"] = as_json(self.correlation)
             result["undetermined"] = [list(names) for names in self.undetermined]
+            result["other_frames"] = [each.to_dict() for each in self.other_frames]
             result["at_bounds"] = [name for part in self.parts for name in part.frame.at_bounds]
         else:
             result["configurations"] = [part.to_dict() for part in self.parts] if single is None else [single]

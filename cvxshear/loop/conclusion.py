@@ -1,35 +1,26 @@
-"""From the visited sets to the verdict and the reported result."""
+"""From the visited sets to the verdict and the reported result, without any further fit."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import special
 
-from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.effects import Effect, LocatedEffect
 from cvxshear.effects.masses import LoadScale
-from cvxshear.fit.efficient import Estimate, fitted_with, parameter_names
-from cvxshear.fit.gauss_newton import ROUGH
-from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
-from cvxshear.loop.held_out import held_out_frequency_errors
-from cvxshear.loop.hypotheses import OPEN, Hypothesis
-from cvxshear.loop.linear import Linearised
+from cvxshear.fit.efficient import Estimate, parameter_names
+from cvxshear.loop.comparison import VerdictFits
+from cvxshear.loop.fitter import ModelClass
+from cvxshear.loop.hypotheses import OPEN, OVERLOOKED, NumberingProbability
 from cvxshear.loop.next_test import next_test
-from cvxshear.loop.numbering import OVERLOOKED, NumberingProbability
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
-from cvxshear.loop.residual import where_it_sits
-from cvxshear.loop.results import AddedEffect, Candidate, EffectSet, LoopResult, Step
+from cvxshear.loop.results import AddedEffect, Candidate, EffectSet, LoopResult, where_it_sits
 from cvxshear.loop.search import Search, fits_alike
 from cvxshear.loop.searches import dual_fits_as_well, dual_set
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
-from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.quantities import SURE, listed, significant
 
 NUMBERED = 1.0 - 2.0 * OVERLOOKED
@@ -47,88 +38,60 @@ AT_AN_END = 1e-3
 
 
 def conclude(
-    searches: Sequence[Search],
-    looked_for: Sequence[Hypothesis],
+    fits: VerdictFits,
+    posterior: Posterior,
     wanted: Sequence[Effect],
     *,
-    said: Sequence[str] = (),
-    widened: Sequence[Search] = (),
+    messages: Sequence[str],
+    effort: tuple[int, int],
 ) -> LoopResult:
-    """Reach the verdict on the visited sets.
+    """Reach the verdict on the visited sets; no fit is made.
 
     Parameters
     ----------
-    searches : sequence of Search
-        First the search with the modes numbered as given, then those with other numberings.
-    looked_for : sequence of Hypothesis
+    fits : VerdictFits
+    posterior : Posterior
     wanted : sequence of Effect
         Effects that the user requested.
-    said : sequence of str, optional
+    messages : sequence of str
         Messages about tests and effects that were left out.
-    widened : sequence of Search, optional
-        Searches under noise so wide that the residual is probable, if no set explains the residual under the given
-        noise. These searches judge the effects, and the sizes of the effects are provisional then.
+    effort : tuple of int
+        Number of fits, and of step programs that they solved.
     """
-    judging = widened or searches
-    models = [model for each in judging for model in (*each.visited.values(), *each.other_optima)]
-    posterior = Posterior(models, looked_for)
     numbering = posterior.numberings[0]
     # Each numbering of the modes has its own effects, so the verdict uses one numbering for all of them.
     here = posterior.within(numbering.changes)
-    search, found = _fit_of_verdict(judging, here)
+    search, found, judged, final = fits.search, fits.model, fits.judged, fits.final
     twins = _twins(search, found, here)
     posterior, here = posterior.with_twins(twins), here.with_twins(twins)
     fitter = search.fitter
-    judged = found.estimate
-    assert judged is not None, "a set without a fit has no probability"
-    final = judged
-    if widened:
-        final = fitter.fit(judged.misfit.replaced(widened=1.0), judged.theta)
-    steps = _steps(final, posterior, fitter, searches[0].fitter)
-    added = tuple(_added(posterior, judged, placed) for placed in _by_probability(posterior, judged, fitter))
+    order = posterior.ranked(placed for placed in judged.effects if placed not in fitter.assumed)
+    added = tuple(_added(posterior, judged, placed) for placed in order)
     significant = final.improbable
     negligible = significant and _negligible(final)
-    fits = {model.effects: model.estimate for model in reversed(here.models)}
-    rivals = [estimate for rival in _rival_sets(here, added) if (estimate := fits[rival]) is not None]
+    by_set = {model.effects: model.estimate for model in reversed(here.models)}
+    rivals = [estimate for rival in _rival_sets(here, added) if (estimate := by_set[rival]) is not None]
+    granted = (*_granted(search, found), *_granted_of_the_scale(search, found), *_granted_of_bounds(fitter.experiment))
     return LoopResult(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
         verdict=_verdict(added, here, numbering, final, unexplained=significant and not negligible),
-        rests_on=(
-            *_rests_on(final),
-            *dict.fromkeys(
-                (
-                    *_granted(search, found),
-                    *_granted_of_the_scale(search, found),
-                    *_granted_of_bounds(fitter.experiment),
-                )
-            ),
-        ),
-        steps=steps,
+        rests_on=(*_rests_on(final), *dict.fromkeys(granted)),
+        steps=fits.steps,
         judged=judged,
         effects=added,
         assumed=fitter.assumed,
         numberings=tuple(each for each in posterior.numberings if each.probability >= REPORTED),
         models=tuple(_shown_sets(posterior)),
         averaged=posterior.averaged(),
-        candidates=tuple(_candidates(posterior, search, found)),
+        candidates=tuple(_candidates(posterior, fits)),
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(where_it_sits(final)) if significant and not negligible else (),
-        information=(*said, *_information(search, posterior, judged, negligible=negligible)),
+        information=(*messages, *_information(search, posterior, judged, negligible=negligible)),
         next_test=next_test(judged, rivals),
-        fits=sum(each.fitter.fits for each in (*searches, *widened)),
-        programs=sum(each.fitter.programs for each in (*searches, *widened)),
+        fits=effort[0],
+        programs=effort[1],
     )
-
-
-def _fit_of_verdict(searches: Sequence[Search], posterior: Posterior) -> tuple[Search, ModelClass]:
-    """Find the set of the verdict, fitted to full accuracy, and the search with its best fit."""
-    own = [each for each in searches if each.fitter.numbering.changes == posterior.best.changes]
-    wanted = posterior.verdict_set()
-    for each in own:
-        each.fit_of(wanted)
-    best = ranking.ranked(own, lambda each: each.visited[wanted].score, same=ranking.SAME_ODDS)[0]
-    return best, best.visited[wanted]
 
 
 def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[LocatedEffect, list[LocatedEffect]]:
@@ -144,10 +107,6 @@ def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Loca
             other = dual_set(frozenset([placed]), known, experiment.stories)
             twins[placed] += [each for each in other or () if each not in (placed, *twins[placed])]
     return twins
-
-
-def _by_probability(posterior: Posterior, final: Estimate, fitter: Fitter) -> list[LocatedEffect]:
-    return posterior.ranked(placed for placed in final.effects if placed not in fitter.assumed)
 
 
 def _verdict(
@@ -175,60 +134,6 @@ def _negligible(final: Estimate) -> bool:
     errors = final.quality.errors
     kinds = final.misfit.noises.values()
     return all(kind.leading is not None and (errors[kind.leading.key] or 0.0) < kind.negligible for kind in kinds)
-
-
-def _steps(final: Estimate, posterior: Posterior, fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
-    """List the fits: the shear model, the modes numbered otherwise if they are, then one more effect at a time.
-
-    The most probable effect comes first. All fits use the noise of the last one.
-    """
-    order = _by_probability(posterior, final, fitter)
-    what = "the shear model" if fitter is as_given else "the shear model, the modes numbered as given"
-    if fitter.assumed:
-        what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
-    ways: list[tuple[str, Callable[[], Estimate]]] = [(what, lambda: _in_noise_of(final, [], as_given))]
-    if fitter is not as_given:
-        ways.append(("with the modes numbered otherwise", lambda: _in_noise_of(final, [], fitter)))
-    for count, placed in enumerate(order, 1):
-        ways.append((f"with {placed.label}", partial(_in_noise_of, final, order[:count], fitter)))
-    estimates = [*(make() for _, make in ways[:-1]), final]
-    left_out = held_out_frequency_errors(estimates[0], final, fitter)
-    errors = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
-    return tuple(
-        Step(estimate, what, estimate.p_value, error)
-        for (what, _), estimate, error in zip(ways, estimates, errors, strict=True)
-    )
-
-
-def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitter) -> Estimate:
-    """Fit the model with only some of the effects, in the final model's noise.
-
-    Start at the final parameters. If the model has no real modes there, or the modes are numbered otherwise, start at
-    the frame without effects.
-    """
-    wanted = (*fitter.assumed, *effects)
-    base = fitter.base or final
-    first = final if final.experiment is fitter.experiment else base
-    proposals = [
-        dataclasses.replace(
-            proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
-        )
-        for proposal in (fitter.proposal(start, wanted) for start in (first, base))
-    ]
-    misfit = proposals[0].misfit
-    fitter.fits += 1
-
-    def fit(by: Backend) -> Estimate:
-        try:
-            return fitted_with(misfit, proposals[0].starts[0], by)
-        except NoModesError:
-            return fitted_with(misfit, proposals[1].starts[0], by)
-
-    try:
-        return with_stand_in(fitter.backend, fit)[0]
-    except NoSolutionError:
-        # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough for a comparison.
-        return fitted_with(misfit, proposals[1].starts[0], backends.get("auto"), ROUGH)
 
 
 def _added(posterior: Posterior, final: Estimate, placed: LocatedEffect) -> AddedEffect:
@@ -291,47 +196,38 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
             yield EffectSet(order, min(sums[key], 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
 
-def _candidates(posterior: Posterior, search: Search, judged: ModelClass) -> list[Candidate]:
-    """List all effects that were looked for, the most probable first."""
-    final, fitter = judged.estimate, search.fitter
-    assert final is not None, "the set of the verdict has a fit"
-    there = set(final.effects)
-    linear = search.linearised(judged)
-    unseen = _unseen(linear, fitter, judged)
+def _candidates(posterior: Posterior, fits: VerdictFits) -> list[Candidate]:
+    """List all effects that were looked for, the most probable first.
+
+    The search fits only promising effects. An effect with too small an influence to detect keeps its prior probability;
+    an effect that was not fitted beside the set of the verdict never gets a larger one from the linearised model.
+    """
+    final, search, fitter = fits.judged, fits.search, fits.search.fitter
+    linear = search.linearised(fits.model)
+    log_odds = fitter.log_priors(linear.candidates, fits.model.effects) + np.minimum(linear.gains, 0.0)
+    unseen = dict(zip(linear.candidates, special.expit(log_odds).tolist(), strict=True))
     names = parameter_names(final.experiment, final.effects)
     found = []
     for item in fitter.hypotheses:
         placed = item.placed
         count = len(placed.effect.parameters)
-        confounded: tuple[str, ...] = ()
-        if placed in there:
-            kept = [each for each in final.effects if each is not placed and each not in fitter.assumed]
-            gain, chi2, dof = _in_noise_of(final, kept, fitter).chi2 - final.chi2, final.chi2, final.dof
-        elif placed not in linear.candidates:
-            # The derivatives at the null value carry no information on the effect here.
-            gain, chi2, dof = 0.0, final.chi2, final.dof - count
-        else:
+        gain, dof, confounded = 0.0, final.dof - count, tuple[str, ...]()
+        chi2 = final.chi2
+        if placed in fits.chi2_without:
+            gain, dof = fits.chi2_without[placed] - final.chi2, final.dof
+        elif placed in linear.candidates:
+            # Otherwise the derivatives at the null value carry no information on the effect here.
             gain = linear.decrease(placed)
-            chi2, dof = final.chi2 - gain, final.dof - count
+            chi2 -= gain
             if linear.precision_gained(placed) < LITTLE_GAINED and posterior.keeps_odds(placed):
                 confounded = linear.confounders(placed, names)
         p_value = min(1.0, len(fitter.hypotheses) * float(special.chdtrc(count, max(gain, 0.0))))
         probability = posterior.of_effects[placed]
-        if judged.effects | {placed} not in search.visited:
+        if fits.model.effects | {placed} not in search.visited:
             probability += (1.0 - probability) * unseen.get(placed, 0.0)
         found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
     order = posterior.ranked((each.placed for each in found), {each.placed: each.probability for each in found})
     return sorted(found, key=lambda each: (order.index(each.placed) if each.probability else len(order), each.chi2))
-
-
-def _unseen(linear: Linearised, fitter: Fitter, judged: ModelClass) -> dict[LocatedEffect, float]:
-    """Find the probability of each further effect beside a set, from the model linearised at the set.
-
-    The search fits only promising effects. An effect with too small an influence to detect keeps its prior probability;
-    an effect that was not fitted never gets a larger one.
-    """
-    log_odds = fitter.log_priors(linear.candidates, judged.effects) + np.minimum(linear.gains, 0.0)
-    return dict(zip(linear.candidates, special.expit(log_odds).tolist(), strict=True))
 
 
 def _quoted(names: Sequence[str]) -> str:

@@ -16,8 +16,7 @@ from cvxshear.fit.efficient import Estimate, fitted
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.evidence import log_evidence
-from cvxshear.loop.hypotheses import Hypothesis, log_odds
-from cvxshear.loop.numbering import Changes, Numbering
+from cvxshear.loop.hypotheses import Changes, Hypothesis, Numbering, log_odds
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.parallel import each as in_parallel

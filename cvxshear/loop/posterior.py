@@ -12,8 +12,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
-from cvxshear.loop.hypotheses import Hypothesis, log_odds
-from cvxshear.loop.numbering import Changes, NumberingProbability
+from cvxshear.loop.hypotheses import Changes, Hypothesis, NumberingProbability, log_odds
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson

@@ -1,45 +1,39 @@
-"""Search among sets of effects: forward from the shear model, then by exchange and removal. No set is visited twice.
+"""Search among sets of effects, the best first: expansion, grouping and exchange. No set is visited twice.
 
-A set is expanded by what the linearised model at its fit promises of each further effect, of each pair, and of all
-that it would take one after the other; where an open class stands in it, its conspicuous entries are tried as causes.
-The best set comes first: it is pruned and expanded. Where nothing simple explains, or an open class has to, effects
-that bring a motion of their own, and causes alone from the shear model on, are looked at next. Then the best set is
-regrouped, which puts one cause, or several where nothing simple explains, in the place of a whole group of effects.
-Then the rest of the beam is expanded, the best sets visited; and at last each of the best with one effect taken out,
-which exchanges that effect for another. As there are finitely many sets and none is fitted or expanded twice, it ends;
-at the latest when its budget is spent.
+A set is expanded by the effects that the linearised model at its fit promises, each alone and all in sequence; the
+large entries of an open class are tried as causes in its place. The best set and the best set without an open class
+come first: they lose superfluous effects and are expanded. Then one cause replaces a group of effects of the best set:
+all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
+and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
+information at zero mass, so such effects are fitted from their own starting points. There are finitely many sets and
+none is fitted or expanded twice, so the search ends; at the latest when its budget is spent.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 
 import numpy as np
 
 from cvxshear.effects import LocatedEffect
+from cvxshear.effects.open_class import OpenClass
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
-from cvxshear.loop.fitter import Fitter, ModelClass
-from cvxshear.loop.hypotheses import OPEN, Hypothesis
+from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy
+from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
+from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.neighbors import (
-    WITHIN,
-    Set,
-    from_frames,
-    groups,
-    holds_open,
-    named_entries,
-    promising,
-    with_companions,
-    with_motions,
-)
 from cvxshear.util import ranking
+from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 BEAM = 6
-REACH = 20.0
-"""Number of best visited sets that are expanded, and their largest distance from the best in log probability."""
+"""Number of best visited sets that are expanded."""
+
+WITHIN = 7.0
+"""Largest distance from the best set, in log probability, of a set that is followed up: a thousandth of the best
+probability."""
 
 TIE = 2.0
 """Largest difference in log probability of two sets that are equally good. Further effects are tried beside both of
@@ -49,23 +43,24 @@ without this rule, an effect that no datum concerns loses its prior probability.
 A_PILE = 3
 """Number of effects that a simple explanation does not reach: two simultaneous causes are rare, three are very rare."""
 
-WEAKEST = 2
-"""Number of weakest effects whose removal must make a set worse before pruning stops."""
+MOST_FURTHER = 10
+"""Largest number of further effects, each fitted alone, when a set is expanded."""
 
-STAND_FOR_A_GROUP = 3
-"""Number of single effects, the most promising ones, that are tried in place of a group."""
+RESCALING = 3
+"""Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded."""
 
-MOST_CAUSES = 4
-"""Largest number of causes that replace a group, added one after the other."""
+MOST_STARTS = 12
+"""Largest number of fits from given starting points, the best after one step."""
 
 MOST_SETS = 300
-"""Number of visited sets after which a search ends, except for the current step. The
-limit is twice the need of consistent data of three states (about 150 sets). The result reports that the search was cut
-short."""
+"""Number of visited sets after which a search ends, except for the current step. The limit is twice the need of
+consistent data of three states (about 150 sets). The result reports that the search was cut short."""
 
 TWINS_DIFFER = 0.1
 """Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
 """
+
+Set = frozenset[LocatedEffect]
 
 
 class Search:
@@ -76,25 +71,15 @@ class Search:
     fitter : Fitter
     base : Estimate
         Fit of the model without looked-for effects.
-    looked_for : sequence of Hypothesis, optional
-        Effects that sets may hold; by default all hypotheses of the fitter.
     """
 
-    def __init__(self, fitter: Fitter, base: Estimate, looked_for: Sequence[Hypothesis] | None = None) -> None:
+    def __init__(self, fitter: Fitter, base: Estimate) -> None:
         self.fitter = fitter
-        self.looked_for = fitter.hypotheses if looked_for is None else looked_for
-        start = fitter.model_of(base)
         fitter.base = base
-        self.visited: dict[Set, ModelClass] = {start.effects: start}
-        self.expanded: set[Set] = set()
-        self.pruned: set[Set] = set()
-        self.reduced: set[Set] = set()
-        self.regrouped: set[Set] = set()
-        self.accompanied: set[Set] = set()
+        self.base = fitter.model_of(base)
+        self.visited: dict[Set, ModelClass] = {self.base.effects: self.base}
         self.other_optima: list[ModelClass] = []
-        self.moved = False
-        self.descended = False
-        self.base = start
+        self._done: set[tuple[str, Set]] = set()
         self._last: Linearised | None = None
 
     @property
@@ -120,92 +105,80 @@ class Search:
                 break
         return ranking.ranked((*causes, *others), lambda model: model.score, same=ranking.SAME_ODDS)
 
-    def run(self) -> None:
-        """Visit sets until no set of the beam is left to expand, or the budget is spent."""
-        ways: tuple[Callable[[], bool], ...] = (
-            partial(self._follow, self._prune, self.pruned, 0.0),
-            partial(self._follow, self._expand, self.expanded, 0.0),
-            self._look_elsewhere,
-            partial(self._follow, self._regroup, self.regrouped, 0.0),
-            partial(self._follow, self._expand, self.expanded, REACH),
-            partial(self._follow, self._regroup, self.regrouped, WITHIN),
-            partial(self._follow, self._reduce, self.reduced, WITHIN),
-            self.add_motions,
-            self._add_companions,
-        )
-        while not self.spent and any(way() for way in ways):
-            pass
-
-    def _follow(self, way: Callable[[ModelClass], None], done: set[Set], within: float) -> bool:
-        """Apply one step to the best set that has not had this step; return whether there was such a set."""
-        model = self._next(done, within)
-        if model is not None:
-            way(model)
-        return model is not None
-
-    def _look_elsewhere(self) -> bool:
-        """Look far from the best set if no simple set explains the data, or only an open class does."""
-        if not (self._unsatisfied() or holds_open(self.best.effects)):
-            return False
-        return self.add_motions() or self._descend_among_causes() or self._add_companions()
-
-    def _descend_among_causes(self) -> bool:
-        """Search among causes alone if the best set holds an open class; return whether the best set changed.
-
-        An open class that fits the effect of several causes hides them: each single cause gains less than the class.
-        Without the class, the search reaches these causes in a few steps.
-        """
-        if self.descended or not holds_open(self.best.effects):
-            return False
-        self.descended = True
-        assert self.base.estimate is not None, "the shear model was fitted"
-        causes = [item for item in self.looked_for if item.placed.effect.kind != OPEN]
-        alone = Search(self.fitter, self.base.estimate, causes)
-        ways = ((alone._prune, alone.pruned), (alone._expand, alone.expanded))
-        while not alone.spent and any(alone._follow(way, done, 0.0) for way, done in ways):
-            pass
-        before = self.best
-        self._record(model for effects, model in alone.visited.items() if effects not in self.visited)
-        return self.best is not before
-
-    def add_motions(self) -> bool:
-        """Visit sets with an effect that adds degrees of freedom, unless the shear model wins and explains the data."""
-        if self.moved or (self.best is self.base and not self.base.improbable):
-            return False
-        self.moved = True
-        base = self.base.estimate
-        assert base is not None, "the shear model was fitted"
-        found = with_motions(base, self.fitter, self.best)
-        self._record(self.fitter.models(found))
-        return bool(found)
-
-    def _add_companions(self) -> bool:
-        """Visit the best set with the companions of its effects that add degrees of freedom.
-
-        With both, the posterior may have a ridge with several optima, and all of them count.
-        """
-        best = self.best
-        if best.effects in self.accompanied:
-            return False
-        self.accompanied.add(best.effects)
-        assert self.base.estimate is not None, "the shear model was fitted"
-        found = self.fitter.models(with_companions(self.base.estimate, self.fitter, best))
-        self.other_optima += found
-        return self._record(found)
-
-    def _unsatisfied(self) -> bool:
-        """Whether no simple set explains the data so far."""
-        return self.best.improbable or len(self.best.effects) >= A_PILE
-
     @property
     def spent(self) -> bool:
         """Whether the budget of sets is spent."""
         return len(self.visited) >= MOST_SETS
 
+    def run(self) -> None:
+        """Visit sets until no good set is left to expand, to group or to exchange, or the budget is spent."""
+        while not self.spent and (
+            self._follow(self._prune, self._leaders)
+            or self._follow(self._expand, self._leaders)
+            or (self._unsatisfied and self._follow(self.add_motions, [self.best]))
+            or self._follow(self._regroup, [self.best])
+            or self._follow(self._expand, self._near)
+            or self._follow(self._regroup, self._near)
+            or self._follow(self._exchange, self._near)
+            or self._follow(self.add_motions, [self.best])
+        ):
+            pass
+
+    def _follow(self, step: Callable[[ModelClass], None], models: Sequence[ModelClass]) -> bool:
+        """Apply a step to the first of these sets that has not had it; return whether there was such a set."""
+        for model in models:
+            if (step.__name__, model.effects) not in self._done:
+                self._done.add((step.__name__, model.effects))
+                step(model)
+                return True
+        return False
+
+    @property
+    def _leaders(self) -> list[ModelClass]:
+        """The best set, and the best set of causes: an open class that fits the effect of several causes hides them."""
+        causes = [model for model in self.beam if not holds_open(model.effects)]
+        return [self.best, *causes[:1]]
+
+    @property
+    def _near(self) -> list[ModelClass]:
+        """Sets near the best, without those that only add effects to a better set, if the best explains the data."""
+        near = [model for model in self.beam if model.score >= self.best.score - WITHIN]
+        if self.best.improbable:
+            return near
+
+        def adds_only(model: ModelClass) -> bool:
+            return any(each.effects < model.effects and each.score > model.score + TIE for each in near)
+
+        return [each for each in near if each is self.best or not (holds_open(each.effects) or adds_only(each))]
+
+    @property
+    def _unsatisfied(self) -> bool:
+        """Whether no simple set of causes explains the data so far."""
+        best = self.best
+        return best.improbable or len(best.effects) >= A_PILE or holds_open(best.effects)
+
+    def add_motions(self, model: ModelClass) -> None:
+        """Visit the shear model, and a set, with effects that add degrees of freedom.
+
+        The shear model alone remains if it wins and explains the data. With an effect and its companion the posterior
+        may have a ridge with several optima, and all of them count.
+        """
+        base = self.base.estimate
+        assert base is not None, "the shear model was fitted"
+        if model is self.base and not model.improbable:
+            return
+        if ("motions", self.base.effects) not in self._done:
+            self._done.add(("motions", self.base.effects))
+            motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
+            alone = [(self.fitter.proposal(base, (*base.effects, motion)), motion) for motion in motions]
+            self._record(self.fitter.models(_from_starts(alone, base)))
+        found = self.fitter.models(_from_starts(with_companions(self.fitter, model), base))
+        self.other_optima += found
+        self._record(found)
+
     def probe(self) -> None:
         """Expand the shear model alone."""
-        if self.base.effects not in self.expanded:
-            self._expand(self.base)
+        self._follow(self._expand, [self.base])
 
     def visit(self, sets: Iterable[Set]) -> None:
         """Fit sets that are named from outside, started at the shear model."""
@@ -223,7 +196,13 @@ class Search:
         """
         base = self.base.estimate
         assert base is not None, "the shear model was fitted"
-        return self._record(self.fitter.models(from_frames(starts, base, self.fitter)))
+        proposals = []
+        for effects, frame in starts:
+            present = [item.placed for item in self.fitter.hypotheses if item.placed in effects]
+            plain = self.fitter.proposal(base, (*self.fitter.assumed, *present))
+            start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
+            proposals.append(dataclasses.replace(plain, starts=(start,)))
+        return self._record(self.fitter.models(_best_starts(proposals)))
 
     def visit_exchanges(self) -> bool:
         """Visit the best set with each of its effects at every other place; return whether a better set was found.
@@ -249,8 +228,8 @@ class Search:
 
     def visit_twins(self) -> None:
         """Visit, for each of the best sets, the sets in which a twin replaces an effect."""
-        for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
-            if not model.effects or not self._worth_following(model):
+        for model in self._near:
+            if not model.effects:
                 continue
             found = self.linearised(model)
             for placed in model.effects:
@@ -281,8 +260,7 @@ class Search:
 
     def refine(self) -> None:
         """Fit the most probable sets to full accuracy."""
-        floor = self.best.score - REACH
-        for model in [each for each in self.beam if each.score >= floor]:
+        for model in [each for each in self.beam if each.score >= self.best.score - WITHIN]:
             self.visited[model.effects] = self.fitter.refined(model)
 
     def fit_of(self, effects: Set) -> Estimate:
@@ -300,47 +278,32 @@ class Search:
             raise found.failure
         return found.estimate
 
-    def _next(self, done: set[Set], within: float) -> ModelClass | None:
-        """Find the best set of the beam that has not had this step."""
-        floor = self.best.score - within
-        return next(
-            (
-                model
-                for model in self.beam
-                if model.effects not in done and model.score >= floor and self._worth_following(model)
-            ),
-            None,
-        )
-
-    def _worth_following(self, model: ModelClass) -> bool:
-        """Whether a set may lead to a better one.
-
-        A set that only adds effects to a set that explains the data hardly does.
-        """
-        if self.best.improbable or model is self.best:
-            return True
-        return not holds_open(model.effects) and not any(
-            better.effects < model.effects and better.score > model.score + TIE for better in self.beam
-        )
-
     def candidates(self, model: ModelClass) -> list[LocatedEffect]:
         """List the effects that a set lacks and that the linearised model at its fit can judge."""
         there = {"", *(placed.effect.name for placed in (*model.effects, *self.fitter.assumed))}
         return [
             item.placed
-            for item in self.looked_for
+            for item in self.fitter.hypotheses
             if item.placed not in model.effects
             and item.placed.effect.beside in there
             and not item.placed.effect.adds_motion
         ]
 
-    def _expand(self, model: ModelClass) -> None:
-        """Visit the most promising sets with one or two more effects."""
-        self.expanded.add(model.effects)
-        if not self.candidates(model) or model.estimate is None:
+    def _expand(self, model: ModelClass, barred: Set = frozenset(), behind: float | None = None) -> None:
+        """Visit the most promising sets with further effects, except the barred ones.
+
+        Parameters
+        ----------
+        model : ModelClass
+        barred : frozenset of LocatedEffect, optional
+        behind : float, optional
+            Distance in log probability that the further effects must close. Default: the distance from the best set.
+        """
+        if model.estimate is None or not self.candidates(model):
             return
         linear = self.linearised(model)
-        further = promising(model, linear, self.fitter, self.best.score - model.score)
+        behind = self.best.score - model.score if behind is None else behind
+        further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if each not in self.visited and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
         named = [each for each in named_entries(model, self.fitter) if self.fitter.set_of(each) not in self.visited]
@@ -380,77 +343,42 @@ class Search:
             self.visited[model.effects] = model
             kept = True
             # The neighbors were tried from another frame, so they may be tried again.
-            for done in (self.expanded, self.pruned, self.reduced, self.regrouped):
-                done.discard(model.effects)
+            self._done = {each for each in self._done if each[1] != model.effects or each[0] == "motions"}
         return kept
 
     def _regroup(self, model: ModelClass) -> None:
-        """Visit sets in which one or several causes replace a group: all effects of a state, all of one name, or all.
+        """Visit sets in which other effects replace a group: all effects of a state, all of one name, or all.
 
         If every floor of a state is heavier, or every story softer, one cause replaces many effects. Removal of one
         effect at a time never finds this cause. If no simple set explains the data, causes that explain only together
         (flexible joints, and braces that prevent joint rotation) also replace an open class: with the class in the set
         neither cause gains anything.
         """
-        self.regrouped.add(model.effects)
-        for group in groups(model.effects, open_too=self._unsatisfied()):
-            if self.spent:
-                break
+        for group in groups(model.effects, open_too=self._unsatisfied):
             rest = model.effects - group
-            # Without other effects, any effect is allowed: the first expansion took several at once, now each is fitted
-            # in turn.
-            barred = group if rest else frozenset()
             self._fit_without(model, [rest])
-            firsts = self._with_one_of(self.candidates(self.visited[rest]), self.visited[rest], barred)
-            if len(group) > 1:
-                causes = [each for each in firsts if not holds_open(each.effects - rest)]
-                firsts = ranking.ranked(causes, lambda each: each.score, same=ranking.SAME_ODDS)[:1]
-            for first in firsts if self._unsatisfied() else ():
-                at, best = None, first
-                while best is not at and len(best.effects - rest) < MOST_CAUSES:
-                    at = best
-                    others = [each for each in self.candidates(at) if len(group) > 1 or each.effect.kind != OPEN]
-                    best = max((at, *self._with_one_of(others, at, barred)), key=lambda each: each.score)
-
-    def _with_one_of(self, effects: Sequence[LocatedEffect], model: ModelClass, barred: Set) -> list[ModelClass]:
-        """Visit the most promising sets with one of these effects added, except the barred ones."""
-        effects = [placed for placed in effects if placed not in barred]
-        if model.estimate is None or not effects:
-            return []
-        linear = Linearised(model.estimate, effects, self.fitter.expectation)
-        worth = linear.gains + self.fitter.log_priors(effects, model.effects)
-        gains = dict(zip(effects, worth.tolist(), strict=True))
-        best = ranking.ranked(gains, gains.__getitem__)[:STAND_FOR_A_GROUP]
-        sets = [model.effects | {placed} for placed in best]
-        self._visit(model.estimate, linear, [each for each in sets if each not in self.visited])
-        return [self.visited[each] for each in sets]
+            self._expand(self.visited[rest], group, behind=0.0)
 
     def _prune(self, model: ModelClass) -> None:
         """Visit sets with fewer effects, the weakest removed first: an effect added early may be superfluous."""
-        at, kept = model, set[LocatedEffect]()
-        while at.estimate is not None and len(kept) < WEAKEST:
-            self.pruned.add(at.effects)
-            left = [placed for placed in at.effects if placed not in kept]
-            if not left:
-                break
-            strength = {placed: _strength(at.estimate, placed) for placed in left}
-            weakest = min(left, key=lambda placed: (strength[placed], placed.label))
+        at = model
+        while at.effects and at.estimate is not None:
+            self._done.add(("_prune", at.effects))
+            strength = {placed: _strength(at.estimate, placed) for placed in at.effects}
+            weakest = min(strength, key=lambda placed: (strength[placed], placed.label))
             fewer = at.effects - {weakest}
             self._fit_without(at, [fewer])
-            if self.visited[fewer].score > at.score:
-                at = self.visited[fewer]
-            else:
-                kept.add(weakest)
+            if self.visited[fewer].score <= at.score:
+                break
+            at = self.visited[fewer]
 
-    def _reduce(self, model: ModelClass) -> None:
+    def _exchange(self, model: ModelClass) -> None:
         """Visit the sets with one effect less, and expand them: the added effect replaces the removed one."""
-        self.reduced.add(model.effects)
         assert model.estimate is not None
         fewer = [model.effects - {placed} for placed in model.estimate.effects if placed in model.effects]
         self._fit_without(model, fewer)
         for each in fewer:
-            if each not in self.expanded:
-                self._expand(self.visited[each])
+            self._follow(self._expand, [self.visited[each]])
 
     def _fit_without(self, model: ModelClass, sets: Sequence[Set]) -> None:
         """Fit subsets of a fitted set, started at its fit, unless they have an equally good fit already."""
@@ -480,3 +408,145 @@ def fits_alike(a: ModelClass, b: ModelClass) -> bool:
     if a.estimate is None or b.estimate is None:
         return False
     return abs(a.estimate.chi2 - b.estimate.chi2) <= TWINS_DIFFER * max(1.0, b.estimate.chi2)
+
+
+def promising(
+    model: ModelClass, linear: Linearised, fitter: Fitter, behind: float, barred: Set = frozenset()
+) -> list[Set]:
+    """List sets with one more effect, or several, by what the linearised model promises.
+
+    Parameters
+    ----------
+    model : ModelClass
+    linear : Linearised
+        Linearised model at the fit of the set, with the effects that the set lacks.
+    fitter : Fitter
+    behind : float
+        Distance in log probability that the further effects must close.
+    barred : frozenset of LocatedEffect
+        Effects that are not added.
+    """
+    odds = fitter.log_priors(linear.candidates, model.effects)
+    odds[[placed in barred for placed in linear.candidates]] = -np.inf
+    gains = linear.gains + odds
+    order = [i for i in ranking.order(gains)[:MOST_FURTHER] if np.isfinite(gains[i])]
+    floor = max(float(np.max(gains)), 0.0, behind) - WITHIN
+    # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
+    assert model.estimate is not None
+    far_off = model.estimate.fit.at.objective > HOPELESS * len(model.estimate.fit.at.r)
+    single = [linear.candidates[i] for i in order if far_off or gains[i] > floor]
+    if model.improbable:
+        # An effect that leaves the accuracy of some data open shows its full gain only after these data lose weight.
+        by_gain = [linear.candidates[i] for i in ranking.order(linear.gains)]
+        single += [placed for placed in by_gain if placed.effect.rescales and placed not in barred][:RESCALING]
+    several = model.effects.union(linear.forward(odds))
+    return [*(model.effects | {placed} for placed in single), several]
+
+
+def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
+    """Propose sets in which causes of the catalogue replace an open class: the causes of its significant entries.
+
+    Derivatives at null hardly show several simultaneous large changes; the fitted class provides their sizes.
+    """
+    estimate, experiment = model.estimate, fitter.experiment
+    assert estimate is not None, "only sets with a fit are expanded"
+    known = {(item.placed.effect.name, item.placed.place): item.placed for item in fitter.hypotheses}
+    proposals = []
+    for placed in model.effects:
+        if not isinstance(placed.effect, OpenClass):
+            continue
+        own = estimate.own(placed)
+        values = estimate.theta[own]
+        standing = placed.effect.conspicuous(values, estimate.std[own])
+        causes = {
+            known[at]: float(values[i])
+            for i in standing
+            if (at := placed.effect.cause_at(i, placed.place, experiment)) in known
+        }
+        if not causes:
+            continue
+        rest = [each for each in estimate.effects if each is not placed]
+        new = [cause for cause in causes if cause not in rest]
+        proposal = fitter.proposal(estimate, (*rest, *new))
+        bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
+        sizes = np.clip([causes[each] for each in new], *np.reshape(bounds, (-1, 2)).T)
+        start = np.concatenate([proposal.starts[-1][: len(proposal.starts[-1]) - len(new)], sizes])
+        proposals.append(dataclasses.replace(proposal, starts=(start,)))
+    return proposals
+
+
+def with_companions(fitter: Fitter, best: ModelClass) -> list[tuple[FitProposal, LocatedEffect]]:
+    """Propose a set with both an effect that adds degrees of freedom and its companion; it holds one of the two.
+
+    The fits begin at the shear model's frame and at all starts of the effect. With the companion the optimum may be far
+    from the fit without it. Another effect at the same place, such as a lighter floor, may have imitated the missing
+    one, so the pair is also tried without the other effects of this place.
+    """
+    assert best.estimate is not None, "a best set has a fit"
+    looked_for = [item.placed for item in fitter.hypotheses]
+    pairs = [
+        (companion, motion)
+        for motion in looked_for
+        if motion.effect.adds_motion
+        for companion in looked_for
+        if (companion.effect.companion, companion.place) == (motion.effect.name, motion.place)
+        and len(best.effects & {companion, motion}) == 1
+    ]
+    proposals = []
+    for pair in pairs:
+        beside = [placed for placed in best.estimate.effects if placed not in pair]
+        elsewhere = [placed for placed in beside if placed in fitter.assumed or placed.place != pair[1].place]
+        others = (beside, elsewhere) if len(elsewhere) < len(beside) else (beside,)
+        proposals += [(fitter.proposal(best.estimate, (*rest, *pair)), pair[1]) for rest in others]
+    return proposals
+
+
+def _from_starts(proposals: Sequence[tuple[FitProposal, LocatedEffect]], base: Estimate) -> list[FitProposal]:
+    """Start each proposal from the frame of the base and from every start of its last effect."""
+    frame = 2 * base.experiment.stories
+    return _best_starts(
+        [
+            dataclasses.replace(
+                proposal,
+                starts=(np.concatenate([base.theta[:frame], proposal.starts[-1][frame : -len(start)], start]),),
+            )
+            for proposal, motion in proposals
+            for start in motion.effect.starts
+        ]
+    )
+
+
+def _best_starts(proposals: Sequence[FitProposal]) -> list[FitProposal]:
+    """Keep the proposals with the lowest objective after one step of all parameters in the linearised model.
+
+    Derivatives at zero mass carry no information on an effect that adds a motion, so its starts are compared.
+    """
+    left = []
+    for proposal in proposals:
+        try:
+            at = proposal.misfit.evaluate(proposal.starts[0])
+        except NoModesError:
+            left.append(np.inf)
+            continue
+        _, c = at.triangle
+        left.append(at.objective - float(c @ c))
+    return [proposals[i] for i in ranking.order(-np.array(left))[:MOST_STARTS] if np.isfinite(left[i])]
+
+
+def groups(effects: Set, *, open_too: bool) -> list[Set]:
+    """List groups of at least two effects: by state, by name, and all; if wanted, also each open class alone."""
+    by_state, by_name = defaultdict[str | None, set[LocatedEffect]](set), defaultdict[str, set[LocatedEffect]](set)
+    # Sets have no order of their own: sorted, so that every run gives the same result.
+    ordered = sorted(effects, key=lambda placed: placed.label)
+    for placed in ordered:
+        by_name[placed.effect.name].add(placed)
+        if placed.place.state is not None:
+            by_state[placed.place.state].add(placed)
+    found = [frozenset(group) for group in (*by_state.values(), *by_name.values(), effects)]
+    classes = [frozenset([placed]) for placed in ordered if open_too and placed.effect.kind == OPEN]
+    return [group for group in dict.fromkeys((*found, *classes)) if len(group) > 1 or group in classes]
+
+
+def holds_open(effects: Set) -> bool:
+    """Whether an open class is among these effects."""
+    return any(placed.effect.kind == OPEN for placed in effects)

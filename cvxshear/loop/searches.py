@@ -27,10 +27,8 @@ from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.fitter import Fitter, ModelClass
-from cvxshear.loop.hypotheses import Hypothesis
-from cvxshear.loop.neighbors import holds_open
-from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
-from cvxshear.loop.search import REACH, Search
+from cvxshear.loop.hypotheses import Hypothesis, Numbering, named_numberings, overlooked_in_all, overlooked_in_one
+from cvxshear.loop.search import Search, holds_open
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoSolutionError
@@ -41,6 +39,9 @@ PROBED = 4
 
 CARRIED_OVER = 3
 """Number of best sets of the leading numbering that are tried with every other tried numbering."""
+
+REACH = 20.0
+"""Largest log probability ratio between the best numbering and one that is searched to the end."""
 
 FAR_BEHIND = 100.0
 """Largest log probability ratio between the best numbering and one that stays in the search, after the best one
@@ -61,7 +62,7 @@ class Searches:
     Parameters
     ----------
     backend : Backend
-    there : tuple of LocatedEffect
+    assumed : tuple of LocatedEffect
         Effects that the model holds from the start.
     looked_for : sequence of Hypothesis
     expectation : EffectPrior
@@ -74,7 +75,7 @@ class Searches:
     """
 
     backend: Backend
-    there: tuple[LocatedEffect, ...]
+    assumed: tuple[LocatedEffect, ...]
     looked_for: Sequence[Hypothesis]
     expectation: EffectPrior
     start: Estimate
@@ -91,7 +92,7 @@ class Searches:
         NoSolutionError
             If the shear model could not be fitted to the modes as given.
         """
-        given = self.begun(Numbering(experiment))
+        given = self.start_search(Numbering(experiment))
         others = list(self._possible(named_numberings(experiment)))
         if not given.base.improbable:
             given.run()
@@ -110,17 +111,17 @@ class Searches:
             search.visit_twins()
         return [*near, *duals]
 
-    def begun(self, numbering: Numbering) -> Search:
+    def start_search(self, numbering: Numbering) -> Search:
         """Begin a search under one numbering of the modes, with its shear model fitted."""
         theta = self.start.theta
         if numbering.changes:
-            theta = nearest_start(Misfit(numbering.experiment, self.there))
+            theta = nearest_start(Misfit(numbering.experiment, self.assumed))
         return self._search(numbering, theta, ROUGH if numbering.changes else FULL)
 
     def _search(self, numbering: Numbering, theta: Floats, accuracy: Accuracy) -> Search:
-        fitter = Fitter(numbering, self.backend, self.looked_for, self.there, self.expectation, jobs=self.jobs)
+        fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation, jobs=self.jobs)
         noise = self.start.misfit.noise
-        misfit = Misfit(numbering.experiment, self.there, None, noise, self.expectation, self.widened)
+        misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.widened)
         try:
             found = fitter.fit(misfit, theta, accuracy)
         except NoSolutionError:
@@ -132,7 +133,7 @@ class Searches:
         """Begin a search under each numbering for which a frame satisfies the declarations."""
         for numbering in numberings:
             try:
-                yield self.begun(numbering)
+                yield self.start_search(numbering)
             except CvxshearError:
                 continue
 
@@ -211,7 +212,7 @@ class Searches:
                 for each in experiment.configurations
                 if each.state != state
             }
-            misfit = Misfit(experiment, self.there, left_out, base.misfit.noise, self.expectation, self.widened)
+            misfit = Misfit(experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.widened)
             frame = search.fitter.fit(misfit, base.theta, ROUGH).theta[: 2 * n]
             frames += [frame, dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]

@@ -23,7 +23,7 @@ from scipy import special
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.stories import StoryChange
-from cvxshear.loop.close import begun
+from cvxshear.loop.close import start_search
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import FARTHER, FREQUENCY_TOLERANCE, MeasuredModes
@@ -201,9 +201,8 @@ def _rivals(
     changed = StoryChange()
     others = tuple(LocatedEffect(changed, place) for place in changed.places(given) if place.state in experiment.states)
     try:
-        with_effect, without = begun(given, others), begun(freed, others)
-        # Before any set that explains the data: beside one fewer of a mass's starts are followed.
-        with_effect.add_motions()
+        with_effect, without = start_search(given, others), start_search(freed, others)
+        with_effect.add_motions(with_effect.base)
         with_effect.probe()
     except CvxshearError:
         return None

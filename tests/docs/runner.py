@@ -171,7 +171,7 @@ def once(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        from cvxshear.data.base import _kinds  # noqa: PLC0415
+        from cvxshear.data import noise_kinds  # noqa: PLC0415
         from cvxshear.effects import catalogue  # noqa: PLC0415
 
         given = signature.bind(*args, **kwargs)
@@ -179,7 +179,7 @@ def once(function: Callable[P, R]) -> Callable[P, R]:
         if any(isinstance(each, str | os.PathLike) and os.path.exists(each) for each in given.arguments.values()):
             # A file of the same name may hold something else next time.
             return function(*args, **kwargs)
-        registered = [each.name for each in catalogue()], sorted(_kinds)
+        registered = [each.name for each in catalogue()], sorted(noise_kinds())
         written = io.BytesIO()
         try:
             values = {name: tuple(each) if isinstance(each, list) else each for name, each in given.arguments.items()}

@@ -75,7 +75,6 @@ def place_of(name: str) -> str:
 @functools.cache
 def ran(of_measured: bool) -> tuple[subprocess.CompletedProcess[str], dict[Path, dict[str, str]]]:
     """The process that ran these pages, and the scripts on each: one that failed is not run again for every page."""
-    (Path(os.environ[runner.KEPT_IN]) / f"pages {of_measured} run by {os.getpid()}").touch()
     with tempfile.TemporaryDirectory() as folder:
         pages = [page for page in RUN if measured(page) == of_measured]
         if not of_measured:
@@ -172,14 +171,6 @@ def test_the_page_shows_what_is_printed(page):
     for key, shown in shown_outputs(page):
         assert key in printed, f"{name_of(page)}: the block at line {key} was not run"
         assert not missing(shown, printed[key]), f"line {key} prints\n{printed[key]}"
-
-
-@pytest.mark.parametrize("of_measured", [False, True], ids=["the others", "docs/measured/"])
-def test_the_pages_are_run_once(of_measured):
-    """Over several processes tests that share something must stay in one of them, see `tests/conftest.py`."""
-    results(of_measured)
-    names = [path.name for path in Path(os.environ[runner.KEPT_IN]).glob(f"pages {of_measured} run by *")]
-    assert names == [f"pages {of_measured} run by {os.getpid()}"]
 
 
 def test_every_script_has_its_expectation():

@@ -1,6 +1,5 @@
 """Test undeclared noise: its marginal, its estimates, and the quantities that it must not change."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +8,6 @@ from scipy.integrate import simpson
 
 from cvxshear import Experiment, backends, close_loop, identify
 from cvxshear.data import NoiseFactors
-from cvxshear.fit import efficient as efficient_module
 from cvxshear.fit.efficient import efficient
 from cvxshear.fit.gaussian import SizeMarginal, UnknownSize
 from cvxshear.fit.misfit import Misfit, estimated_noise
@@ -275,51 +273,6 @@ def test_shapes_of_a_single_sensor_tell_nothing_whatever_their_noise(left_out):
     found = efficient(Experiment.from_dict(declared), backends.get("auto"))
     np.testing.assert_allclose(found.theta[6:], STIFFNESS, rtol=1e-4)
     assert found.dof == 9 - 6
-
-
-@dataclasses.dataclass
-class Reached:
-    """A fit with given noise, without other results."""
-
-    misfit: object
-    noise: object = None
-    theta: object = None
-    free_directions: object = None
-    fit: object = dataclasses.field(default_factory=lambda: SimpleNamespace(converged=True, at=None))
-
-
-class InNoise:
-    """A misfit with one unknown deviation. It records the tried factors."""
-
-    unknown = (SimpleNamespace(key="frequency"),)
-
-    def __init__(self, factor, tried):
-        self.noise, self.tried = SimpleNamespace(of=lambda key: factor), tried
-        tried.append(factor)
-
-    def replaced(self, noise):
-        return InNoise(dict(noise.factors)["frequency"], self.tried)
-
-
-@pytest.mark.parametrize(("aims", "last"), [([1e6, 1e-6], None), ([8.0], 8.0)])
-def test_steps_of_an_unknown_noise_become_shorter_until_its_aim_stays(monkeypatch, aims, last):
-    """If the target alternates, each step is shorter by the same factor. A constant target is reached at once."""
-    tried, asked = [], []
-
-    def estimated(misfit, at, free, here=False):
-        asked.append(here)
-        return SimpleNamespace(noise=NoiseFactors((("frequency", aims[len(asked) % len(aims)]),)))
-
-    monkeypatch.setattr(efficient_module, "fitted_with", lambda misfit, *_: Reached(misfit))
-    monkeypatch.setattr(efficient_module, "estimated_noise", estimated)
-    found = efficient_module.fitted(InNoise(1.0, tried), np.zeros(1), None)
-    steps = np.abs(np.diff(np.log(tried)))
-    if last is None:
-        assert asked == [False] * (len(asked) - 1) + [True]
-        np.testing.assert_allclose(steps, 1.5 * 0.75 ** np.arange(len(steps)))
-    else:
-        assert (tried[-1], dict(found.noise.noise.factors)["frequency"]) == (pytest.approx(last), last)
-        assert (any(asked), len(steps)) == (False, 2)
 
 
 @pytest.mark.parametrize(("above_one", "expected"), [(False, np.log(3.0)), (True, np.log(np.sqrt(8.0)))])

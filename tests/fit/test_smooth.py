@@ -82,8 +82,8 @@ def test_a_solver_that_gives_up_is_asked_again_with_more_damping():
         refused = 0
 
         def answer(self, problem):
-            rows = problem._inverse / np.linalg.norm(problem._inverse, axis=1)[:, None]
-            if np.linalg.cond(rows) > 1e4:
+            scale = problem.to_x(np.eye(len(problem.q)))
+            if np.linalg.cond(scale / np.linalg.norm(scale, axis=1, keepdims=True)) > 1e4:
                 Fragile.refused += 1
                 raise NoSolutionError(self.name, "too badly conditioned")
             return daqp.answer(problem)

@@ -14,7 +14,7 @@ from cvxshear.cli import main
 from cvxshear.fit.efficient import efficient
 from cvxshear.io.toml import write_measurement
 from cvxshear.loop.close import search_for_effects
-from cvxshear.loop.numbering import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
+from cvxshear.loop.hypotheses import Numbering, named_numberings, overlooked_in_all, overlooked_in_one
 from cvxshear.records import identify_modes
 from cvxshear.records.diagnostics import A_MODE, left_out, overlooked_modes
 from cvxshear.records.picking import PoleCandidate

@@ -2,9 +2,7 @@
 
 import copy
 from collections import Counter
-from types import SimpleNamespace
 from typing import ClassVar
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from cvxshear.loop import fitter as fitter_module
 from cvxshear.loop.close import search_for_effects
 from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.neighbors import promising
 from cvxshear.loop.next_test import next_test
 from tests.fe.experiments import simulated
 
@@ -291,15 +288,3 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
     # The library's derivative uses the accepted model's scales of the shapes (Kaufman).
     assert proposed.standard_deviations == pytest.approx(distances[floor, part], rel=0.02)
     assert proposed.standard_deviations > 1.0
-
-
-def test_what_leaves_accuracies_open_is_tried_by_its_gain_however_improbable_it_was():
-    """If no set explains the data, try the three effects with the largest gain before those with the best odds."""
-    effects = [Mock(label=f"e{i}", effect=Mock(rescales=True)) for i in range(5)]
-    gains = np.array([1.0, 5.0, 3.0, 4.0, 2.0])
-    linear = SimpleNamespace(candidates=effects, gains=gains, forward=lambda odds: [])
-    fitter = SimpleNamespace(log_priors=lambda lacking, beside: np.array([0.0, -50.0, -50.0, -50.0, -50.0]))
-    residual = SimpleNamespace(fit=SimpleNamespace(at=SimpleNamespace(objective=1.0, r=np.zeros(9))))
-    model = SimpleNamespace(effects=frozenset(), improbable=True, estimate=residual)
-    tried = {placed.label for found in promising(model, linear, fitter, 0.0) for placed in found}
-    assert tried == {"e0", "e1", "e2", "e3"}

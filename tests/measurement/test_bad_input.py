@@ -4,7 +4,6 @@ A message names the place, the wrong value and the remedy, so each case gives th
 """
 
 import copy
-import datetime
 import os
 
 import numpy as np
@@ -66,19 +65,11 @@ TABLES = {
         "a file of design values, before any test, is for cvxshear plan",
     ),
     "empty": ({}, "at least one [[configuration]] is needed: none was found"),
-    "an empty list of configurations": (
-        {"configuration": []},
-        "at least one [[configuration]] is needed: none was found",
-    ),
     "a list in place of the whole": ([1], "the measurement file must be a table of keys and values, not [1]"),
     "nothing in place of the whole": (None, "the measurement file must be a table of keys and values, not None"),
     "a table name misspelt": (
         {"configurations": []},
         "the measurement file: unknown key 'configurations'; did you mean 'configuration'?",
-    ),
-    "a table name in capitals": (
-        {**declared(), "Frame": {}},
-        "the measurement file: unknown key 'Frame'; did you mean 'frame'?",
     ),
     "a key above the first header": (
         {**declared(), "total_mass": 3.0},
@@ -105,14 +96,9 @@ TABLES = {
         {**declared(), "frame": [{"stories": 2}]},
         "[frame] must be one table, in single brackets, not a list: [{'stories': 2}]",
     ),
-    "frame = text": ({**declared(), "frame": "steel"}, "frame must be a table of keys and values, not 'steel'"),
     "[prior]": (
         {**declared(), "prior": BOUNDS},
         "[prior] must be a list of tables: write [[prior]], in double brackets",
-    ),
-    "prior = text": (
-        {**declared(), "prior": "bounds"},
-        "prior must be a list of tables, each below [[prior]], not 'bounds'",
     ),
 }
 
@@ -127,35 +113,22 @@ def test_tables(table, message):
 FRAMES = {
     "unknown key": ({"total_mas": 3.0}, "unknown key 'total_mas'; did you mean 'total_mass'?"),
     "a configuration's key": ({"frequencies": [1.0]}, "unknown key 'frequencies'; it belongs in [[configuration]]"),
-    "no story": ({"stories": 0}, "stories = 0 must lie between 1 and 2000"),
-    "fewer stories than none": ({"stories": -3}, "stories = -3 must lie between 1 and 2000"),
     "a million stories": ({"stories": 1000000}, "stories = 1000000 must lie between 1 and 2000"),
     "a huge number of stories": ({"stories": HUGE}, f"stories = 1{'0' * 27}...{'0' * 29} must lie between 1 and 2000"),
     "stories that cannot be printed": (
         {"stories": TOO_LONG},
         "stories = a number too long to print must lie between 1 and 2000",
     ),
-    "half a story": ({"stories": 2.5}, "stories must be a whole number, not 2.5"),
     "stories as a text": ({"stories": "2"}, "stories must be a whole number, not '2'"),
     "true stories": ({"stories": True}, "stories must be a whole number, not True"),
     "false stories": ({"stories": False}, "stories must be a whole number, not False"),
     "a negative mass": ({"total_mass": -3}, "total_mass = -3 must be greater than 0"),
-    "no mass": ({"total_mass": 0.0}, "total_mass = 0 must be greater than 0"),
     "mass as a text": ({"total_mass": "31 kg"}, "total_mass must be a number, not '31 kg'"),
-    "mass as a list": ({"total_mass": [31.0]}, "total_mass must be a number, not [31.0]"),
-    "a true mass": ({"total_mass": True}, "total_mass must be a number, not True"),
-    "an infinite mass": ({"total_mass": np.inf}, "total_mass must be a finite number, not inf"),
     "a mass beyond all floats": (
         {"total_mass": HUGE},
         f"total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit",
     ),
-    "a vanishing mass": ({"total_mass": 1e-300}, "total_mass = 1e-300 must be between 1e-30 and 1e+30; check its unit"),
-    "a date for a mass": (
-        {"total_mass": datetime.date(2020, 1, 2)},
-        "total_mass must be a number, not datetime.date(2020, 1, 2)",
-    ),
     "one floor mass for all": ({"floor_masses": 15.0}, "floor_masses must be a list of numbers, not 15.0"),
-    "no floor masses": ({"floor_masses": []}, "floor_masses must not be empty"),
     "a floor without mass": ({"floor_masses": [15.0, 0.0]}, "floor_masses, entry 2 = 0 must be greater than 0"),
     "contradictory masses": (
         {"floor_masses": [15.0, 16.0]},
@@ -163,10 +136,7 @@ FRAMES = {
     ),
     "no height": ({"story_heights": 0}, "story_heights = 0 must be greater than 0"),
     "a negative height": ({"story_heights": [3.0, -3.0]}, "story_heights, entry 2 = -3 must be greater than 0"),
-    "height as a text": ({"story_heights": "3 m"}, "story_heights must be a number, not '3 m'"),
-    "empty heights": ({"story_heights": []}, "story_heights must not be empty"),
     "no gravity": ({"gravity": 0}, "gravity = 0 must be greater than 0"),
-    "gravity as a text": ({"gravity": "moon"}, "gravity must be a number, not 'moon'"),
 }
 
 
@@ -183,48 +153,29 @@ KEYS = {
         {"frequencis": 1, "frequencies": ABSENT},
         ": unknown key 'frequencis'; did you mean 'frequencies'?",
     ),
-    "a hyphen": ({"mode-shapes": 1}, ": unknown key 'mode-shapes'; did you mean 'mode_shapes'?"),
-    "a capital": ({"Modes": [1, 2]}, ": unknown key 'Modes'; did you mean 'modes'?"),
     "the frame's key": ({"total_mass": 30.0}, ": unknown key 'total_mass'; it belongs in [frame]"),
     "one frequency alone": ({"frequencies": 2.0}, ": frequencies must be a list of numbers, not 2.0"),
-    "empty frequencies": ({"frequencies": []}, ": frequencies must not be empty"),
     "a text for a frequency": ({"frequencies": [2.0, "5 Hz"]}, ": frequencies, entry 2 must be a number, not '5 Hz'"),
-    "a text for frequencies": ({"frequencies": "2, 5"}, ": frequencies must be a list of numbers, not '2, 5'"),
     "nan in a frequency": ({"frequencies": [2.0, np.nan]}, ": frequencies, entry 2 must be a finite number, not nan"),
-    "inf in a frequency": ({"frequencies": [2.0, np.inf]}, ": frequencies, entry 2 must be a finite number, not inf"),
     "a frequency of zero": ({"frequencies": [0.0, 2.0]}, ": frequencies, entry 1 = 0 must be greater than 0"),
-    "a negative frequency": ({"frequencies": [-2.0, 2.0]}, ": frequencies, entry 1 = -2 must be greater than 0"),
-    "a true frequency": ({"frequencies": [True, 2.0]}, ": frequencies, entry 1 must be a number, not True"),
     "unsorted frequencies": (
         {"frequencies": [5.0, 2.0]},
         ": frequencies must be ascending, each greater than the one before; entry 2 is 2 Hz after 5 Hz "
         "(sort the mode shapes with them)",
     ),
-    "equal frequencies": (
-        {"frequencies": [2.0, 2.0]},
-        ": frequencies must be ascending, each greater than the one before; entry 2 is 2 Hz after 2 Hz "
-        "(sort the mode shapes with them)",
-    ),
-    "nested frequencies": ({"frequencies": [[2.0, 5.0]]}, ": frequencies, entry 1 must be a number, not [2.0, 5.0]"),
     "more frequencies than shapes": (
         {"frequencies": [2.0, 5.0, 7.0]},
         ": mode_shapes must have 3 rows, one for each frequency, not 2",
-    ),
-    "fewer frequencies than shapes": (
-        {"frequencies": [2.0]},
-        ": mode_shapes must have 1 row, one for each frequency, not 2",
     ),
     "shapes lying on their side": (
         {"mode_shapes": [[0.3, -1.7], [0.6, 0.2], [1.0, 1.0]]},
         ": mode_shapes must have 2 rows, one for each frequency, not 3: a row is a mode, not a floor",
     ),
-    "a flat list of entries": ({"mode_shapes": [0.6, 1.0]}, ": mode_shapes, row 1 must be a list of numbers, not 0.6"),
     "a text for shapes": (
         {"mode_shapes": "x"},
         ": mode_shapes must be a list of lists of numbers, one a mode, not 'x'",
     ),
     "empty shapes": ({"mode_shapes": []}, ": mode_shapes must not be empty; leave the key out for its default"),
-    "an empty shape": ({"mode_shapes": [[], []]}, ": mode_shapes, row 1 must not be empty"),
     "ragged shapes": (
         {"mode_shapes": [[0.6, 1.0], [1.0]]},
         ": mode_shapes, row 2 has 1 entry, row 1 has 2: give one a measured floor",
@@ -232,10 +183,6 @@ KEYS = {
     "a text in a shape": (
         {"mode_shapes": [[0.6, "1.0"], [-1.7, 1.0]]},
         ": mode_shapes, row 1, entry 2 must be a number, not '1.0'",
-    ),
-    "inf in a shape": (
-        {"mode_shapes": [[0.6, 1.0], [-np.inf, 1.0]]},
-        ": mode_shapes, row 2, entry 1 must be a finite number, not -inf",
     ),
     "a shape of zeros": (
         {"mode_shapes": [[0.6, 1.0], [0.0, 0.0]]},
@@ -262,12 +209,10 @@ KEYS = {
         ": mode_shapes, rows 1 and 3 are the same shape; each mode has its own",
     ),
     "floor 0": ({"measured_floors": [0, 1]}, ": measured_floors, entry 1 = 0 must lie between 1 and 2000"),
-    "half a floor": ({"measured_floors": [1, 1.5]}, ": measured_floors, entry 2 must be a whole number, not 1.5"),
     "floors out of order": (
         {"measured_floors": [2, 1]},
         ": measured_floors must be ascending, none twice; found 1 after 2",
     ),
-    "a floor twice": ({"measured_floors": [2, 2]}, ": measured_floors must be ascending, none twice; found 2 after 2"),
     "a floor beyond the frame": (
         {"measured_floors": [1, 3], "added_mass": [0, 1]},
         ": measured_floors names floor 3 of a frame of 2 stories; floors count from 1, the first above ground, to 2",
@@ -276,43 +221,20 @@ KEYS = {
         {"measured_floors": [1, 2, 3]},
         ": measured_floors has 3 entries, each row of mode_shapes has 2: give one entry a measured floor",
     ),
-    "one floor alone": ({"measured_floors": 2}, ": measured_floors must be a list of whole numbers, not 2"),
     "no floors": ({"measured_floors": []}, ": measured_floors must not be empty; leave the key out for its default"),
-    "mode 0": ({"modes": [0, 1]}, ": modes, entry 1 = 0 must lie between 1 and 2000"),
-    "modes out of order": ({"modes": [2, 1]}, ": modes must be ascending, none twice; found 1 after 2"),
     "a mode too many": ({"modes": [1, 2, 3]}, ": modes must have 2 entries, one a frequency, not 3"),
     "modes beyond the frame": (
         {"modes": [1, 3]},
         ": modes names mode 3 (where not given: 1 to 2, the number of frequencies), a frame of 2 stories has 2; leave "
         "out what is not a sway mode, or give the right number of stories",
     ),
-    "more modes than stories": (
-        {"frequencies": [2, 5, 7], "mode_shapes": [[1, 2], [2, 1], [1, 1]]},
-        ": modes names mode 3 (where not given: 1 to 3, the number of frequencies), a frame of 2 stories has 2; leave "
-        "out what is not a sway mode, or give the right number of stories",
-    ),
-    "modes as texts": ({"modes": ["first", "second"]}, ": modes, entry 1 must be a whole number, not 'first'"),
     "empty modes": ({"modes": []}, ": modes must not be empty; leave the key out for its default"),
     "negative added mass": ({"added_mass": [1.0, -1.0]}, ": added_mass, entry 2 = -1 must not be less than 0"),
-    "nan added mass": ({"added_mass": [1.0, np.nan]}, ": added_mass, entry 2 must be a finite number, not nan"),
-    "one added mass": ({"added_mass": 5.0}, ": added_mass must be a list of numbers, not 5.0"),
     "empty added mass": ({"added_mass": []}, ": added_mass must not be empty; leave the key out for its default"),
     "a text for mass_normalized": ({"mass_normalized": "yes"}, ": mass_normalized must be true or false, not 'yes'"),
-    "a number for mass_normalized": ({"mass_normalized": 1}, ": mass_normalized must be true or false, not 1"),
     "no frequency std": ({"frequency_std": 0.0}, ": frequency_std = 0 must be greater than 0"),
-    "a negative frequency std": (
-        {"frequency_std": [0.1, -0.1]},
-        ": frequency_std, entry 2 = -0.1 must be greater than 0",
-    ),
     "a frequency std too few": ({"frequency_std": [0.1]}, ": frequency_std must have 2 entries, one a mode, not 1"),
-    "a text for a std": ({"frequency_std": "1 %"}, ": frequency_std must be a number, not '1 %'"),
     "no shape std": ({"mode_shape_std": 0}, ": mode_shape_std = 0 must be greater than 0"),
-    "a negative shape std": ({"mode_shape_std": -0.1}, ": mode_shape_std = -0.1 must be greater than 0"),
-    "nan for a shape std": ({"mode_shape_std": np.nan}, ": mode_shape_std must be a finite number, not nan"),
-    "shape stds too many": (
-        {"mode_shape_std": [0.1, 0.1, 0.1]},
-        ": mode_shape_std must have 2 entries, one a mode, not 3",
-    ),
     "shape std rows too few": (
         {"mode_shape_std": [[0.1, 0.1]]},
         ": mode_shape_std must have 2 rows, one for each frequency, not 1: a row is a mode, not a floor",
@@ -325,17 +247,9 @@ KEYS = {
         {"mode_shape_std": [[0.1, 0.1], [0.1, 0]]},
         ": mode_shape_std, row 2, entry 2 = 0 must be greater than 0",
     ),
-    "half a table of stds": (
-        {"mode_shape_std": [0.1, [0.1, 0.1]]},
-        ": mode_shape_std, row 1 must be a list of numbers, not 0.1",
-    ),
     "unknown noise": (
         {"mode_shape_noise": "Additiv"},
         ": mode_shape_noise must be one of additive, multiplicative, not 'Additiv'; did you mean 'additive'?",
-    ),
-    "a number for the noise": (
-        {"mode_shape_noise": 3},
-        ": mode_shape_noise must be one of additive, multiplicative, not 3",
     ),
     "damping of 1": (
         {"damping_ratios": [0.01, 1.0]},
@@ -367,16 +281,6 @@ CONTRADICTIONS = {
     "heights against stories": (
         {"frame": {"stories": 2, "story_heights": [3.0]}},
         "frame: story_heights speaks of 1 stories, frame: stories of 2; they must agree",
-    ),
-    "masses against shapes": (
-        {"frame": {"floor_masses": [10.0, 10.0, 10.0]}},
-        'configuration "A": mode_shapes (no measured_floors given) speaks of 2 stories, frame: floor_masses of 3; '
-        "they must agree",
-    ),
-    "added mass against shapes": (
-        {"added_mass": [1.0, 1.0, 1.0]},
-        'configuration "A": mode_shapes (no measured_floors given) speaks of 2 stories, configuration "A": added_mass '
-        "of 3; they must agree",
     ),
     "two configurations of different width": (
         {"configurations": [{}, {"name": "B", "mode_shapes": [[1, 2, 3], [1, 2, -3]]}]},
@@ -433,8 +337,6 @@ PRIORS = {
     "no table": ("bounds", "a prior must be a table of keys and values, not 'bounds'"),
     "no kind": ({}, "the key 'kind' is missing; it is one of {kinds}"),
     "unknown kind": ({"kind": "bound"}, "kind must be one of {kinds}, not 'bound'; did you mean 'bounds'?"),
-    "nothing like a kind": ({"kind": "xyz"}, "kind must be one of {kinds}, not 'xyz'"),
-    "a list for a kind": ({"kind": ["bounds"]}, "kind must be one of {kinds}, not ['bounds']"),
     "unknown key": ({**BOUNDS, "lowr": 1}, "the bounds prior: unknown key 'lowr'; did you mean 'lower'?"),
     "another kind's key": (
         {**MONOTONE, "free_scale": True},
@@ -444,19 +346,10 @@ PRIORS = {
         {"kind": "value", "quantity": "floor_mass", "at": 1},
         "the value prior: the key 'value' is missing",
     ),
-    "missing quantity": ({"kind": "bounds", "lower": 1}, "the bounds prior: the key 'quantity' is missing"),
-    "missing direction": (
-        {"kind": "monotone", "quantity": "floor_mass"},
-        "the monotone prior: the key 'direction' is missing",
-    ),
     "wrong quantity": (
         {**BOUNDS, "quantity": "floor_masses"},
         "quantity of the bounds prior must be one of floor_mass, story_stiffness, story_damping, not 'floor_masses'; "
         "did you mean 'floor_mass'?",
-    ),
-    "no quantity": (
-        {**RATIO, "quantity": None},
-        "quantity of the ratio prior must be one of floor_mass, story_stiffness, story_damping, not None",
     ),
     "bounds without a bound": (
         {"kind": "bounds", "quantity": "floor_mass"},
@@ -468,43 +361,23 @@ PRIORS = {
     ),
     "a negative lower bound": ({**BOUNDS, "lower": -1}, "lower of the bounds prior = -1 must not be less than 0"),
     "an upper bound of zero": ({**BOUNDS, "upper": 0}, "upper of the bounds prior = 0 must be greater than 0"),
-    "an infinite upper bound": (
-        {**BOUNDS, "upper": np.inf},
-        "upper of the bounds prior must be a finite number, not inf",
-    ),
     "bounds too many": (
         {**BOUNDS, "upper": [9, 9, 9]},
         "upper of the bounds prior has 3 entries, the frame has 2 stories; give one number for all, or one a story",
     ),
-    "a single bound in a list": (
-        {**BOUNDS, "lower": [1]},
-        "lower of the bounds prior has 1 entry, the frame has 2 stories; give one number for all, or one a story",
-    ),
-    "empty bounds": ({**BOUNDS, "upper": []}, "upper of the bounds prior must not be empty"),
-    "a text for a bound": ({**BOUNDS, "upper": "9 kg"}, "upper of the bounds prior must be a number, not '9 kg'"),
     "ratio of floor 0": ({**RATIO, "of": 0}, "of of the ratio prior = 0 must lie between 1 and 2000"),
     "ratio to a floor beyond the frame": ({**RATIO, "to": 3}, "to of the ratio prior = 3 must lie between 1 and 2"),
     "ratio to itself": (
         {**RATIO, "to": 2},
         "the ratio prior compares floor_mass 2 with itself; 'of' and 'to' must differ",
     ),
-    "ratio of a text": ({**RATIO, "of": "roof"}, "of of the ratio prior must be a whole number, not 'roof'"),
-    "ratio of true": ({**RATIO, "of": True}, "of of the ratio prior must be a whole number, not True"),
     "a ratio of zero": ({**RATIO, "value": 0}, "value of the ratio prior = 0 must be greater than 0"),
-    "a ratio of nan": ({**RATIO, "value": np.nan}, "value of the ratio prior must be a finite number, not nan"),
     "a ratio's std of zero": ({**RATIO, "std": 0.0}, "std of the ratio prior = 0 must be greater than 0"),
     "a value beyond the frame": ({**VALUE, "at": 3}, "at of the value prior = 3 must lie between 1 and 2"),
-    "a value at half a floor": ({**VALUE, "at": 1.0}, "at of the value prior must be a whole number, not 1.0"),
     "a negative value": ({**VALUE, "value": -2e4}, "value of the value prior = -20000 must be greater than 0"),
-    "a list for a value": ({**VALUE, "value": [2e4]}, "value of the value prior must be a number, not [20000.0]"),
-    "a value's std below zero": ({**VALUE, "std": -0.1}, "std of the value prior = -0.1 must be greater than 0"),
     "design values too many": (
         {**NOMINAL, "values": [1, 2, 3]},
         "values of the nominal prior has 3 entries, the frame has 2 stories; give one a story",
-    ),
-    "one design value for all": (
-        {**NOMINAL, "values": 2e4},
-        "values of the nominal prior must be a list of numbers, not 20000.0",
     ),
     "a design value of zero": (
         {**NOMINAL, "values": [2e4, 0]},
@@ -514,7 +387,6 @@ PRIORS = {
         {**NOMINAL, "free_scale": "true"},
         "free_scale of the nominal prior must be true or false, not 'true'",
     ),
-    "a text for a std": ({**NOMINAL, "std": "10 %"}, "std of the nominal prior must be a number, not '10 %'"),
     "unknown direction": (
         {**MONOTONE, "direction": "decrease"},
         "direction of the monotone prior must be one of decreasing, increasing, not 'decrease'; "
@@ -546,18 +418,9 @@ mode_shapes = [[0.61071, 1.0], [-1.65840, 1.0]]
 
 FILES = {
     "empty": (b"", ": at least one [[configuration]] is needed: none was found"),
-    "a comment alone": (b"# nothing yet\n", ": at least one [[configuration]] is needed: none was found"),
     "not TOML": (
         b"total mass: 31.33\n",
         " is not valid TOML: Expected '=' after a key in a key/value pair (at line 1, column 7)",
-    ),
-    "a bracket left open": (
-        SOUND.replace("7.934]", "7.934").encode(),
-        " is not valid TOML: Unclosed array (at line 7, column 1)",
-    ),
-    "a key twice": (
-        SOUND.replace("total_mass", "total_mass = 1\ntotal_mass").encode(),
-        " is not valid TOML: Cannot overwrite a value (at line 3, column 19)",
     ),
     "a table twice": (
         b"[frame]\n[frame]\n",
@@ -566,10 +429,6 @@ FILES = {
     "a decimal comma": (
         SOUND.replace("31.33", "31,33").encode(),
         " is not valid TOML: Expected newline or end of document after a statement (at line 2, column 16)",
-    ),
-    "a comma separated table": (
-        b"f,phi1\n2.99,0.6\n",
-        " is not valid TOML: Expected '=' after a key in a key/value pair (at line 1, column 2)",
     ),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", " is not UTF-8 text (byte 0); is it a measurement file?"),
     "Latin-1": (b'[[configuration]]\nname = "Geb\xe4ude"\n', " is not UTF-8 text (byte 29); is it a measurement file?"),
@@ -582,26 +441,9 @@ FILES = {
         SOUND.replace("31.33", "1" + "0" * 400).encode(),
         f": frame: total_mass = 1{'0' * 27}...{'0' * 29} must be between 1e-30 and 1e+30; check its unit",
     ),
-    "a float beyond all floats": (
-        SOUND.replace("31.33", "1e999").encode(),
-        ": frame: total_mass must be a finite number, not inf",
-    ),
-    "nan for a mass": (SOUND.replace("31.33", "nan").encode(), ": frame: total_mass must be a finite number, not nan"),
-    "a date for a mass": (
-        SOUND.replace("31.33", "2020-01-02").encode(),
-        ": frame: total_mass must be a number, not datetime.date(2020, 1, 2)",
-    ),
     "a key below the wrong header": (
         (SOUND + "gravity = 9.81\n").encode(),
         ": configuration \"A\": unknown key 'gravity'; it belongs in [frame]",
-    ),
-    "single brackets": (
-        SOUND.replace("[[configuration]]", "[configuration]").encode(),
-        ": [configuration] must be a list of tables: write [[configuration]], in double brackets",
-    ),
-    "double brackets": (
-        SOUND.replace("[frame]", "[[frame]]").encode(),
-        ": [frame] must be one table, in single brackets, not a list: [{'total_mass': 31.33}]",
     ),
     "a wrong prior": (
         (SOUND + '[[prior]]\nkind = "value"\nquantity = "floor_mass"\nat = 3\nvalue = 9\n').encode(),

@@ -51,16 +51,8 @@ def test_one_story_height_is_every_storys():
     frame = experiment(frame={"total_mass": 30.0, "story_heights": 0.39}).frame
     assert_array_equal(frame.story_heights, [0.39, 0.39, 0.39])
     assert_allclose(frame.elevations, [0.39, 0.78, 1.17])
-
-
-def test_story_heights_from_the_lowest_up():
     frame = experiment(frame={"total_mass": 30.0, "story_heights": [4.0, 3.0, 2.0]}).frame
     assert_array_equal(frame.elevations, [4.0, 7.0, 9.0])
-
-
-def test_one_height_of_a_frame_whose_stories_are_not_yet_known_has_no_elevations():
-    assert Frame(story_heights=3.0).elevations is None
-    assert_array_equal(Frame(stories=2, story_heights=3.0).elevations, [3.0, 6.0])
 
 
 def test_known_floor_masses_give_the_total():
@@ -68,14 +60,6 @@ def test_known_floor_masses_give_the_total():
     assert_array_equal(frame.floor_masses, [12.0, 10.0, 8.0])
     assert frame.total_mass is None
     assert frame.known_total == 30.0
-
-
-def test_total_and_floor_masses_may_both_be_given_where_they_agree():
-    assert experiment(frame={"floor_masses": [12, 10, 8], "total_mass": 30}).frame.known_total == 30.0
-
-
-def test_gravity():
-    assert experiment(frame={"total_mass": 30.0, "gravity": 1.62}).frame.gravity == 1.62
 
 
 @pytest.mark.parametrize(
@@ -124,37 +108,6 @@ def test_configurations_without_a_name_are_numbered():
     ]
 
 
-def test_every_key_of_a_configuration():
-    found = only(
-        frame={"total_mass": 30.0, "stories": 4},
-        name="loaded",
-        added_mass=[0, 1, 2.5, 0],
-        measured_floors=[1, 3, 4],
-        modes=[1, 2, 4],
-        mass_normalized=True,
-        frequency_std=0.001,
-        mode_shape_std=0.02,
-        mode_shape_noise="multiplicative",
-        damping_ratios=[0.01, 0.0, 0.008],
-    )
-    assert found.name == "loaded"
-    assert_array_equal(found.frequencies, FREQUENCIES)
-    assert_array_equal(found.mode_shapes, SHAPES)
-    assert_array_equal(found.added_mass, [0, 1, 2.5, 0])
-    assert_array_equal(found.measured_floors, [1, 3, 4])
-    assert_array_equal(found.modes, [1, 2, 4])
-    assert found.mass_normalized is True
-    assert_array_equal(found.damping_ratios, [0.01, 0.0, 0.008])
-    assert found.noise_declared
-    assert not found.complete
-
-
-def test_fewer_modes_than_stories():
-    found = only(frequencies=[2.0, 5.0], mode_shapes=SHAPES[:2])
-    assert_array_equal(found.modes, [1, 2])
-    assert not found.complete
-
-
 def test_one_damping_ratio_is_every_modes():
     assert_array_equal(only(damping_ratios=0.02).damping_ratios, [0.02, 0.02, 0.02])
 
@@ -187,30 +140,13 @@ def test_mode_shape_std(std, meant):
     assert_array_equal(found.entry_std, meant, err_msg="every row of these shapes has a largest entry of 1")
 
 
-def test_one_std_an_entry_of_a_single_sensor():
-    found = only(
-        frame={"total_mass": 30.0, "stories": 3},
-        mode_shapes=[[1.0], [2.0], [4.0]],
-        measured_floors=[3],
-        mode_shape_std=[[0.1], [0.2], [0.3]],
-    )
-    assert_allclose(found.entry_std, [[0.1], [0.4], [1.2]])
-
-
-def test_additive_noise_is_of_the_modes_largest_entry():
-    found = only(mode_shapes=[[1.0, 2.0, -4.0], *SHAPES[1:]], mode_shape_std=0.02)
-    assert_allclose(found.entry_std[0], [0.08, 0.08, 0.08])
-
-
-def test_multiplicative_noise_is_of_the_entry_itself():
-    shapes = [[1.0, 2.0, -4.0], *SHAPES[1:]]
-    found = only(mode_shapes=shapes, mode_shape_std=0.02, mode_shape_noise="multiplicative")
-    assert_allclose(found.entry_std, 0.02 * np.abs(shapes))
-
-
-def test_multiplicative_noise_on_a_zero_keeps_a_finite_weight():
-    found = only(mode_shapes=[[0.0, 2.0, -4.0], *SHAPES[1:]], mode_shape_std=0.02, mode_shape_noise="multiplicative")
-    assert_allclose(found.entry_std[0, 0], 0.02 * 1e-3 * 4.0)
+@pytest.mark.parametrize(
+    ("kind", "meant"), [("additive", [0.08, 0.08, 0.08]), ("multiplicative", [0.02 * 1e-3 * 4.0, 0.04, 0.08])]
+)
+def test_noise_is_of_the_largest_entry_or_of_the_entry_itself(kind, meant):
+    """A zero keeps a finite weight."""
+    found = only(mode_shapes=[[0.0, 2.0, -4.0], *SHAPES[1:]], mode_shape_std=0.02, mode_shape_noise=kind)
+    assert_allclose(found.entry_std[0], meant)
 
 
 @pytest.mark.parametrize("kind", ["additive", "multiplicative"])
@@ -232,14 +168,6 @@ def test_a_row_of_nan_is_a_mode_of_known_frequency_alone():
     assert_array_equal(found.measured.any(axis=1), [True, True, False])
     assert len(found.frequencies) == 3
     assert np.isfinite(found.entry_std[:2]).all()
-
-
-def test_nan_in_a_file(tmp_path):
-    file = tmp_path / "one.toml"
-    file.write_text(
-        "[frame]\ntotal_mass = 1.0\n[[configuration]]\nfrequencies = [1.0, 2.0]\nmode_shapes = [[nan, 1.0], [1, -1]]\n"
-    )
-    assert_array_equal(load(file).configurations[0].measured, [[False, True], [True, True]])
 
 
 def test_two_modes_may_look_alike_where_floors_are_missing():
@@ -371,13 +299,6 @@ def test_to_dict_round_trip():
     np.testing.assert_equal(Experiment.from_dict(once).to_dict(), once)
 
 
-def test_round_trip_of_the_defaults():
-    once = experiment()
-    again = Experiment.from_dict(once.to_dict())
-    np.testing.assert_equal(again.to_dict(), once.to_dict())
-    assert not again.noise_declared
-
-
 def test_to_dict_is_plain():
     def plain(value):
         if isinstance(value, dict):
@@ -473,14 +394,9 @@ def test_the_classes_take_arrays():
     ("keys", "message"),
     [
         ({"frequencies": np.array([2.0, 5.0, np.nan])}, "frequencies, entry 3 must be a finite number, not nan"),
-        ({"frequencies": np.array([5.0, 2.0, 8.0])}, "frequencies must be ascending, each greater than the one before"),
         ({"frequencies": np.array(FREQUENCIES).astype(str)}, "frequencies, entry 1 must be a number, not '2.0'"),
-        ({"frequencies": np.array(2.0)}, "frequencies must be a list of numbers, not 2.0"),
-        ({"mode_shapes": np.array(SHAPES)[:2]}, "mode_shapes must have 3 rows, one for each frequency, not 2"),
         ({"mode_shapes": np.array(SHAPES) * (1 + 1j)}, "mode_shapes, row 1, entry 1 must be a number, not (0.4+0.4j)"),
         ({"modes": np.array([1.0, 2.0, 3.0])}, "modes, entry 1 must be a whole number, not 1.0"),
-        ({"added_mass": np.array([1.0, -1.0, 0.0])}, "added_mass, entry 2 = -1 must not be less than 0"),
-        ({"frequency_std": np.zeros(3)}, "frequency_std, entry 1 = 0 must be greater than 0"),
         ({"mode_shape_std": np.ones((3, 2))}, "mode_shape_std has 2 entries a row, mode_shapes has 3"),
         ({"mass_normalized": np.array([True])}, "mass_normalized must be true or false, not [True]"),
     ],

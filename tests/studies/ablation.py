@@ -30,19 +30,22 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "causes must have been made more probable": ("loop.posterior", {"RAISED": 1.0}),
     "equal probabilities go by their position": ("loop.posterior", {"AS_PROBABLE": 0.0}),
     "beam of six sets": ("loop.search", {"BEAM": 3}),
-    "sets far behind the best are expanded": ("loop.search", {"REACH": 8.0}),
+    "sets within a thousandth of the best are followed": ("loop.search", {"WITHIN": 4.0}),
     "two equal sets are both expanded": ("loop.search", {"TIE": 0.0}),
     "three effects are no simple explanation": ("loop.search", {"A_PILE": 99}),
-    "two weakest effects are taken out": ("loop.search", {"WEAKEST": 1}),
-    "single effects stand for a group": ("loop.search", {"STAND_FOR_A_GROUP": 1}),
-    "several causes stand for a group": ("loop.search", {"MOST_CAUSES": 1}),
     "at most 300 sets": ("loop.search", {"MOST_SETS": 100}),
-    "motions are followed after one step": ("loop.neighbors", {"NEAR_ENOUGH": np.inf}),
-    "fits from other frames": ("loop.neighbors", {"FROM_FRAMES": 0}),
-    "at most ten further effects": ("loop.neighbors", {"MOST_FURTHER": 5}),
-    "effects on accuracy": ("loop.neighbors", {"RESCALING": 0}),
+    "at most twelve starts of motions and frames": ("loop.search", {"MOST_STARTS": 4}),
+    "at most ten further effects": ("loop.search", {"MOST_FURTHER": 5}),
+    "effects on accuracy": ("loop.search", {"RESCALING": 0}),
+    "at most twelve effects in one sequence": ("loop.linear", {"MOST_TAKEN": 3}),
+    "first predictions with a wide prior": ("loop.linear", {"WIDE": 1.0}),
     "numberings are probed": ("loop.searches", {"PROBED": 1}),
+    "the best sets are tried with other numberings": ("loop.searches", {"CARRIED_OVER": 0}),
+    "numberings behind the best are searched": ("loop.searches", {"REACH": 7.0}),
     "numberings far behind are given up": ("loop.searches", {"FAR_BEHIND": np.inf}),
+    "pairs of changes at few floors": ("loop.searches", {"MOST_PAIRED": 0}),
+    "a second mode is no peak": ("fit.gaussian", {"SECOND_MODE": np.inf}),
+    "noise is widened": ("loop.close", {"MOST_WIDENINGS": 0}),
 }
 """Name of a rule, the module that holds it, and the neutral values of its constants."""
 
@@ -97,7 +100,7 @@ def neutralized(rule: str | None) -> Iterator[None]:
     changed = [
         (module, name, getattr(module, name))
         for path, module in list(sys.modules.items())
-        if path.startswith("cvxshear.loop")
+        if path.startswith(("cvxshear.loop", "cvxshear.fit"))
         for name in values
         if hasattr(module, name)
     ]

@@ -24,8 +24,7 @@ from tests.studies.backends import COLUMNS, answers, bounded, programs_of_exampl
 from tests.studies.timing import fastest, table
 from tests.test_house import sizes
 
-SLOW = ("los-alamos", "iasc-asce-x", "iasc-asce-y", "ucl-loosened-joints")
-"""Measured frames of many states, which a quick run leaves out."""
+SLOW = ("los-alamos", "iasc-asce-x", "iasc-asce-y", "ucl-loosened-joints")  # frames of many states
 
 
 def calibrated(quick, jobs):
@@ -75,14 +74,14 @@ def measured(quick, jobs):
 def frequency_errors(name):
     """Return the largest frequency error of a measured frame before and after the loop."""
     found = cvxshear.close_loop(name)
-    before, after = found.before.quality.max_frequency_error, found.after.quality.max_frequency_error
+    before, after = (fit.quality.max_frequency_error for fit in (found.before, found.after))
     return f"measured: {name}", f"{before:.3%} to {after:.3%}, {found.verdict}"
 
 
 def faulty_records(quick, jobs):
     """Count how faults of records are handled, and how often a sound channel is accused."""
-    seeds, faults = range(1 if quick else 12), ["sound", *record_faults.NAMED_BY]
-    cases = [(seed, record_faults.INPUTS[i % 4], fault) for seed in seeds for i, fault in enumerate(faults, seed)]
+    faults, inputs = ["sound", *record_faults.NAMED_BY], record_faults.INPUTS
+    cases = [(n, inputs[i % 4], fault) for n in range(1 if quick else 12) for i, fault in enumerate(faults, n)]
     found = each(judged_fault, cases, jobs=jobs)
     yield "record faults: named or refused", f"{found.count('named') + found.count('refused')} of {len(cases)}"
     yield "record faults: another channel accused", f"{found.count('accused')} of {len(cases)}"
@@ -110,8 +109,8 @@ def solved(quick, jobs):
 
 def timed(quick, jobs):
     """Return processor times relative to 60 symmetric eigenproblems of size 200."""
-    matrix = np.random.default_rng(0).standard_normal((200, 200))
-    unit, _ = fastest(lambda: [np.linalg.eigh(matrix + matrix.T) for _ in range(60)], 3, time.process_time)
+    matrices = np.random.default_rng(0).standard_normal((60, 200, 200))
+    unit, _ = fastest(lambda: np.linalg.eigh(matrices + matrices.swapaxes(1, 2)), 3, time.process_time)
     tall, models, motion = scaling.exact_experiment(100)[0], *reconstruction.setting(3, "soft", 0)[:2]
     runs = {
         "one-shot, 100 stories": lambda: cvxshear.identify(tall, "one-shot"),
@@ -132,7 +131,7 @@ PARTS = {
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="python -m tests.studies figures", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="by default all")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--json", type=Path, metavar="OUT")

@@ -9,8 +9,7 @@ from cvxshear.effects import compose
 from cvxshear.effects.state import State
 from cvxshear.loop import LoopResult
 from cvxshear.loop.next_test import NextTest
-from cvxshear.loop.residual import by_part
-from cvxshear.loop.results import AddedEffect, EffectSet
+from cvxshear.loop.results import AddedEffect, EffectSet, by_part
 from cvxshear.report.describe import (
     PAGE_COLUMNS,
     Block,

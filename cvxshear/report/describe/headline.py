@@ -5,10 +5,9 @@ from collections.abc import Iterator
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import LoopResult
-from cvxshear.loop.numbering import Changes
+from cvxshear.loop.hypotheses import Changes
 from cvxshear.loop.posterior import ADDED, MANY_CAUSES
-from cvxshear.loop.residual import by_part
-from cvxshear.loop.results import AddedEffect
+from cvxshear.loop.results import AddedEffect, by_part
 from cvxshear.loop.verdicts import VERDICTS, Verdict
 from cvxshear.report.describe import Section, table_of_rows
 from cvxshear.util import ranking

@@ -332,12 +332,42 @@ def _identification(result: Identification, units: Units = AUTOMATIC) -> Documen
     units = units_for(result.experiment, units)
     sections = [declared(result.experiment, units)]
     sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
+    if result.other_frames:
+        sections.append(_other_frames(result, units))
     if result.undetermined:
         open_ones = [Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
         sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
     predicted = [item for part in result.parts for item in part.predictions]
     data = frames_table(result), frequencies_table(result.experiment, predicted)
     return Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
+
+
+def _other_frames(result: Identification, units: Units) -> Section:
+    """Tabulate the other frames that fit the data, the most probable first."""
+    frames = result.other_frames
+    mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
+    factor, unit = units.of_stiffness(result.frame.story_stiffness.tolist())
+    warning = Sentence(
+        f"These data fit {counted(len(frames) + 1, 'frame')}; a standard deviation above describes the identified one "
+        "alone. Shapes at two floors or more, or a test with known added mass, tell them apart.",
+        "warning",
+    )
+    head = (f"floor masses, {mass_unit}", f"story stiffnesses, {unit}", "chi-square", "probability")
+    rows = (
+        (
+            _all(each.floor_mass, mass_factor),
+            _all(each.story_stiffness, factor),
+            significant(each.chi2, 3),
+            percent(each.probability),
+        )
+        for each in frames
+    )
+    found = table_of_rows("other-frames", "From the lowest floor or story up", head, rows, words=(0, 1))
+    return Section("other-frames", "Other frames that fit as well", (warning, found))
+
+
+def _all(values: Floats, factor: float) -> str:
+    return ", ".join(significant(float(value) / factor, 4) for value in values)
 
 
 @line.register

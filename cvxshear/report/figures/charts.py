@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from cvxshear.data import Deviation
 from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.loop import LoopResult
-from cvxshear.loop.residual import by_part
+from cvxshear.loop.results import by_part
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.planning.results import Plan, accuracy_curve
 from cvxshear.report.figures import style
