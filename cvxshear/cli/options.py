@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from cvxshear.cli.output import show, used
+from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import check_output, same_file
 
@@ -271,11 +272,9 @@ class FigureOutputs:
 
         figures = figures_of(result)
         if LIST in self.figure:
-            from cvxshear.report.terminal import plain_table
-
             title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
             rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
-            show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
+            show([terminal.plain_table(title, *head, words=(0, 1, 2), rows=rows)])
             raise typer.Exit
         return [_split(text, figures) for text in self.figure]
 

@@ -20,7 +20,9 @@ from cvxshear.cli.options import (
 )
 from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
+from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import Units
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -104,9 +106,7 @@ def plan(
     """
     from cvxshear.planning import Plan, measurement_of, write_template
     from cvxshear.planning import plan as run
-    from cvxshear.report import terminal
     from cvxshear.screening import in_json, refuse_mistakes
-    from cvxshear.util.quantities import Units
 
     files_of, display = outputs.prepared(Plan), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
@@ -175,7 +175,6 @@ def reproduce(
         Seed of the noise.
     """
     from cvxshear.paper import reproduce as run
-    from cvxshear.report import terminal
 
     with progress("reproducing the paper", quiet):
         result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
@@ -206,7 +205,6 @@ def noise(
         Processes; -1 takes every core.
     """
     from cvxshear.paper import NoiseStudy, noise_study, paper_setups, six_story_study
-    from cvxshear.report import terminal
 
     files_of = outputs.prepared(NoiseStudy)
     with progress("three stories", outputs.quiet) as advance:
@@ -252,7 +250,6 @@ def backends(
         deliver({"backends": [each.to_dict() for each in there]}, out, lambda: _listed(there))
         return
     from cvxshear import compare_backends, load
-    from cvxshear.report import terminal
 
     experiment = load(file)
     with progress("comparing backends", quiet):
@@ -263,10 +260,8 @@ def backends(
 
 def _listed(backends: Sequence[Solver]) -> Iterator[RenderableType]:
     """Tabulate the installed backends with the version of their solver, and the way to install the others."""
-    from cvxshear.report.terminal import plain_table
-
     there = [(x.name, x.package or "this library", x.version or "–", x.through or "–") for x in backends if x.installed]
-    yield plain_table("installed", "backend", "solver", "version", "called by", rows=there)
+    yield terminal.plain_table("installed", "backend", "solver", "version", "called by", rows=there)
     if missing := [(each.name, each.how_to_get) for each in backends if not each.installed]:
         yield ""
-        yield plain_table("not installed", "backend", "how to get it", words=(0, 1), rows=missing)
+        yield terminal.plain_table("not installed", "backend", "how to get it", words=(0, 1), rows=missing)
