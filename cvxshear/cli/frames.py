@@ -18,8 +18,8 @@ from cvxshear.cli.options import (
     BackendName,
     File,
     Files,
-    Outputs,
     ReportOut,
+    ResultOptions,
     SeriesOut,
     UnitsOption,
     Writer,
@@ -55,7 +55,7 @@ def identify(
     tolerance: float = 1e-6,
     units: UnitsOption = None,
     *,
-    outputs: Outputs,
+    outputs: ResultOptions,
 ) -> None:
     """Identify floor masses and story stiffnesses.
 
@@ -117,7 +117,7 @@ def loop(
     strict: bool = False,
     units: UnitsOption = None,
     *,
-    outputs: Outputs,
+    outputs: ResultOptions,
 ) -> None:
     """Find the physical effect that the shear model lacks, and report the error before and after.
 
@@ -318,7 +318,7 @@ def _write_page(path: str, result: RecordPrediction | Reconstruction) -> None:
     write_file(path, render_response(result, as_typed()))
 
 
-def predict(context: typer.Context, *, motion: Motion, export: list[str] | None = None, outputs: Outputs) -> None:
+def predict(context: typer.Context, *, motion: Motion, export: list[str] | None = None, outputs: ResultOptions) -> None:
     """Predict how every floor answers to a record, beside what was measured.
 
     Example: cvxshear predict frame.toml --record earthquake.toml
@@ -344,7 +344,7 @@ def predict(context: typer.Context, *, motion: Motion, export: list[str] | None 
 
 
 def reconstruct(
-    context: typer.Context, *, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: Outputs
+    context: typer.Context, *, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: ResultOptions
 ) -> None:
     """Find how every floor moved, from the floors that carry sensors: drifts, forces, and whether a story changed.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.options import LIST, File, JsonOut, Outputs, ReportOut, TomlOut, input_files, writes
+from cvxshear.cli.options import LIST, File, JsonOut, ReportOut, ResultOptions, TomlOut, input_files, writes
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
@@ -119,7 +119,7 @@ def modes(
     jobs: int = 1,
     report: ReportOut = None,
     *,
-    outputs: Outputs,
+    outputs: ResultOptions,
 ) -> None:
     """Identify natural frequencies, damping and mode shapes from records.
 

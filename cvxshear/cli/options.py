@@ -229,7 +229,7 @@ SeriesOut = Annotated[
 
 
 @dataclass(frozen=True)
-class FigureOutputs:
+class FigureOptions:
     """Options of commands that draw figures of their result."""
 
     figure: FiguresOut = None
@@ -280,7 +280,7 @@ class FigureOutputs:
 
 
 @dataclass(frozen=True)
-class Outputs(FigureOutputs):
+class ResultOptions(FigureOptions):
     """Options of commands that draw figures of their result and write its tables."""
 
     csv: CsvOut = None
