@@ -25,6 +25,7 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.other_frames import SAME_FRAME
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, Numbering, named_numberings, overlooked_in_all, overlooked_in_one
@@ -37,9 +38,6 @@ from cvxshear.util.typing import Floats
 PROBED = 4
 """Number of numberings, the best by their shear models, that are tried with effects before one is searched fully."""
 
-CARRIED_OVER = 3
-"""Number of best sets of the leading numbering that are tried with every other tried numbering."""
-
 REACH = 20.0
 """Largest log probability ratio between the best numbering and one that is searched to the end."""
 
@@ -47,9 +45,6 @@ FAR_BEHIND = 100.0
 """Largest log probability ratio between the best numbering and one that stays in the search, after the best one
 explains the data. Other numberings are compared by their shear models, because effects that both need gain the same in
 both. The given numbering is compared by its best set."""
-
-SAME_FRAME = 1e-3
-"""Largest relative difference of masses and stiffnesses between fits of the same frame. Fits converge more closely."""
 
 MOST_PAIRED = 10
 """Largest number of stories for which all pairs of changes of a state are tried: 180 fits per state."""
@@ -241,7 +236,7 @@ def _near(given: Search, others: Sequence[Search], leader: Search) -> list[Searc
         hopeless = not leader.best.improbable and search.base.score < leader.base.score - FAR_BEHIND
         if hopeless and search is not given:
             continue
-        search.visit(model.effects for model in leader.beam[:CARRIED_OVER])
+        search.visit([leader.best.effects])
         behind = best - search.best.score
         if behind <= REACH or (search is given and (behind <= FAR_BEHIND or leader.best.improbable)):
             search.run()

@@ -58,14 +58,6 @@ def loop(tables, total, prior=(), **frame_keys):
     return close_loop(Experiment.from_dict(declared | ({"prior": list(prior)} if prior else {})))
 
 
-def test_the_residual_of_student_s_t_is_its_density():
-    z = np.array([-8.0, -1.0, 0.0, 1e-9, 0.3, 2.0, 40.0])
-    r, slope = tailed(z, 4.0)
-    np.testing.assert_allclose(r**2, -2 * (stats.t(4).logpdf(z) - stats.t(4).logpdf(0.0)), atol=1e-12)
-    differences = (tailed(z + 1e-6, 4.0)[0] - tailed(z - 1e-6, 4.0)[0]) / 2e-6
-    np.testing.assert_allclose(slope, differences, rtol=1e-6)
-
-
 @pytest.mark.parametrize(("centre", "spread"), [(0.0, 50.0), (0.4, 0.1), (3.0, 0.5), (-0.2, 1.0)])
 def test_the_integral_over_a_parameter_is_that_of_likelihood_and_prior(centre, spread):
     """Compare with quadrature of a normal likelihood times Student's t about the mode used by Laplace's
