@@ -17,9 +17,8 @@ from cvxshear.fit.efficient import fitted_with
 from cvxshear.fit.gaussian import log_tailed_interval, tailed
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import Fitter, ModelClass
-from cvxshear.loop.hypotheses import Hypothesis, Numbering
+from cvxshear.loop.hypotheses import Hypothesis, Numbering, dual_frame
 from cvxshear.loop.search import named_entries
-from cvxshear.loop.searches import dual_frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from tests.fe.experiments import with_loose_joints, with_turning_joints
 from tests.fe.frame import Building, sway_modes
