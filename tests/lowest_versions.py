@@ -22,7 +22,7 @@ functions that the lowest versions call. They still work,
 and the warning does not concern users of this package, but the tests treat every warning as an error."""
 
 TESTS = (
-    "test_import.py", "backends/test_backends.py", "backends/test_certificates.py", "backends/test_compiled.py",
+    "test_import.py", "backends/test_backends.py", "backends/test_certificates.py",
     "programs/test_formulations.py", "fit/test_identify.py", "fit/test_efficient.py", "cli/test_cli.py",
     "util/test_writing.py", "test_lowest_versions.py", "io", "records/test_formats.py",
     "records/test_adapters.py", "planning/test_choice.py", "response/test_files.py",

@@ -232,10 +232,7 @@ class Backend(ABC):
             64 bits.
         """
         began = time.perf_counter()
-        problem = canonical(program)
-        if start is not None:
-            problem.refuse_start(start)
-        found = self.certified(Assembled(program), problem, start)
+        found = self.certified(Assembled(program), canonical(program), start)
         return dataclasses.replace(found, seconds=time.perf_counter() - began)
 
     def certified(self, program: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:

@@ -127,25 +127,22 @@ class Canonical:
             start = dataclasses.replace(start, w=start.w[inequalities])
         return dataclasses.replace(self, F=self.F[inequalities], f=self.f[inequalities], start=start)
 
-    def refuse_start(self, solution: Solution) -> None:
-        """Raise an error if a solution belongs to a program of another shape.
+    def starting_at(self, solution: Solution | None) -> Canonical:
+        """Take a solution of a program of the same shape as the start, or none.
 
         Raises
         ------
         InputError
+            If the solution belongs to a program of another shape.
         """
+        if solution is None:
+            return self
         y, w = solution.point.y, solution.point.w
         if (len(solution.x), len(y), len(w)) != (len(self.q), len(self._independent), len(self.f)):
             raise InputError(
                 f"start must be a solution of a program of {len(self.q)} unknowns, {len(self._independent)} equalities "
                 f"and {len(self.f)} inequalities, not of {len(solution.x)}, {len(y)} and {len(w)}"
             )
-
-    def starting_at(self, solution: Solution | None) -> Canonical:
-        """Take a solution of a program of the same shape as the start, or none."""
-        if solution is None:
-            return self
-        y, w = solution.point.y, solution.point.w
         y = y[self._independent] / (self._tau**2 * self._equality_scale)
         w = w / (self._tau**2 * self._inequality_scale)
         scaled = Answer(self.to_z(solution.x), y, w, solution.status, solution.iterations)

@@ -38,7 +38,13 @@ constraints hold to the last digits of their terms."""
 
 GRADED = 1e3
 """Largest ratio of the longest to the shortest row without sorting of rows and pivoting of columns. These keep the
-rounding of heavy rows out of light ones (Cox and Higham 1998)."""
+rounding of heavy rows out of light ones (Cox and Higham 1998). Without them, 12 of 274 answers to programs with units
+from 1e-9 to 1e9 are outside their bounds (`python -m tests.studies hard_programs 216 11`)."""
+
+ENTRYWISE = 100
+"""Largest number of unknowns with a bound entry by entry. For more, the Cauchy-Schwarz inequality gives a larger bound
+from lengths of rows, in four fifths of the time at 300 unknowns. With it for all, 33 of 273 answers to programs with
+soft priors of 1e-12 to 1e-4 are refused (the same study)."""
 
 EPSILON = float(np.finfo(float).eps)
 """Distance of 1 to the next floating-point number."""
@@ -145,8 +151,8 @@ def _doubted(program: Assembled, found: Minimizer, local: _Local, active: Bools)
 
     If an inequality is active but was assumed inactive, the minimizer moves by Z (Z'R'RZ)^-1 Z'a v / (a'Z ... Z'a),
     with v the violation that cannot be excluded; if one is inactive but was assumed active, by P t / |R P|^2, with -t
-    the
-    multiplier that cannot be excluded.
+    the multiplier that cannot be excluded. Without this, 36 of 537 answers to programs with degenerate constraints and
+    to the last step of an iteration are outside their bounds (`python -m tests.studies hard_programs 216 11`).
     """
     lengths, x = program.lengths, found.point.x
     errors, variances = found.errors * lengths, (found.deviations * lengths) ** 2
@@ -216,7 +222,10 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
     z = np.abs(program.lengths * x)
     terms = program.absolute_rows @ z + np.abs(program.s)
     f, g = _unit(n) * terms, _unit(r) * (program.absolute_rows.T @ np.abs(residual))
-    errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
+    if n <= ENTRYWISE:
+        errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
+    else:
+        errors = reach * (length(f) + reach @ g)
     particular, off = np.zeros((n, 0)), np.zeros(0)
     if len(basis.B):
         pseudoinverse = basis.onto(np.eye(len(basis.B)))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
+from cvxshear.data.pairing import frequency_residual
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
 
 
@@ -52,18 +52,9 @@ class Frequencies(Datum):
 
     def residual(self, model: Model) -> Residual:
         """Differences of logarithms over the standard deviation of the logarithm."""
-        weights, logs = self._declared
-        values = model.modes.eigenvalues[model.paired][self.used]
-        r = weights * (0.5 * np.log(values) - logs)
-        if not model.derivatives:
-            return Residual(r, np.zeros((0, 0)))
-        return Residual(r, (model.mode_derivatives[0][:, self.used] * (0.5 * weights / values)).T)
-
-    @cached_property
-    def _declared(self) -> tuple[Floats, Floats]:
-        """One over the standard deviations of the logarithms, and the logarithms of the measured omega."""
-        of_modes = self.tested.log_frequency_std[self.used], self.tested.frequencies[self.used]
-        return 1.0 / of_modes[0], np.log(2 * np.pi * of_modes[1])
+        logs, std = np.log(2 * np.pi * self.tested.frequencies[self.used]), self.tested.log_frequency_std[self.used]
+        slopes = model.mode_derivatives[0][:, self.used] if model.derivatives else None
+        return Residual(*frequency_residual(logs, model.modes.eigenvalues[model.paired][self.used], std, slopes))
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """model / measured - 1 of each frequency."""

@@ -1,8 +1,4 @@
-"""Which mode of the model a measured one is, and how a modelled shape is laid on a measured one.
-
-The scale c_j of a measured mode is free: at the c_j of least squares the residual of the shape is
-(1 - u u') W phi_measured with u = W phi / |W phi|.
-"""
+"""Which mode of the model a measured one is, and the residuals of frequencies and shapes with their derivatives."""
 
 from __future__ import annotations
 
@@ -47,6 +43,65 @@ def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats,
     length = np.sum(weighted**2, axis=1)
     safe = np.where(length > 0, length, 1.0)
     return np.sum(weighted * weights * measured, axis=1) / safe, weighted / np.sqrt(safe)[:, None]
+
+
+def frequency_residual(
+    log_omega: Floats, eigenvalues: Floats, std: Floats, slopes: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """Return differences of log frequencies in standard deviations, with derivatives dlambda / (2 lambda).
+
+    Parameters
+    ----------
+    log_omega : ndarray, shape (m,)
+        Logarithms of the measured circular frequencies.
+    eigenvalues : ndarray, shape (m,)
+        Squares of the modelled circular frequencies.
+    std : ndarray, shape (m,)
+    slopes : ndarray, shape (p, m), optional
+        Derivatives of the eigenvalues.
+
+    Returns
+    -------
+    r : ndarray, shape (m,)
+    J : ndarray, shape (m, p)
+        Of no rows without `slopes`.
+    """
+    r = (0.5 * np.log(eigenvalues) - log_omega) / std
+    return r, np.zeros((0, 0)) if slopes is None else (slopes * (0.5 / (std * eigenvalues))).T
+
+
+def shape_residual(
+    measured: Floats, modelled: Floats, weights: Floats, slopes: Floats | None = None, *, mass_normalized: bool = False
+) -> tuple[Floats, Floats]:
+    """Return W (c phi - measured phi) with the scale c of each mode eliminated, and its derivatives.
+
+    At the c of least squares the sum of squares is stationary in c, so its gradient is J' r with
+    J = (1 - u u') W c dphi (Golub and Pereyra 1973, in Kaufman's form). Mass-normalized shapes have only a free sign.
+
+    Parameters
+    ----------
+    measured, modelled, weights : ndarray, shape (m, n)
+        Weight zero for missing entries.
+    slopes : ndarray, shape (p, m, n), optional
+        Derivatives of the modelled shapes.
+    mass_normalized : bool, optional
+
+    Returns
+    -------
+    r : ndarray, shape (m n,)
+    J : ndarray, shape (m n, p)
+        Of no rows without `slopes`.
+    """
+    scale, unit = scaled(measured, modelled, weights)
+    if mass_normalized:
+        scale = np.where(scale < 0, -1.0, 1.0)
+    r = (weights * (scale[:, None] * modelled - measured)).ravel()
+    if slopes is None:
+        return r, np.zeros((0, 0))
+    J = weights * scale[:, None] * slopes
+    if not mass_normalized:
+        J = J - unit * np.sum(unit * J, axis=2, keepdims=True)
+    return r, J.reshape(len(J), r.size).T
 
 
 def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:

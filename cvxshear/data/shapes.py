@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
-from cvxshear.data.pairing import scaled
+from cvxshear.data.pairing import scaled, shape_residual
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util import ranking
@@ -17,10 +17,7 @@ from cvxshear.util.typing import Bools, Floats, Ints
 
 @dataclass(frozen=True, eq=False)
 class Shapes(Datum):
-    """r = W (c phi - measured phi), the scale c of each mode eliminated.
-
-    At the c of least squares the sum of squares is stationary in c, so its gradient is J' r with
-    J = (1 - u u') W c dphi (Golub and Pereyra 1973, in Kaufman's form). Mass-normalized shapes have only a free sign.
+    """r = W (c phi - measured phi), the scale c of each mode eliminated (`data/pairing.py:shape_residual`).
 
     Parameters
     ----------
@@ -56,22 +53,17 @@ class Shapes(Datum):
         entries = np.sum(self.tested.measured[self.used], axis=1)
         return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
 
-    def _laid_on(self, model: Model, factor: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats | None]:
-        """Weights, the modelled shapes as the sensors would show them, their scales, and u where the scale is free."""
-        configuration = self.tested
-        floors = configuration.measured_floors - 1
-        weights = configuration.entry_weights[self.used]
-        if factor is not None:
-            weights = weights / factor.reshape(weights.shape)
-        psi = model.state.observation.shown(model.modes.shapes[model.paired[self.used]], floors)
-        scale, unit = scaled(configuration.known_shapes[self.used], psi, weights)
-        if configuration.mass_normalized:
-            return weights, psi, np.where(scale < 0, -1.0, 1.0), None
-        return weights, psi, scale, unit
+    def _seen(self, model: Model) -> Floats:
+        """Return the modelled shapes as sensors would show them, on the model's scale, shape (used, n)."""
+        shapes = model.modes.shapes[model.paired[self.used]]
+        return model.state.observation.shown(shapes, self.tested.measured_floors - 1)
 
     def seen(self, model: Model) -> Floats:
         """Return the modelled shapes as sensors would show them, on the measured ones' scale, shape (used, n)."""
-        _, psi, scale, _ = self._laid_on(model)
+        psi = self._seen(model)
+        scale, _ = scaled(self.tested.known_shapes[self.used], psi, self.tested.entry_weights[self.used])
+        if self.tested.mass_normalized:
+            scale = np.where(scale < 0, -1.0, 1.0)
         return scale[:, None] * psi
 
     @property
@@ -90,18 +82,15 @@ class Shapes(Datum):
 
     def widened_residual(self, model: Model, factor: Floats) -> Residual:
         """Compute `residual`, the scale of each shape following the entries that have become less certain."""
-        weights, psi, scale, unit = self._laid_on(model, factor)
-        r = (weights * (scale[:, None] * psi - self.tested.known_shapes[self.used])).ravel()
-        if not model.derivatives:
-            return Residual(r, np.zeros((0, 0)))
-        floors = self.tested.measured_floors - 1
-        shapes = model.modes.shapes[model.paired[self.used]]
-        slopes = model.mode_derivatives[1][:, self.used]
-        dpsi = model.state.observation.shown_slopes(shapes, slopes, model.by, floors)
-        J = weights * scale[:, None] * dpsi
-        if unit is not None:
-            J = J - unit * np.sum(unit * J, axis=2, keepdims=True)
-        return Residual(r, J.reshape(len(J), r.size).T)
+        measured = self.tested.known_shapes[self.used]
+        weights = self.tested.entry_weights[self.used] / factor.reshape(measured.shape)
+        slopes = None
+        if model.derivatives:
+            shapes, moved = model.modes.shapes[model.paired[self.used]], model.mode_derivatives[1][:, self.used]
+            floors = self.tested.measured_floors - 1
+            slopes = model.state.observation.shown_slopes(shapes, moved, model.by, floors)
+        normalized = self.tested.mass_normalized
+        return Residual(*shape_residual(measured, self._seen(model), weights, slopes, mass_normalized=normalized))
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """MAC of each shape known at two floors, and the largest difference of an entry of each."""

@@ -29,7 +29,7 @@ from cvxshear.util.typing import Floats
 MOST_STORIES_WITH_OTHERS = 5
 """Tallest frame whose other frames are looked for: each further story multiplies their number."""
 
-SAME_FRAME = 5e-3
+INSEPARABLE = 5e-3
 """Largest relative difference of masses and stiffnesses of one frame. Frequencies of the usual accuracy, 0.2 %, tell
 stiffnesses no closer than this."""
 
@@ -74,7 +74,7 @@ def other_frames(estimate: Estimate, backend: Backend, unsuccessful: int = 20) -
             fit = gauss_newton(estimate.misfit, start, domain, backend)
         except CvxshearError:
             continue
-        if fit.at.chi2 < worst and all(_apart(fit, other) > SAME_FRAME for other in found):
+        if fit.at.chi2 < worst and all(_apart(fit, other) > INSEPARABLE for other in found):
             found.append(fit)
             since = 0
     n = estimate.experiment.stories

@@ -23,7 +23,7 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.other_frames import SAME_FRAME
+from cvxshear.fit.other_frames import INSEPARABLE
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.comparison import verdict_fits
 from cvxshear.loop.conclusion import conclude
@@ -411,4 +411,4 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
     assert a.estimate is not None, "the shear model was fitted"
     assert b.estimate is not None, "the shear model was fitted"
-    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=SAME_FRAME))
+    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=INSEPARABLE))

@@ -114,10 +114,9 @@ class MeasuredModes:
         return replace(self, part=CLOSER)
 
     def certainty_lost(self) -> float:
-        """Twice the logarithm of all standard deviations together, over that with the smaller tolerances."""
-        near, known = self.closer, self.known
-        shapes = np.log(near.weights[known] / self.weights[known])
-        return 2 * float(np.sum(shapes) + np.sum(np.log(self.frequency_std / near.frequency_std)))
+        """Twice the sum of log standard deviations; those of shapes are relative to the smaller tolerances."""
+        shapes = np.log(self.closer.weights[self.known] / self.weights[self.known])
+        return 2 * float(np.sum(shapes) + np.sum(np.log(self.frequency_std)))
 
 
 def fewest_changes(signs: Floats) -> int:

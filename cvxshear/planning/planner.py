@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.planning.chances import chances, target
 from cvxshear.planning.choice import SOLVERS, Choice, choose
 from cvxshear.planning.criteria import Criterion, criterion_named
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.expected_noise import Declared, TestNoise
-from cvxshear.planning.results import ExpectedAccuracy, Plan
-from cvxshear.planning.tested_model import AveragedModel, Test, TestModel
+from cvxshear.planning.results import ExpectedAccuracy, Plan, chances
+from cvxshear.planning.tested_model import AveragedModel, Test, TestModel, target
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.io.toml import write_measurement
+from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.planning.chances import Chance
 from cvxshear.planning.choice import choose
 from cvxshear.planning.criteria import CRITERIA, criterion_named
 from cvxshear.planning.design import MeasuredFrequency
-from cvxshear.planning.tested_model import AveragedModel, TestModel
-from cvxshear.util.quantities import listed
+from cvxshear.planning.tested_model import AveragedModel, Target, TestModel
+from cvxshear.util.odds import weigh
+from cvxshear.util.quantities import SURE, listed
 from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
@@ -27,6 +30,110 @@ MISFIT = 0.02
 
 MOST_POINTS = 10
 """Largest number of points in the curve of accuracy."""
+
+SUFFICES = 0.9
+"""Least probability of the right verdict of a sufficient test: nine tests in ten."""
+
+NONE = "none of them"
+"""Label of the possibility without any effect."""
+
+
+@dataclass(frozen=True)
+class Chance(InJson):
+    """Chance of the right verdict for one possibility.
+
+    Parameters
+    ----------
+    label : str
+        The effect at its place, or "none of them".
+    size : float or None
+        Expected size of the effect.
+    unit : str or None
+        Unit of the size.
+    distance : float or None
+        Distance from no effect, in standard deviations, with the frame's parameters unknown.
+    nearest : str or None
+        The possibility that is hardest to distinguish from this one.
+    nearest_distance : float or None
+        Distance from the nearest possibility, in standard deviations, for any size of the other effect.
+    probability : float
+        Probability of the right verdict if this possibility is true.
+    """
+
+    label: str
+    size: float | None
+    unit: str | None
+    distance: float | None
+    nearest: str | None
+    nearest_distance: float | None
+    probability: float
+
+    json_keys = (
+        "effect=label size unit standard_deviations=distance nearest "
+        "nearest_standard_deviations=nearest_distance probability"
+    )
+
+    @property
+    def suffices(self) -> bool:
+        """Whether these tests are sufficient for this possibility."""
+        return self.probability >= SUFFICES
+
+
+def chances(targets: Sequence[Target], information: Floats) -> tuple[Chance, ...]:
+    """Compute the chance of the right verdict for each possibility: no effect, or one of the effects.
+
+    In a linear model with Gaussian noise, the data determine the effects by y = G x + e. Here x are the effects' values
+    relative to their expected sizes, G is the information about the effects with the frame's masses and stiffnesses
+    marginalized, and cov(e) = G. The evidence of each single effect and even prior odds give the probability of each
+    effect. If an effect is present, the verdict is right if this effect is certain. If no effect is present, the
+    verdict is right if all effects stay below the limit for adding an effect.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    information : ndarray, shape (q, e, e)
+        G for each frame that the design values allow; distances and probabilities are averages over these frames.
+    """
+    right = np.mean([_right(targets, G) for G in information], axis=0)
+    own = np.mean(np.sqrt(np.diagonal(information, axis1=1, axis2=2)), axis=0)
+    pairs = np.mean([_distances(targets, G) for G in information], axis=0)
+    least = int(np.argmin(own))
+    result = [Chance(NONE, None, None, None, targets[least].placed.label, float(own[least]), float(right[0]))]
+    for i, each in enumerate(targets):
+        near = [(float(own[i]), NONE)]
+        near += [(float(pairs[i, j]), other.placed.label) for j, other in enumerate(targets) if j != i]
+        distance, nearest = min(near)
+        result.append(
+            Chance(each.placed.label, each.size, each.unit, float(own[i]), nearest, distance, float(right[i + 1]))
+        )
+    return tuple(result)
+
+
+def _distances(targets: Sequence[Target], G: Floats) -> Floats:
+    """Compute the distance of each effect (row) from the nearest value of each other effect, shape (e, e).
+
+    Distances are in standard deviations. Only physically possible values count.
+    """
+    own = np.diag(G)
+    allowed = np.array([[G[i, j] * other.side >= 0 for j, other in enumerate(targets)] for i in range(len(targets))])
+    return np.asarray(np.sqrt(np.maximum(own[:, None] - np.where(allowed, G**2 / own[None, :], 0.0), 0.0)))
+
+
+def _right(targets: Sequence[Target], G: Floats, draws: int = 20_000, seed: int = 2014) -> list[float]:
+    """Compute the probability of the right verdict without any effect, and with each effect.
+
+    It is the share of simulated outcomes; the standard error of 90 % is 0.2 %. A fixed seed makes plans repeatable.
+    """
+    noise = np.random.default_rng(seed).standard_normal((draws, len(targets))) @ np.linalg.cholesky(G).T
+    result = []
+    for truth in range(len(targets) + 1):
+        y = noise if truth == 0 else noise + G[:, truth - 1]
+        found = [log_evidence_of_one(float(G[i, i]), y[:, i], t.mean, t.std, t.side) for i, t in enumerate(targets)]
+        evidence = np.stack([np.zeros(draws), *found], axis=1)
+        likely = weigh(evidence)
+        right = likely[:, truth] >= SURE if truth else likely[:, 1:].max(axis=1) < ADDED
+        result.append(float(np.mean(right)))
+    return result
 
 
 @dataclass(frozen=True, eq=False)

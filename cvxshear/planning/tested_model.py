@@ -9,14 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects import LocatedEffect
+from cvxshear.effects import LocatedEffect, Place, Scale, named
 from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
 from cvxshear.fit.gaussian import separation
-from cvxshear.planning.chances import Target
+from cvxshear.measurement.experiment import Frame
 from cvxshear.planning.criteria import Candidates, candidates, free_changes
 from cvxshear.planning.design import UNKNOWN_STD, Design
 from cvxshear.planning.expected_noise import TestNoise
+from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
+from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
 FIRM = 0.1
@@ -39,6 +41,102 @@ PAIRS_SEED = 2024
 UNKNOWN_STDS = 10.0
 """Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
 single sensor, finite standard deviations to compare."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """An effect with one parameter at a place, and its assumed size.
+
+    Parameters
+    ----------
+    placed : LocatedEffect
+    size : float
+        Assumed distance of the parameter from its null value, in the parameter's unit.
+    unit : str
+    """
+
+    placed: LocatedEffect
+    size: float
+    unit: str = ""
+
+    @property
+    def null(self) -> float:
+        """Value without an effect."""
+        return self.placed.effect.parameters[0].null
+
+    @property
+    def mean(self) -> float:
+        """Expected value of a present effect, in sizes: 1 if physics confines the value to an interval without 0."""
+        return 1.0 if self._confined else 0.0
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the value of a present effect, in sizes."""
+        item = self.placed.effect.parameters[0]
+        return (item.upper - item.lower) / np.sqrt(12) / self.size if self._confined else 1.0
+
+    @property
+    def side(self) -> int:
+        """1 or -1 if physics allows only values above or only values below the null value; else 0."""
+        item = self.placed.effect.parameters[0]
+        return 0 if self._confined else int(item.lower == item.null) - int(item.upper == item.null)
+
+    @property
+    def _confined(self) -> bool:
+        item = self.placed.effect.parameters[0]
+        return bool(np.isfinite(item.upper - item.lower)) and not item.lower <= item.null <= item.upper
+
+
+def target(text: str, frame: Frame, scale: Scale) -> Target:
+    """Parse an effect from "NAME" or "NAME@PLACE", optionally followed by "=SIZE".
+
+    Parameters
+    ----------
+    text : str
+        PLACE is a floor or a story, SIZE a change of the effect's parameter in its unit.
+    frame : Frame
+        Frame with its number of stories.
+    scale : Scale
+        Scale of the frame, for the expected sizes of effects.
+
+    Raises
+    ------
+    InputError
+        If the effect is unknown, has another kind of place, needs undeclared data, or has no expected size.
+    """
+    head, _, size = text.partition("=")
+    name, _, where = head.strip().partition("@")
+    (effect,) = named([name.strip()])
+    if "state" in effect.sits_at or len(effect.parameters) != 1:
+        raise InputError(
+            f"effect {effect.name} sits in a single state of the frame, and no plan is made for it; plan for effects "
+            "that are there in every test, such as gravity or joint_rotation"
+        )
+    if "heights" in effect.needs and frame.story_heights is None:
+        raise InputError(f"effect {effect.name} needs frame: story_heights, which is not declared")
+    place = _place(effect.name, effect.sits_at, effect.lowest_floor, where.strip(), frame.stories)
+    item = effect.parameters[0]
+    expected = float(effect.expected_sizes(scale)[0])
+    usual = expected if np.isfinite(expected) else abs(item.start - item.null)
+    try:
+        value = float(size) if size else usual
+    except ValueError:
+        raise InputError(f"the size in {text!r} must be a number, not {size!r}") from None
+    unit = item.unit if frame.story_heights is not None else item.unit_in_stories or item.unit
+    return Target(LocatedEffect(effect, place), checks.number(value, f"size of {head.strip()}", above=0.0), unit)
+
+
+def _place(name: str, sits_at: tuple[str, ...], lowest: int, where: str, stories: int) -> Place:
+    """Parse the place after the @."""
+    if not sits_at:
+        if where:
+            raise InputError(f"effect {name} has no place of its own; write {name} alone, not {name}@{where}")
+        return Place()
+    kind = sits_at[0]
+    if not where.isdigit():
+        raise InputError(f"effect {name} sits at a {kind}; write which, such as {name}@{max(lowest, 2)}")
+    number = checks.whole(int(where), f"{kind} of effect {name}", least=lowest if kind == "floor" else 1, most=stories)
+    return Place(floor=number) if kind == "floor" else Place(story=number)
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,6 +157,10 @@ def feasible(parts: Sequence[NamedConstraints], size: int) -> bool:
     """Return whether some vector satisfies every statement."""
     together = constrained(LeastSquares(np.zeros((0, size)), np.zeros(0)), parts, np.zeros(size))
     (G, h), (A, b) = _scaled(*together.inequalities), _scaled(*together.equalities)
+    # The shortest vector with the equalities often satisfies the inequalities, too; a linear program takes far longer.
+    shortest = np.linalg.lstsq(A, b, rcond=None)[0]
+    if np.all(G @ shortest <= h) and np.allclose(A @ shortest, b, rtol=REMAINDER_ROUNDING, atol=0.0):
+        return True
     scale = max(1e-300, float(np.max(np.abs(np.concatenate([h, b])), initial=0.0)))
     stated: dict[str, Any] = {"A_ub": G, "b_ub": h / scale} if len(G) else {}
     stated |= {"A_eq": A, "b_eq": b / scale} if len(A) else {}

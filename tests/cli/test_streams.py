@@ -14,13 +14,9 @@ import time
 import warnings
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cvxshear.cli import main
-from cvxshear.fit.identification import identify
-from cvxshear.io.toml import load
-from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import InputError, LostProcessError, printable
 from cvxshear.util.parallel import each
 from tests.fuzz import files
@@ -41,46 +37,10 @@ def test_what_would_steer_a_terminal_stands_as_its_escape():
 def named(tmp_path):
     """Return a measurement whose configuration and file have the worst possible name."""
     text = files.measurement().decode().replace('name = "', f"name = {json.dumps(NAME)} # ", 1)
-    assert load_text(tmp_path, text).configurations[0].name == NAME
     path = os.fsencode(tmp_path) + b"/evil\x1b[31m[bold]\xff.toml"
     with open(path, "w", encoding="utf-8") as file:
         file.write(text)
     return os.fsdecode(path)
-
-
-def load_text(folder, text):
-    (folder / "plain.toml").write_text(text, encoding="utf-8")
-    return load(folder / "plain.toml")
-
-
-@pytest.mark.parametrize("command", [["identify"], ["loop", "--effects", "ground_spring,story_change"]])
-def test_a_name_reaches_the_terminal_as_text(command, named, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main([command[0], named, *command[1:]])
-    shown = capsys.readouterr()
-    assert stopped.value.code == 0, shown.err
-    assert SHOWN in shown.out
-    assert r"evil\x1b[31m[bold]" in shown.out
-    assert not any(not each.isprintable() for each in shown.out.replace("\n", ""))
-
-
-def test_a_name_reaches_a_figure_and_json_as_it_is(named, tmp_path, capsys):
-    drawn, said = tmp_path / "a.svg", tmp_path / "a.json"
-    with pytest.raises(SystemExit) as stopped:
-        main(["loop", named, "--effects", "ground_spring", "--figure", str(drawn), "--json", str(said)])
-    assert stopped.value.code == 0, capsys.readouterr().err
-    assert drawn.read_text(encoding="utf-8").startswith("<?xml")
-    assert json.loads(said.read_text(encoding="utf-8"))["predictions"][0]["configuration"] == NAME
-
-
-def test_a_name_in_a_complaint_is_text(tmp_path, capsys):
-    path = tmp_path / "x.toml"
-    path.write_text(f"[[configuration]]\nname = {json.dumps(NAME)}\nfrequencies = [1]\nmode_shapes = [[0]]\n")
-    with pytest.raises(SystemExit):
-        main(["identify", str(path)])
-    shown = capsys.readouterr().err
-    assert SHOWN in shown
-    assert shown.count("\n") == 1
 
 
 def test_a_terminal_without_the_letters(named):
@@ -255,18 +215,6 @@ def test_who_stops_hears_nothing_of_what_was_under_way():
             each(_half, range(40), jobs=2, progress=stop)
         gc.collect()
     assert [str(warning.message) for warning in said] == []
-
-
-def test_berman_refuses_modes_that_hardly_differ():
-    table = {
-        "frame": {"total_mass": 30.0},
-        "configuration": [{"frequencies": [2.0, 5.0], "mode_shapes": [[0.6, 1.0], [0.6 + 1e-5, 1.0]]}],
-    }
-    with pytest.raises(InputError, match="method berman needs modes that differ from each other"):
-        identify(Experiment.from_dict(table), "berman")
-    table["configuration"][0]["mode_shapes"] = [[0.61, 1.0], [-1.65, 1.0]]
-    found = identify(Experiment.from_dict(table), "berman")
-    assert np.all(found.frame.floor_mass > 0)
 
 
 def test_nothing_is_said_of_a_reader_that_has_gone():

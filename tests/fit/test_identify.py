@@ -170,6 +170,18 @@ def test_berman_makes_the_modes_orthonormal():
     np.testing.assert_allclose(P.T @ M @ P, np.eye(3), atol=1e-10)
 
 
+def test_berman_refuses_modes_that_hardly_differ():
+    table = {
+        "frame": {"total_mass": 30.0},
+        "configuration": [{"frequencies": [2.0, 5.0], "mode_shapes": [[0.6, 1.0], [0.6 + 1e-5, 1.0]]}],
+    }
+    with pytest.raises(InputError, match="method berman needs modes that differ from each other"):
+        identify(table, "berman")
+    table["configuration"][0]["mode_shapes"] = [[0.61, 1.0], [-1.65, 1.0]]
+    found = identify(table, "berman")
+    assert np.all(found.frame.floor_mass > 0)
+
+
 @pytest.mark.parametrize("method", ["two-stage", "one-shot", "efficient"])
 @pytest.mark.parametrize("backend", ["clarabel", "quadprog", "osqp"])
 def test_bounds_hold_and_change_a_noisy_answer(method, backend):

@@ -22,7 +22,7 @@ import pytest
 from cvxshear import compare_backends
 from cvxshear.io.toml import load
 from cvxshear.records import identify_modes
-from cvxshear.screening.screen import mistakes
+from cvxshear.screening.mistakes import mistakes
 from cvxshear.util.writing import cell_text
 from tests.io.campaign import write_records
 

@@ -8,7 +8,8 @@ from scipy.integrate import quad
 from cvxshear.effects import Gravity, GroundSpring, JointRotation, LocatedEffect, Place, Scale, SensorGain
 from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.measurement.experiment import Frame
-from cvxshear.planning.chances import NONE, Target, chances, target
+from cvxshear.planning.results import NONE, chances
+from cvxshear.planning.tested_model import Target, target
 from cvxshear.util.errors import InputError
 
 ROTATION = Target(LocatedEffect(JointRotation()), 0.05)

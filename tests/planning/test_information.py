@@ -5,10 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cvxshear.planning.chances import target
 from cvxshear.planning.criteria import candidates
 from cvxshear.planning.design import Design
-from cvxshear.planning.tested_model import UNKNOWN_STDS
+from cvxshear.planning.tested_model import UNKNOWN_STDS, target
 from cvxshear.util.errors import InputError
 from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
 

@@ -1,12 +1,13 @@
 """If a declared value makes a unit doubtful, the check warns and does not refuse."""
 
+import re
+
 import numpy as np
 import pytest
 
 from cvxshear import Experiment
 from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.screening import screen
-from cvxshear.screening.declared_masses import implied_total
 from tests.frames import configuration, experiment
 
 MASS = np.array([2.1e5, 2.0e5, 1.9e5])
@@ -55,13 +56,12 @@ def test_a_total_that_nobody_gave_is_no_mass_in_tons():
 
 
 def test_masses_are_told_in_the_units_of_the_library():
-    declared = Experiment.from_dict(building(frame={"total_mass": 2.0e6}))
-    total, std = implied_total(declared)
-    (item,) = screen(declared)
-    assert item.found.startswith(
-        f"the added masses changed the frequencies as they would those of a frame of {total / 1e3:.0f} t "
-        f"(give or take {100 * std:.0f} %), and 2000 t are declared"
-    )
+    (item,) = screen(Experiment.from_dict(building(frame={"total_mass": 2.0e6})))
+    total, std = re.match(
+        r"the added masses changed .* a frame of ([0-9.]+) t \(give or take ([0-9]+) %\), and 2000 t are", item.found
+    ).groups()
+    assert float(total) == pytest.approx(MASS.sum() / 1e3, rel=1e-2)
+    assert 0 < float(std) < 30
     alone = building(frame={"total_mass": 52178.9 * 3, "story_heights": 0.3})
     alone["configuration"].pop()
     assert [item.found for item in screen(Experiment.from_dict(alone))] == [
@@ -127,12 +127,6 @@ def test_rad_per_second_are_told_from_a_buildings_height():
     assert told(experiment(mass, stiffness, table, frame={"total_mass": 3e6, "story_heights": 3.5})) == [
         "angular_frequency"
     ]
-
-
-def test_the_total_implied_by_added_masses_is_the_frames():
-    total, std = implied_total(Experiment.from_dict(building()))
-    assert total == pytest.approx(MASS.sum(), rel=1e-3)
-    assert 0 < std < 0.3
 
 
 @pytest.mark.parametrize(

@@ -352,12 +352,17 @@ def _other_frames(result: Identification, units: Units) -> Section:
         "alone. Shapes at two floors or more, or a test with known added mass, tell them apart.",
         "warning",
     )
-    found = table("other-frames", "from the lowest floor or story up", {
-        f"floor masses, {mass_unit}": [_all(each.floor_mass, mass_factor) for each in frames],
-        f"story stiffnesses, {unit}": [_all(each.story_stiffness, factor) for each in frames],
-        "chi-square": [significant(each.chi2, 3) for each in frames],
-        "probability": [percent(each.probability) for each in frames],
-    })  # fmt: skip
+    head = (f"floor masses, {mass_unit}", f"story stiffnesses, {unit}", "chi-square", "probability")
+    rows = (
+        (
+            _all(each.floor_mass, mass_factor),
+            _all(each.story_stiffness, factor),
+            significant(each.chi2, 3),
+            percent(each.probability),
+        )
+        for each in frames
+    )
+    found = table_of_rows("other-frames", "From the lowest floor or story up", head, rows, words=(0, 1))
     return Section("other-frames", "Other frames that fit as well", (warning, found))
 
 

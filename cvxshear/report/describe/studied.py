@@ -14,9 +14,8 @@ from cvxshear.paper import tables as printed
 from cvxshear.paper.reproduction import Reproduction
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
-from cvxshear.planning.chances import SUFFICES
 from cvxshear.planning.design import UNKNOWN_STD
-from cvxshear.planning.results import ExpectedAccuracy, Plan
+from cvxshear.planning.results import SUFFICES, ExpectedAccuracy, Plan
 from cvxshear.report.describe import (
     Block,
     Document,
