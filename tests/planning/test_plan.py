@@ -330,7 +330,10 @@ def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan
     std = []
     for name, line in (("exact", ""), ("vague", "total_mass_std = 0.1")):
         (tmp_path / f"{name}.toml").write_text(declared.format(line))
-        found = plan(tmp_path / f"{name}.toml", sensors=3, fresh=fresh).to_dict()
+        planned = plan(tmp_path / f"{name}.toml", sensors=3, fresh=fresh)
+        assert planned.rests_on_total == (name == "vague")
+        assert ("weigh the frame" in str(planned)) == (name == "vague")
+        found = planned.to_dict()
         std.append(np.array(found["std"]["floor_mass"]) / found["frame"]["floor_mass"])
     np.testing.assert_allclose(std[1], np.hypot(std[0], 0.1), rtol=0.02)
 
