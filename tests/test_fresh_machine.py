@@ -5,6 +5,7 @@ import os
 import pickle
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 import cvxshear
 from cvxshear.effects import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.composition import compose
+from cvxshear.fit.results import Identification
 from cvxshear.records import from_arrays
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from tests.frames import configuration, experiment
@@ -64,6 +66,12 @@ def test_the_callers_floating_point_traps_are_not_the_librarys():
     assert found.verdict == expected.verdict
     np.testing.assert_array_equal(found.frame.floor_mass, expected.frame.floor_mass)
     assert solution.x.sum() == pytest.approx(31.33)
+
+
+def test_a_type_checker_sees_a_frame_that_is_never_none():
+    for name in ("frame", "fit"):
+        hint = typing.get_type_hints(getattr(Identification, name).fget)["return"]
+        assert isinstance(hint, type)
 
 
 def run(*words, **environment):

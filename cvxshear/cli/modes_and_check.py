@@ -111,10 +111,8 @@ def modes(
     output: TomlOut = None,
     uff: Annotated[str | None, writes("--uff", metavar="UFF", endings=(".uff", ".unv", ".u55"))] = None,
     method: str | None = None,
-    second: str | None = None,
     count: int | None = None,
     pick: str | None = None,
-    correct_clocks: bool = False,
     accept_swapped: bool = False,
     jobs: int = 1,
     report: ReportOut = None,
@@ -136,15 +134,11 @@ def modes(
     uff
         Write the modes as a universal file here.
     method
-        era, okid, subspace or ssi; what suits the record where none is named.
-    second
-        Second opinion: the name of another method.
+        era, subspace or ssi; what suits the record where none is named.
     count
         How many modes; as many as stories where not given.
     pick : 3.68,11.1,...
         Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.
-    correct_clocks
-        Take clock offsets between the channels out.
     accept_swapped
         Go on where two channels look swapped.
     jobs
@@ -163,9 +157,7 @@ def modes(
     options = {
         "functions": bool(outputs.figure) or report is not None,
         "method": method,
-        "second": second,
         "count": count,
-        "correct_clocks": correct_clocks,
         "accept_swapped": accept_swapped,
         "pick": None if pick == LIST else numbers(pick, "--pick"),
     }
@@ -230,15 +222,13 @@ def measured(
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Render the identified modes of each record for a terminal, and the findings about the records."""
-    from cvxshear.io.modes import UNKNOWN_SCALE, cables_of
+    from cvxshear.io.modes import UNKNOWN_SCALE
     from cvxshear.records.result import scale_unknown
     from cvxshear.report import terminal
 
     for test in tests:
         yield from terminal.shown(test.modes)
         yield ""
-    for finding in cables_of(tests):
-        yield f"{finding.kind}: {finding.message}"
     said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
     if tests and scale_unknown(tests) and not said:
         yield f"scale: {UNKNOWN_SCALE}"

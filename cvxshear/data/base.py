@@ -290,7 +290,7 @@ class Deviation(InJson):
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
 
 
-_kinds: dict[str, type[Datum]] = {}
+REGISTERED: dict[str, type[Datum]] = {}
 """Every kind of data by the name of its class, the built-in ones first."""
 
 
@@ -308,19 +308,19 @@ def register(kind: type[Datum]) -> None:
         raise InputError(f"{kind.__name__}.noise is {noise!r}: declare a NoiseKind")
     if noise.figures and kind.errors is Datum.errors:
         raise InputError(f"{kind.__name__}: its noise has figures, so errors() must return {noise.figures[0].errors!r}")
-    for other in _kinds.values():
+    for other in REGISTERED.values():
         if other.__name__ != kind.__name__ and other.noise.name == noise.name and other.noise != noise:
             raise InputError(f"{kind.__name__}.noise: the name {noise.name!r} is that of the noise of {other.__name__}")
-    _kinds[kind.__name__] = kind
+    REGISTERED[kind.__name__] = kind
 
 
 def noise_kinds() -> dict[str, NoiseKind]:
     """List the noise of every kind of data, by its name."""
-    return {kind.noise.name: kind.noise for kind in _kinds.values()}
+    return {kind.noise.name: kind.noise for kind in REGISTERED.values()}
 
 
 def data_of(experiment: Experiment) -> list[Datum]:
     """All data of an experiment, kind by kind within each tested state."""
-    found = [datum for kind in _kinds.values() for datum in kind.of(experiment)]
+    found = [datum for kind in REGISTERED.values() for datum in kind.of(experiment)]
     order = {id(tested): place for place, tested in enumerate(experiment.tested)}
     return sorted(found, key=lambda datum: order[id(datum.tested)])

@@ -303,27 +303,38 @@ def _floors(experiment: Experiment) -> list[int]:
     return sorted({int(floor) for each in experiment.configurations for floor in each.measured_floors})
 
 
-class OtherShapes(OpenClass):
+class _LessAccurate(OpenClass):
+    """Data that are less accurate than declared, all by one unknown factor; the only unknown is the common size.
+
+    An error of every datum, normal about zero with one common size s in declared standard deviations, equals a standard
+    deviation larger by sqrt(1 + s^2).
+    """
+
+    stage = "shape"
+    probability = 0.01
+    rescales = True
+    usual = 1.0
+
+    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
+        return []
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        # The effect changes the weight of the data, not their values.
+        return state
+
+
+class OtherShapes(_LessAccurate):
     """Errors beyond the standard deviation in all shape entries, of one state, of one floor, or of all tests.
 
-    An error of every entry, normal about zero with one common size s in declared standard deviations, equals a standard
-    deviation larger by sqrt(1 + s^2). So this factor is the only unknown of the class; log s is normal about 0 with a
-    standard deviation of 1.5.
+    log s is normal about 0 with a standard deviation of 1.5.
     """
 
     name = "other_shapes"
     summary = "The shapes of one state, or at one floor, are less accurate than their standard deviation says."
     formula = "standard deviation of the shape entries of one state, of one floor or of all times an unknown factor"
     source = "a sensor on a soft bracket or that came loose, a clock, a mode that was not separated"
-    stage = "shape"
-    probability = 0.01
-    rescales = True
-    usual = 1.0
     sits_at = ("floor", "state")
     holds_in_words = "that the shapes are as accurate as their standard deviations"
-
-    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        return []
 
     def lacks(self, experiment: Experiment) -> str:
         return "" if self.places(experiment) else "shapes of a declared accuracy, or of several states"
@@ -345,20 +356,16 @@ class OtherShapes(OpenClass):
         here = declared and noise == "mode_shape" and place.state in (None, tested.state)
         return (floors == place.floor) & here if place.floor is not None else np.full(len(floors), here)
 
-    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # The effect changes the weight of the shapes, not their values.
-        return state
-
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         whose = f"the shapes at floor {place.floor}" if place.floor is not None else "the shapes"
         where = f'{whose} of "{place.state}"' if place.state is not None else whose
         return f"{where} are less accurate than their standard deviation says, in no way that the catalogue holds"
 
 
-class OtherFrequencies(OpenClass):
+class OtherFrequencies(_LessAccurate):
     """Errors beyond the standard deviation in all frequencies.
 
-    As `OtherShapes`; log s is normal about 0 with a standard deviation of 2. The formal deviations of a curve fit or of
+    log s is normal about 0 with a standard deviation of 2. The formal deviations of a curve fit or of
     one record do not include the differences between tests, and may be ten to a hundred times too small.
 
     Considered if the declared deviations are below the default, `DEFAULT_FREQUENCY_STD`, and shapes were measured too.
@@ -369,15 +376,8 @@ class OtherFrequencies(OpenClass):
     summary = "The frequencies are less accurate than their standard deviations say, all by one factor."
     formula = "standard deviation of all frequencies times an unknown factor"
     source = "formal deviations of a curve fit or of one record, rounded digits, days that differ"
-    stage = "shape"
-    probability = 0.01
-    rescales = True
-    usual = 1.0
     size_width = 2.0
     holds_in_words = "that the frequencies are as accurate as their standard deviations"
-
-    def entries(self, experiment: Experiment) -> Sequence[Parameter]:
-        return []
 
     def lacks(self, experiment: Experiment) -> str:
         tests = experiment.configurations
@@ -389,10 +389,6 @@ class OtherFrequencies(OpenClass):
     def rescaled(self, tested: Tested, noise: str, floors: Ints, place: Place) -> Bools:
         declared = isinstance(tested, Configuration) and tested.frequency_std is not None
         return np.full(len(floors), declared and noise == "frequency")
-
-    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # The effect changes the weight of the frequencies, not their values.
-        return state
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return "the frequencies are less accurate than their standard deviations say"

@@ -132,7 +132,18 @@ class ForceScale(Effect):
         return f"the forces of the static tests are {off_by(values[0], std[0], 'larger', 'smaller')} than declared"
 
 
-class WrongPrior(Effect):
+class _Statement(Effect):
+    """A declared statement that does not hold; the effect changes the statement at its place, not the frame."""
+
+    source = "design values and judgement that do not hold for the frame as built"
+    stage = "story"
+    parameters: tuple[Parameter, ...] = ()
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        return state
+
+
+class WrongPrior(_Statement):
     """Every residual of one soft prior, or of a total mass with a standard deviation, has its own error.
 
     These errors, in standard deviations of the statement, are normal about zero with one common size. This equals a
@@ -145,13 +156,10 @@ class WrongPrior(Effect):
     name = "wrong_prior"
     summary = "A statement that was declared with a standard deviation is wrong by several times that."
     formula = "residual of the prior - e, e normal about 0 with a standard deviation of about 5"
-    source = "design values and judgement that do not hold for the frame as built"
-    stage = "story"
     common_size = True
     usual = 5.0
     size_width = 1.0
     probability = 0.03
-    parameters: tuple[Parameter, ...] = ()
 
     def places(self, experiment: Experiment) -> list[Place]:
         return [Place(prior=words) for words, rows in experiment.soft_statements if rows]
@@ -163,16 +171,12 @@ class WrongPrior(Effect):
         rows = dict(experiment.soft_statements)[str(place.prior)]
         return self.having(Parameter(f"e{i}" if rows > 1 else "e", "") for i in range(1, rows + 1))
 
-    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # The effect changes the prior that its place names, not the frame.
-        return state
-
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         largest = float(np.max(np.abs(values)))
         return f'the statement "{place.prior}" is wrong by {largest:.1f} of its standard deviations'
 
 
-class WrongExactPrior(Effect):
+class WrongExactPrior(_Statement):
     """A x = b + e in place of A x = b: a statement declared as exact does not hold.
 
     Each row is scaled to a largest coefficient of 1, so e is the error of a floor mass or a story stiffness.
@@ -184,13 +188,10 @@ class WrongExactPrior(Effect):
     name = "wrong_exact_prior"
     summary = "A statement that was declared as exact, such as two floors alike, does not hold."
     formula = "A x = b + e for the rows of the statement"
-    source = "design values and judgement that do not hold for the frame as built"
-    stage = "story"
     usual = 0.1
     probability = 0.02
     releases = ("prior",)
     granted = 'that "{prior}" holds, as declared'
-    parameters: tuple[Parameter, ...] = ()
 
     def places(self, experiment: Experiment) -> list[Place]:
         stated = experiment.stated
@@ -221,10 +222,6 @@ class WrongExactPrior(Effect):
         wide[:, at : at + n] = A
         wide[:, 2 * n :] = -np.eye(len(b))
         return Constraints(A=wide, b=b)
-
-    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        # The effect changes the statement that its place names, not the frame.
-        return state
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         at = ranking.first_largest(np.abs(values))

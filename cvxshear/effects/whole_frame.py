@@ -219,7 +219,25 @@ def cantilever(heights: tuple[float, ...]) -> Floats:
     return 0.5 * (stiffness + stiffness.T)
 
 
-class GroundSpring(Effect):
+class _Tie(Effect):
+    """K + s d d', d = e_to - e_floor: a linear spring between two levels, in all states or in one."""
+
+    stage = "spring"
+    parameters = (Parameter("s", "N/m", lower=0.0),)
+    usual_in = "story_stiffness"
+
+    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
+        floor = place.floor_index + 1
+        ends = (0, floor) if place.to is None else (floor, place.to)
+        return state.plus_stiffness(values, unit_springs([ends], len(state.floor_mass)), own)
+
+    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
+        factor, unit = scaled([float(values[0])], units[0])
+        where = f"floor {place.floor} to the ground" if place.to is None else f"floors {place.floor} and {place.to}"
+        return f"a spring of {with_std(values[0], std[0], unit, factor)} ties {where}{place.in_state}"
+
+
+class GroundSpring(_Tie):
     """K + s e e' at one floor above the first; at the first floor the spring would equal story 1's own stiffness.
 
     Expected size: a tenth of the mean story stiffness. Cables, rods of shakers and touching neighbours are far softer
@@ -234,11 +252,9 @@ class GroundSpring(Effect):
     )
     formula = "K + s e_j e_j'"
     source = "linear spring from floor j to the ground"
-    stage = "spring"
-    parameters = (Parameter("s", "N/m", lower=0.0),)
     probability = 0.05
     companion = "attached_mass"
-    usual, usual_in = 0.1, "story_stiffness"
+    usual = 0.1
     sits_at = ("floor",)
     lowest_floor = 2
 
@@ -249,16 +265,8 @@ class GroundSpring(Effect):
             for floor in range(self.lowest_floor, experiment.stories + 1)
         ]
 
-    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        return state.plus_stiffness(values, unit_springs([(0, place.floor_index + 1)], len(state.floor_mass)), own)
 
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        factor, unit = scaled([float(values[0])], units[0])
-        size = with_std(values[0], std[0], unit, factor)
-        return f"a spring of {size} ties floor {place.floor} to the ground{place.in_state}"
-
-
-class Spring(Effect):
+class Spring(_Tie):
     """K + s d d', d = e_to - e_floor, between two floors at least two levels apart.
 
     Between neighbors the spring would equal a story's own stiffness; a spring to the ground is ground_spring.
@@ -274,11 +282,9 @@ class Spring(Effect):
     )
     formula = "K + s d d',  d = e_to - e_floor"
     source = "linear spring between two floors"
-    stage = "spring"
-    parameters = (Parameter("s", "N/m", lower=0.0),)
     sits_at = ("floor", "to")
     probability = 0.03
-    usual, usual_in = 0.2, "story_stiffness"
+    usual = 0.2
 
     def places(self, experiment: Experiment) -> list[Place]:
         n = experiment.stories
@@ -291,17 +297,6 @@ class Spring(Effect):
 
     def lacks(self, experiment: Experiment) -> str:
         return "" if experiment.stories > 2 else "three stories"
-
-    def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        assert place.to is not None
-        return state.plus_stiffness(
-            values, unit_springs([(place.floor_index + 1, place.to)], len(state.floor_mass)), own
-        )
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        factor, unit = scaled([float(values[0])], units[0])
-        size = with_std(values[0], std[0], unit, factor)
-        return f"a spring of {size} ties floors {place.floor} and {place.to}{place.in_state}"
 
 
 def _in_all_or_since(experiment: Experiment) -> list[str | None]:

@@ -12,7 +12,6 @@ from cvxshear.io.formats import named_after
 from cvxshear.io.record_file import read_record
 from cvxshear.io.toml import files_of, is_record_file, load, write_measurement
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.records.diagnostics import cables_changed
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.record import Finding
 from cvxshear.records.result import IdentifiedRecord, ModalResult, merged, scale_unknown
@@ -180,13 +179,7 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
         modes = test.modes
         comments.append(f"Modes of {modes.name} by {modes.method}; standard deviations: {modes.uncertainty}")
         comments.extend(f"{modes.name}: {finding.kind}: {finding.message}" for finding in modes.findings)
-    comments.extend(f"{finding.kind}: {finding.message}" for finding in cables_of(tests))
     write_measurement(path, declared, comments)
-
-
-def cables_of(tests: Sequence[IdentifiedRecord]) -> list[Finding]:
-    """Warn of changes between each record and the first that a cable explains."""
-    return [finding for test in tests[1:] for finding in cables_changed(tests[0].modes, test.modes)]
 
 
 def _by_number(path: str) -> list[tuple[int, str]]:

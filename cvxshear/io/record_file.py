@@ -30,9 +30,8 @@ from cvxshear.io.record_tables import (
 )
 from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.findings import finding
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
+from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord, finding
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats

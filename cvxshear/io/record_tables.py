@@ -13,9 +13,8 @@ from cvxshear.io.columns import Columns
 from cvxshear.io.formats import refuse_data
 from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, sound_pieces
+from cvxshear.records.data_frames import FEWEST_SAMPLES, TIME_NAMES, TIME_UNITS, sampling_rate_of, sound_pieces
 from cvxshear.records.record import RECORDED_QUANTITIES, Channel
-from cvxshear.records.stamps import TIME_UNITS, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import CHANNEL_UNITS, counted

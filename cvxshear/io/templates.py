@@ -21,7 +21,7 @@ from cvxshear.io.columns import Columns
 from cvxshear.io.csv import preamble_of
 from cvxshear.io.formats import LIMIT, format_of, named_after, read_columns, read_modes_of
 from cvxshear.io.record_file import FREQUENCY_NAMES
-from cvxshear.records.stamps import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
+from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, printable

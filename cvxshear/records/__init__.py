@@ -1,7 +1,6 @@
 """From records to modes: records, modal identification, and mistakes in records."""
 
-from cvxshear.records.adapters import from_arrays, from_pyoma, from_sdypy
-from cvxshear.records.agreement import second_opinion
+from cvxshear.records.adapters import from_arrays, from_pyoma, from_sdypy, second_opinion
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.record import Channel, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.records.result import IdentifiedRecord, ModalResult, merged

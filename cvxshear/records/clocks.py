@@ -1,264 +1,454 @@
-"""Clocks of the channels: late by a constant, or by more and more.
+"""Clocks that are late or drift, and channels without motion: each channel's phases against all the others'.
 
-A clock that is late by tau turns each component of angular frequency w by -w tau. Between two
-channels of a lightly damped frame the phase is otherwise nearly nought or half a turn, at the modes and in the band
-between them: over the whole band the delay is the one straight line through the origin that leaves no more than that,
-and the modes' own phases make it finer (`records.clock_offsets`). A damper turns single modes, not the band.
+A clock that is late by t turns each component of angular frequency w by -w t. Between two channels of a lightly damped
+frame the phase is otherwise nearly 0 or 180 degrees, at the modes and in the band between them. So the squared
+cross-spectra of a channel with all others have phases near 2 w t: a straight line over frequency, which in a clock that
+drifts grows steeper with time. A channel without motion has no line at all. Each of these is a hypothesis with a
+likelihood and a prior. A fault that is sure is corrected, the surest first, before the rest is judged again.
+
+The phases of the modes tell a delay of less than half a sample more exactly (`offsets`). A damper turns single modes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
+from scipy import special
 
-from cvxshear.records.segments import Segments
+from cvxshear.records.prepare import in_step, only, struck
+from cvxshear.records.record import Finding, TimeRecord, finding
+from cvxshear.util import ranking
+from cvxshear.util.decorators import cached_property
+from cvxshear.util.odds import weigh
+from cvxshear.util.quantities import SURE, significant
 from cvxshear.util.typing import Complexes, Floats, Ints
 
+FAULTY = 0.02
+"""Probability beforehand that a clock is late, that it drifts, and that a channel carries no motion: one in fifty."""
 LONGEST_DELAY = 2.6
-"""Longest delay, s, that is looked for: two seconds, which loggers started by hand are apart, and room beyond."""
+"""Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. All are as probable."""
+SHORTEST_DELAY = 0.5
+"""Samples; the phases of the modes determine shorter delays more exactly."""
 FASTEST_DRIFT = 1e-3
 """s a second; crystals differ by a tenth of that at most."""
+STEADY = 0.02
+"""Samples by which the delay of a sound clock may seem to change, as modes ring with other weights."""
+PHASES = 50
+"""Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
+lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure."""
+LIVE, MOTIONLESS = 0.5, 0.3
+"""Standard deviations of the log odds of a channel's agreement with the others: of a live one about the usual agreement
+of the record, of one without motion about what chance makes."""
+SEGMENT = 20.0
+"""s; long beside the longest delay, short enough that a record has many."""
+GROUPS = 12
+"""Parts of a record in which the delay is estimated by itself."""
 DELAY_BANDS = 8
-"""Parts of the band, of equal weight, that must agree in a delay."""
-NO_PHASE = 3.0
-"""Degrees; a phase of a band that a delay leaves and that noise may have made; twice that in a part of a record."""
-WELL_TURNED = 30.0
-"""Degrees; a third of what chance leaves at most in a band that a long delay turns several times."""
-NEARLY_TURNED = 0.75
-"""Fraction of a right angle. Bands that a delay turns more are not compared with their phases without the delay."""
-HEARD = 0.25
-"""Fraction of the largest agreement of lines in a band; other bands have little motion in common."""
-MOST_BANDS = 0.75
-"""Share of the bands whose phases a delay must make smaller; resonances turn the others."""
-TRUSTED_DRIFT = 4.0
-"""Standard deviations of a drift, or else the delay is looked for without one."""
-FINER = 4
-"""Steps of the search in the time that a quarter of a sample makes."""
-NO_DRIFT = 0.97
-"""A clock has no drift if the agreement without a drift reaches this fraction of the agreement with it."""
-STEADY = 0.01
-"""Samples that the delay of a sound clock may seem to change by, as modes ring with other weights."""
-AS_GOOD = 0.97
-"""Fraction of the largest agreement: take the smallest delay that reaches it, not a sidelobe of a few modes."""
+"""Parts of the spectrum, of equal weight, in each of which the delay is estimated by itself."""
+NOISE_FLOOR = 10.0
+"""Times the tenth of a channel's lines that hold least: below it a line counts little."""
+BETWEEN_RESONANCES = 0.03
+"""Of the highest line: below it lines of a decay count little. There the tails of several modes overlap, with phases
+that change from release to release; counted in full, drifts erred by twice their standard deviations."""
+MAINS = (50.0, 60.0)
+"""Mains frequencies, Hz; their lines, harmonics up to the third and aliases are not used."""
 
 
-@dataclass(frozen=True)
-class BandClock:
-    """How late one channel's clock is against another's.
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Spectra of a record in overlapping segments.
 
     Parameters
     ----------
-    middle : float
-        The delay at the mean time of the data, s.
-    std : float
-        Of that.
-    agreement : float
-        1 where the delay makes all lines agree in phase, 0 where the channels have nothing in common.
+    spectra : array of complex, shape (segments, lines, clocks)
+        The channels, then the input where there is one.
+    weights : array, shape (segments, lines, clocks)
+        Between 0 and 1: the part of a line above the possible noise.
+    times : array, shape (segments,)
+        Middle of each, s.
+    groups : list of array of int
+        The segments of each part of the record in which delays are estimated by themselves.
+    hit : array of int, shape (groups,)
+        The floor that a hammer hit in each; 0 for other records.
+    length : int
+        Samples.
+    rate : float
+        Hz.
+    """
+
+    spectra: Complexes
+    weights: Floats
+    times: Floats
+    groups: list[Ints]
+    hit: Ints
+    length: int
+    rate: float
+
+    @staticmethod
+    def of(record: TimeRecord) -> Segments:
+        """Cut a record into segments and transform them."""
+        rate = record.sampling_rate
+        length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
+        blows = struck(record)
+        window = _window(length, decaying=blows or record.input == "free_decay")
+        spectra, times, driven, started = [], [], [], 0
+        for run in record.runs:
+            both = [run.responses] if run.excitation is None else [run.responses, run.excitation[:, None]]
+            values = np.column_stack(both)
+            values = values - np.median(values, axis=0)
+            for start in range(0, run.samples - length + 1, length // 2):
+                spectra.append(np.fft.rfft(values[start : start + length] * window, axis=0))
+                times.append((started + start + length / 2) / rate)
+                driven.append(run.floor if blows else 0)
+            started += run.samples
+        found = np.array(spectra)
+        power = np.abs(found) ** 2
+        floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
+        mains = mains_lines(length, rate)
+        if record.input == "free_decay":
+            loudest = np.delete(power.mean(axis=0), mains, axis=0).max(axis=0)
+            floor = np.maximum(floor, BETWEEN_RESONANCES * loudest)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            weights = np.nan_to_num(power / (power + floor)) ** 2
+        weights[:, mains] = 0.0
+        weights[:, :2] = 0.0
+        # With dampers a frame answers to a blow at another floor with other phases.
+        by_floor = [np.flatnonzero(np.array(driven) == floor) for floor in np.unique(driven)]
+        counts = [min(max(1, round(GROUPS * len(each) / len(times))), len(each)) for each in by_floor]
+        groups = [part for each, count in zip(by_floor, counts, strict=True) for part in np.array_split(each, count)]
+        hit = np.array([driven[group[0]] for group in groups])
+        return Segments(found, weights, np.array(times), groups, hit, length, rate)
+
+    @property
+    def omega(self) -> Floats:
+        """Angular frequency of each line, rad/s."""
+        return 2 * np.pi * np.arange(self.spectra.shape[1]) * self.rate / self.length
+
+    def earlier(self, clock: int, seconds: float, slope: float) -> Segments:
+        """Correct a clock that is late by `seconds` at the start of the record, and by `slope` more in each second."""
+        spectra = self.spectra.copy()
+        spectra[:, :, clock] *= np.exp(1j * np.outer(seconds + slope * self.times, self.omega))
+        return replace(self, spectra=spectra)
+
+    def against(self, clock: int, others: list[int]) -> Phases:
+        """Compare a clock with others."""
+        pairs, weights = [], np.zeros(self.spectra.shape[:2])
+        for other in others:
+            cross = self.spectra[:, :, clock] * np.conj(self.spectra[:, :, other])
+            size, weight = np.abs(cross), self.weights[:, :, clock] * self.weights[:, :, other]
+            # Squared, the phasors of 0 and of 180 degrees are the same.
+            square = weight * np.divide(cross, size, out=np.zeros_like(cross), where=size > 0) ** 2
+            pairs.append([square[group].sum(axis=0) for group in self.groups])
+            weights += weight
+        by_group = np.array([weights[group].sum() for group in self.groups])
+        times = np.array([self.times[group].mean() for group in self.groups])
+        many = weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300)
+        chance = 1.0 / np.sqrt(2.0 * max(many, 1.0))
+        return Phases(np.array(pairs), by_group, times, chance, self)
+
+
+@dataclass(frozen=True, eq=False)
+class Phases:
+    """The squared phasors of a clock against others.
+
+    Parameters
+    ----------
+    pairs : array of complex, shape (others, groups, lines)
+    weights : array, shape (groups,)
+    times : array, shape (groups,)
+        s.
     chance : float
-        Agreement that channels with nothing in common reach by chance.
-    slope, slope_std : float, optional
-        Seconds more in each second after, as fitted, significant or not.
-    freedom : int, optional
-        Degrees of freedom of `slope_std`; 0 where no slope could be fitted.
-    time : float, optional
-        The mean time, s, and the longest time from it to either end.
-    reach : float, optional
+        Agreement that a channel without motion has at one delay by chance.
+    segments : Segments
+    """
+
+    pairs: Complexes
+    weights: Floats
+    times: Floats
+    chance: float
+    segments: Segments
+
+    @cached_property
+    def squares(self) -> Complexes:
+        """Against all others together, shape (groups, lines)."""
+        return np.asarray(self.pairs.sum(axis=0))
+
+    def fault(self) -> ClockFault:
+        """Find the most probable delay, drift or loss of samples, and its odds."""
+        lost = self._lost()
+        if lost is not None and lost.probability >= SURE:
+            return lost
+        drifting = self._fitted(*self._best_line[1:])
+        if drifting.probability >= SURE:
+            return drifting
+        each = self.pairs.sum(axis=1)
+        grid, top = self._delays(each)
+        within = SHORTEST_DELAY / self.segments.rate
+        beyond = np.abs(grid) >= within
+        agreement = top / np.maximum(np.abs(each).sum(axis=1, keepdims=True), 1e-300)
+        likely = PHASES * _log_likelihood(agreement).mean(axis=0)
+        sound, late = likely[~beyond], likely[beyond]
+        odds = weigh(
+            np.append(sound.max(), late), np.log(np.append(1.0 - FAULTY, np.full(len(late), FAULTY / len(late))))
+        )
+        best = ranking.first_largest(late)
+        near = np.abs(grid[beyond] - grid[beyond][best]) <= within
+        fitted = self._fitted(float(grid[beyond][best]), 0.0)
+        return replace(
+            fitted, slope=0.0, probability=float(odds[1:][near].sum()), evidence=float(late[best] - sound.max())
+        )
+
+    def _lost(self) -> ClockFault | None:
+        """Find the delay that changes at one instant, as where samples are lost; None where no order of time is known.
+
+        One delay before the instant and another after it are weighed against the best line.
+        """
+        if len(self.times) < 2 or np.any(np.diff(self.times) <= 0):
+            return None
+        grid, table = self._delays(self.squares)
+        before = np.cumsum(table, axis=0)[:-1]
+        after = before[-1] + table[-1] - before
+        tops = before.max(axis=1) + after.max(axis=1)
+        split = ranking.first_largest(tops)
+        early, late = (float(grid[ranking.first_largest(each[split])]) for each in (before, after))
+        size = max(float(np.abs(self.squares).sum()), 1e-300)
+        gain = PHASES * float(_log_likelihood(tops[split] / size) - _log_likelihood(self._best_line[0] / size))
+        odds = weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
+        time = float(self.times[split : split + 2].mean())
+        jump = late - early if abs(late - early) >= SHORTEST_DELAY / self.segments.rate else 0.0
+        return ClockFault(early, 0.0, 0.0, 0.0, time, float(odds) if jump else 0.0, gain, jump)
+
+    def _delays(self, squares: Complexes) -> tuple[Floats, Floats]:
+        """Sum phasors over the lines, turned back by each delay, shape (..., delays); the delays come first."""
+        length, rate = self.segments.length, self.segments.rate
+        samples = 4 * length
+        grid = (np.arange(samples) - samples // 2) * length / (2 * rate * samples)
+        near = np.abs(grid) <= LONGEST_DELAY
+        return grid[near], np.fft.fftshift(np.fft.ifft(squares, n=samples).real * samples, axes=-1)[..., near]
+
+    @cached_property
+    def _around(self) -> Floats:
+        return np.asarray(self.times - np.average(self.times, weights=np.maximum(self.weights, 1e-300)))
+
+    @property
+    def _steps_of_drift(self) -> tuple[float, int]:
+        """The step of the search over drifts, s a second, which is an eighth of a sample at the end; and how many."""
+        step = 1.0 / (8 * self.segments.rate * max(float(np.abs(self._around).max()), 1e-9))
+        return step, int(FASTEST_DRIFT / step) if len(self.times) > 2 else 0
+
+    @cached_property
+    def _best_line(self) -> tuple[float, float, float]:
+        """Find the largest agreement on a grid, with its delay at the mean time and its drift."""
+        step, most = self._steps_of_drift
+        grid, table = self._delays(self.squares)
+        beside, half = np.pad(table, [(0, 0), (most, most)]), max(float(np.abs(self._around).max()), 1e-9)
+        best = (-np.inf, 0.0, 0.0)
+        for turns in sorted(range(-most, most + 1), key=abs):
+            firsts = (most + np.round(turns * self._around / half).astype(int)).tolist()
+            top = np.sum([row[first : first + len(grid)] for row, first in zip(beside, firsts, strict=True)], axis=0)
+            place = ranking.first_largest(top)
+            best = max(best, (float(top[place]), float(grid[place]), turns * step), key=itemgetter(0))
+        return best
+
+    def _fitted(self, late: float, slope: float) -> ClockFault:
+        """Fit what a line leaves in each part of the record and each band: one delay a band, one drift of them all.
+
+        A clock is late by the same in every band. The phases that a damper makes differ from band to band, and those
+        that a sweep passes through at different times look like a drift where bands may not have delays of their own.
+        Bands have other delays where another floor was hit.
+        """
+        omega, around = self.segments.omega, self._around
+        # The line that was found is corrected twice: the first leaves half a step of the grid.
+        for _ in range(2):
+            turned = self.squares * np.exp(2j * np.outer(late + slope * around, omega))
+            loud = np.cumsum(np.abs(self.squares).sum(axis=0))
+            edges = np.searchsorted(loud, np.arange(DELAY_BANDS) / DELAY_BANDS * loud[-1], side="right")
+            edges = np.unique(np.minimum(edges, len(omega) - 1))
+            cells, sizes = (np.add.reduceat(each, edges, axis=1) for each in (turned, np.abs(turned)))
+            middles = np.add.reduceat(np.abs(turned) * omega, edges, axis=1) / np.maximum(sizes, 1e-300)
+            middles = np.maximum(middles, omega[1])
+            left, weight = -np.angle(cells) / (2 * middles), np.abs(cells) * middles**2
+            off, times, parts = np.zeros(left.shape), np.zeros(left.shape), 0.0
+            for floor in np.unique(self.segments.hit):
+                same = self.segments.hit == floor
+                total = np.maximum(weight[same].sum(axis=0), 1e-300)
+                off[same] = left[same] - (weight * left)[same].sum(axis=0) / total
+                times[same] = around[same, None] - (weight * around[:, None])[same].sum(axis=0) / total
+                parts += float(np.sum(total**2 / np.maximum((weight[same] ** 2).sum(axis=0), 1e-300) - 1.0))
+            information = max(float((weight * times**2).sum()), 1e-300)
+            more = float((weight * times * off).sum()) / information
+            freedom = max(int(parts) - 1, 1)
+            scatter = float((weight * (off - more * times) ** 2).sum()) / freedom
+            of_bands = np.maximum(weight.sum(axis=0), 1e-300)
+            mean, shares = (weight * left).sum(axis=0) / of_bands, of_bands / of_bands.sum()
+            late, slope = late + float(shares @ mean), slope + more
+        half = max(float(np.abs(around).max()), 1e-9)
+        slope_std = float(np.hypot(np.sqrt(scatter / information), STEADY / self.segments.rate / half))
+        # Student's likelihood of the slope with that of none, and a uniform prior.
+        gain = 0.5 * (freedom + 1) * np.log1p((slope / slope_std) ** 2 / freedom)
+        density = slope_std * np.sqrt(2 * np.pi) / (2 * FASTEST_DRIFT)
+        priors = np.log([1.0 - FAULTY, FAULTY * density])
+        return ClockFault(
+            middle=late,
+            std=float(np.sqrt(scatter / of_bands.sum() + shares @ (mean - shares @ mean) ** 2)),
+            slope=slope,
+            slope_std=slope_std,
+            time=float(np.average(self.times, weights=np.maximum(self.weights, 1e-300))),
+            probability=float(weigh([0.0, gain], priors)[1]),
+            evidence=float(gain),
+        )
+
+    @cached_property
+    def agreement(self) -> float:
+        """Largest agreement over all delays and drifts: 1 for all lines of one phase, 0 for nothing in common."""
+        return self._best_line[0] / max(float(self.weights.sum()), 1e-300)
+
+    @property
+    def by_chance(self) -> float:
+        """The agreement that a channel without motion reaches: that at one delay, times root 2 log of those tried."""
+        tried = 2 * LONGEST_DELAY * 8 * self.segments.rate * (2 * self._steps_of_drift[1] + 1)
+        return self.chance * float(np.sqrt(2.0 * np.log(tried)))
+
+    def nearer(self, seconds: float) -> bool:
+        """Whether the phases of the whole band agree better with a delay than without one."""
+        turned = self.squares.sum(axis=0) * np.exp(2j * self.segments.omega * seconds)
+        return bool(turned.real.sum() > self.squares.real.sum())
+
+
+@dataclass(frozen=True)
+class ClockFault:
+    """How late a clock is against others.
+
+    Parameters
+    ----------
+    middle, std : float
+        The delay at the mean time of the data, and its standard deviation, s.
+    slope, slope_std : float
+        Seconds more in each second after.
+    time : float
+        The mean time, s.
+    probability : float
+        Of the delay, or of the drift where there is a slope.
+    evidence : float
+        Log likelihood of the fault over that of a sound clock.
+    jump : float, optional
+        Seconds by which the delay changes at `time`.
     """
 
     middle: float
     std: float
-    agreement: float
-    chance: float
-    slope: float = 0.0
-    slope_std: float = np.inf
-    freedom: int = 0
-    time: float = 0.0
-    reach: float = 0.0
+    slope: float
+    slope_std: float
+    time: float
+    probability: float
+    evidence: float
+    jump: float = 0.0
 
 
-def band_clock(segments: Segments, first: int, second: int) -> BandClock:
-    """How late the first clock is against the second, by the phases of the whole band.
+def _log_likelihood(agreement: Floats | float) -> Floats:
+    """Log likelihood of a phase about its line, the most that a von Mises distribution of any width gives.
 
-    The agreement sum w z exp(2 i w t), z the squared phasors, is searched over delay and drift on a grid and then, in
-    each part of the record, climbed to its top; a straight line through the tops is the delay and its drift.
+    An agreement R has the concentration k = R (2 - R^2) / (1 - R^2), nearly (Banerjee, Dhillon, Ghosh and Sra 2005).
     """
-    squares, weights, times, chance = segments.agreement(first, second)
-    total = float(weights.sum())
-    if total <= 0:
-        return BandClock(0.0, np.inf, 0.0, 1.0)
-    samples = FINER * segments.length
-    grid = (np.arange(samples) - samples // 2) * segments.length / (2 * segments.rate * samples)
-    near = np.abs(grid) <= LONGEST_DELAY
-    table = np.fft.fftshift(np.fft.ifft(squares, n=samples, axis=1).real * samples, axes=1)[:, near]
-    grid, step = grid[near], float(grid[1] - grid[0])
-    time = float(np.average(times, weights=weights))
-    around = times - time
-    drifting, steady = _best_lines(table, around, step, grid)
-    found = _fitted(squares, weights, around, grid[drifting[0]], drifting[1], step, segments)
-    if drifting[1] and abs(found.slope) < TRUSTED_DRIFT * found.slope_std:
-        # A sweep that passes a damper's phases one after the other looks like a drift as well.
-        found = _fitted(squares, weights, around, grid[steady], 0, step, segments)
-    return replace(found, chance=chance, time=time)
+    r = np.clip(agreement, 0.0, 1.0 - 1e-4)
+    k = r * (2.0 - r**2) / (1.0 - r**2)
+    return np.asarray(k * (r - 1.0) - np.log(special.ive(0, k)))
 
 
-def _fitted(
-    squares: Complexes, weights: Floats, around: Floats, start: float, turns: int, step: float, segments: Segments
-) -> BandClock:
-    """Fit delay and drift near a line: a delay at the middle, and steps of the grid from the middle to the end."""
-    half = max(float(np.abs(around).max()), 1e-9)
-    line = start + turns * step / half * around
-    tops, heights = _climbed(squares, line, segments, step)
-    agreement = float(heights.sum()) / float(weights.sum())
-    high = heights > 0.3 * np.median(heights / np.maximum(weights, 1e-300)) * weights
-    sound = high & (np.abs(tops - line) < step * FINER)
-    if np.count_nonzero(sound) < 3:
-        return BandClock(float(start), step, agreement, 0.0)
-    # The line by weighted least squares; without a slope where a motion that dies leaves weight at one time alone.
-    mean, middle = np.average([around[sound], tops[sound]], axis=1, weights=heights[sound]).tolist()
-    off = heights[sound] * (around[sound] - mean)
-    spread = float(off @ (around[sound] - mean))
-    slope = float(off @ tops[sound]) / spread if spread > 0.0 else 0.0
-    middle -= slope * mean
-    fitted = _over_bands(squares[sound], around[sound], middle + slope * around[sound], segments, segments.hit[sound])
-    middle, slope = middle + fitted.middle, slope + fitted.slope
-    slope_std = float(np.hypot(fitted.slope_std, STEADY / segments.rate / half))
-    return replace(fitted, middle=middle, agreement=agreement, slope=slope, slope_std=slope_std, reach=half)
-
-
-def straight(
-    segments: Segments, first: int, second: int, seconds: float, slope: float = 0.0, time: float = 0.0
-) -> bool:
-    """Whether a delay, or a drift on top of it, makes the phases of two clocks smaller in nearly every band.
-
-    The phases that dampers make are small below the first mode, and grow there with the cube of the frequency: the
-    delay that explains them at the modes leaves more in the lowest bands than it takes.
-
-    Parameters
-    ----------
-    segments : Segments
-    first, second : int
-        Clocks.
-    seconds : float
-        How late the first is; at the time `time` where it drifts.
-    slope : float, optional
-        Seconds more in each second after. With a slope, the phases in the parts of the record are compared with the
-        phases of the delay alone.
-    time : float, optional
-        s.
-    """
-    squares, _, times, _ = segments.agreement(first, second)
-    edges, steady = _bands(squares), 0.0 if slope == 0.0 else seconds
-    parts = squares if slope else squares.sum(axis=0)[None]
-    before, _ = _phases(parts, np.full(len(times), steady), edges, segments.omega)
-    after, agreed = _phases(parts, seconds + slope * (times - time), edges, segments.omega)
-    # Without the delay, the phase of a band that is turned by about a right angle is arbitrary.
-    middles = segments.omega[(edges + np.append(edges[1:], squares.shape[1])) // 2]
-    turned = middles * np.abs(seconds - steady) > NEARLY_TURNED * np.pi / 2
-    noise = 2 * NO_PHASE if slope else NO_PHASE
-    allowed = np.maximum(before, np.radians(np.where(turned, WELL_TURNED, noise)))
-    low = slice(None, len(edges) // 4 + 1)
-    less = np.cumsum(after[low] ** 2) <= np.cumsum(allowed[low] ** 2)
-    # In the wind's own band the floors move each by itself.
-    heard = agreed > HEARD * agreed.max()
-    return bool(less.all() and np.mean(after[heard] <= allowed[heard]) >= MOST_BANDS)
-
-
-def _phases(squares: Complexes, late: Floats, edges: Ints, omega: Floats) -> tuple[Floats, Floats]:
-    """Root mean square phase of each band over the parts of a record, rad, with a delay in each part taken out.
-
-    The agreement of the lines in each band, between 0 and 1, comes second.
-    """
-    cells = np.add.reduceat(squares * np.exp(2j * late[: len(squares), None] * omega), edges, axis=1)
-    size = np.abs(cells)
-    total = np.maximum(size.sum(axis=0), 1e-300)
-    agreed = total / np.maximum(np.add.reduceat(np.abs(squares).sum(axis=0), edges), 1e-300)
-    return np.sqrt(np.sum(size * np.angle(cells) ** 2, axis=0) / total) / 2, agreed
-
-
-def _bands(squares: Complexes) -> Ints:
-    """Places of the first lines of bands of equal weight."""
-    loud = np.cumsum(np.abs(squares).sum(axis=0))
-    edges = np.searchsorted(loud, np.arange(DELAY_BANDS) / DELAY_BANDS * loud[-1], side="right")
-    return np.unique(np.minimum(edges, squares.shape[1] - 1))
-
-
-def _over_bands(squares: Complexes, times: Floats, line: Floats, segments: Segments, hit: Ints) -> BandClock:
-    """Fit what a line leaves in each part of the record and each band: one delay a band, one drift of them all.
-
-    Bands have other delays where another floor was hit.
-
-    A clock is late by the same in every band. The phases that a damper makes differ from band to band, and those that a
-    sweep passes through at different times look like a drift where the bands may not have delays of their own.
-    """
-    omega, edges = segments.omega, _bands(squares)
-    turned = squares * np.exp(2j * line[:, None] * omega[None, :])
-    cells = np.add.reduceat(turned, edges, axis=1)
-    middles = np.add.reduceat(np.abs(turned) * omega, edges, axis=1) / np.maximum(
-        np.add.reduceat(np.abs(turned), edges, axis=1), 1e-300
-    )
-    middles = np.maximum(middles, omega[1])
-    late, weight = -np.angle(cells) / (2 * middles), np.abs(cells) * middles**2
-    off, around, parts = np.zeros(late.shape), np.zeros(late.shape), 0.0
-    for floor in np.unique(hit):
-        same = hit == floor
-        total = np.maximum(weight[same].sum(axis=0), 1e-300)
-        off[same] = late[same] - (weight * late)[same].sum(axis=0) / total
-        around[same] = times[same, None] - (weight * times[:, None])[same].sum(axis=0) / total
-        parts += float(np.sum(total**2 / np.maximum((weight[same] ** 2).sum(axis=0), 1e-300) - 1.0))
-    information = float((weight * around**2).sum())
-    slope = float((weight * around * off).sum()) / max(information, 1e-300)
-    freedom = max(int(parts) - 1, 1)
-    scatter = float((weight * (off - slope * around) ** 2).sum()) / freedom
-    of_bands = np.maximum(weight.sum(axis=0), 1e-300)
-    mean, shares = (weight * late).sum(axis=0) / of_bands, of_bands / of_bands.sum()
-    middle = float(shares @ mean)
-    spread = float(shares @ (mean - middle) ** 2)
-    std = float(np.sqrt(scatter / of_bands.sum() + spread))
-    return BandClock(middle, std, 1.0, 0.0, slope, float(np.sqrt(scatter / max(information, 1e-300))), freedom)
-
-
-def _best_lines(table: Floats, around: Floats, step: float, grid: Floats) -> tuple[tuple[int, int], int]:
-    """Return the line of the largest agreement, and the place of the largest agreement without a drift.
-
-    A line is a place on the grid and the steps of drift from the middle to the end. The line has a drift only if the
-    drift increases the agreement by more than `NO_DRIFT` allows.
-    """
-    half = max(float(np.abs(around).max()), 1e-9)
-    most = int(FASTEST_DRIFT * half / step) if len(table) > 2 else 0
-    best, without = (-np.inf, 0, 0), (-np.inf, 0)
-    beside, length = np.pad(table, [(0, 0), (most, most)]), table.shape[1]
-    for turns in range(-most, most + 1):
-        total = np.zeros(length)
-        for row, first in zip(beside, (most + np.round(turns * around / half).astype(int)).tolist(), strict=True):
-            total += row[first : first + length]
-        if turns and total.max() <= best[0]:
+def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
+    """Leave out channels that share nothing with the others, and set clocks right that are late or drift."""
+    names = [channel.name for channel in record.channels]
+    clocks = names if record.runs[0].excitation is None else [*names, "input"]
+    if len(clocks) < 2 or min(run.samples for run in record.runs) < 4 * record.sampling_rate:
+        return record, []
+    segments = Segments.of(record)
+    everyone = list(range(len(clocks)))
+    compared = [segments.against(clock, [k for k in everyone if k != clock]) for clock in everyone]
+    common = np.array([each.agreement for each in compared])
+    reference = ranking.first_largest(common)
+    silent = [clock for clock in range(len(names)) if _is_silent(common, clock, compared[clock].by_chance)]
+    findings = []
+    for place in silent:
+        channel, chance = record.channels[place], compared[place].by_chance
+        numbers = {"channel": channel.name, "floor": channel.floor, "agreement": float(common[place]), "out": True}
+        findings.append(finding("dead channel/silent", numbers, where=channel, chance=chance))
+    left = [clock for clock in everyone if clock not in silent]
+    wrong: dict[int, tuple[float, float]] = {}
+    while len(wrong) + len(silent) < len(clocks) / 2:
+        others = [clock for clock in left if clock not in wrong]
+        faults = [segments.against(clock, [k for k in left if k != clock]).fault() for clock in others]
+        worst = ranking.first_largest([each.evidence if each.probability >= SURE else 0.0 for each in faults])
+        fault, clock = faults[worst], others[worst]
+        if fault.probability < SURE:
+            break
+        if fault.jump:
+            out = clock < len(names)
+            numbers = {"channel": clocks[clock], "samples": round(abs(fault.jump) * record.sampling_rate), "out": out}
+            where = record.channels[clock] if out else "the input channel"
+            what, left_out = "loses" if fault.jump < 0 else "repeats", "; left out" if out else ""
+            findings.append(
+                finding("lost samples", numbers, where=where, what=what, time=fault.time, left_out=left_out)
+            )
+            left.remove(clock)
+            silent += [clock] if out else []
             continue
-        tops = np.flatnonzero((total[1:-1] >= total[:-2]) & (total[1:-1] >= total[2:])) + 1
-        if not tops.size:
-            continue
-        high = tops[total[tops] >= AS_GOOD * total[tops].max()]
-        place = int(high[np.argmin(np.abs(grid[high]))])
-        if turns == 0:
-            without = (float(total[place]), place)
-        if total[place] > best[0]:
-            best = (float(total[place]), place, turns)
-    line = (without[1], 0) if without[0] >= NO_DRIFT * best[0] else best[1:]
-    return line, without[1]
+        start = fault.middle - fault.slope * fault.time
+        wrong[clock] = start, fault.slope
+        segments = segments.earlier(clock, start, fault.slope)
+        against = reference if clock != reference else max(
+            (k for k in left if k != clock), key=lambda k: float(common[k])
+        )  # fmt: skip
+        if fault.slope:
+            findings.append(clock_drift(clocks[clock], clocks[against], start, fault.slope, fault.slope_std))
+        else:
+            findings.append(clock_offset(clocks[clock], clocks[against], start, fault.std))
+    if silent:
+        record = only(record, [column for column in range(len(names)) if column not in silent])
+    return (in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
 
 
-def _climbed(squares: Complexes, line: Floats, segments: Segments, step: float) -> tuple[Floats, Floats]:
-    """Climb to the top of the agreement near a line, for each part of the record; its height comes second."""
-    omega = segments.omega
-    tops, heights = [], []
-    for square, start in zip(squares, line, strict=True):
-        top = float(start)
-        for _ in range(4):
-            turned = square * np.exp(2j * omega * top)
-            slope, bend = -2 * np.sum(omega * turned.imag), -4 * np.sum(omega**2 * turned.real)
-            if bend >= 0:
-                break
-            top -= float(np.clip(slope / bend, -step, step))
-        tops.append(top)
-        heights.append(max(0.0, float(np.sum((square * np.exp(2j * omega * top)).real))))
-    return np.array(tops), np.array(heights)
+def _is_silent(common: Floats, clock: int, by_chance: float) -> bool:
+    """Whether a channel has no more in common with the others than the best of many lines shows by chance."""
+    usual = float(np.median(np.delete(common, clock)))
+    own, live, dead = special.logit(np.clip([common[clock], usual, by_chance], 1e-6, 1.0 - 1e-6))
+    spread = np.array([LIVE, MOTIONLESS])
+    off = np.array([own - live, max(own - dead, 0.0)]) / spread
+    return bool(weigh(-0.5 * off**2 - np.log(spread), np.log([1.0 - FAULTY, FAULTY]))[1] >= SURE)
+
+
+def clock_drift(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
+    """Report a clock that drifted, and has been set right."""
+    numbers = {"channel": name, "reference": reference, "seconds": start, "drift": slope, "drift_std": std}
+    numbers["corrected"] = True
+    return finding(
+        "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope), std=significant(1e6 * std, 2),
+        start=abs(start), late="late" if start > 0 else "early",
+    )  # fmt: skip
+
+
+def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
+    """Report a clock that was late, or early, by the phases of the whole band, and has been set right."""
+    numbers = {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True}
+    late, spread = "late" if seconds > 0 else "early", significant(1e3 * std, 2)
+    return finding("clock offset", numbers, by=abs(seconds), late=late, spread=spread)
+
+
+def _window(length: int, *, decaying: bool) -> Floats:
+    """Hann's window, its rise cut to a tenth where what comes first is loudest, shape (length, 1)."""
+    if not decaying:
+        return np.hanning(length)[:, None]
+    rise = max(length // 10, 2)
+    return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
+
+
+def mains_lines(length: int, rate: float) -> Ints:
+    """List the lines of a spectrum at mains frequencies and their aliases."""
+    places = {
+        round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
+        for mains in MAINS
+        for multiple in (1, 2, 3)
+        for near in (-1, 0, 1)
+    }
+    return np.array([place for place in sorted(places) if 0 <= place <= length // 2], dtype=np.int64)

@@ -1,12 +1,4 @@
-"""Three methods that compute the column space of the extended observability matrix from blocks of a record.
-
-Observer/Kalman filter identification: the responses are regressed on past inputs and past responses, an observer whose
-Markov parameters are finite in number although the structure's are not (Juang, Phan, Horta, Longman 1993,
-"Identification of observer/Kalman filter Markov parameters", J. Guidance 16(2)):
-
-    y_k = D u_k + sum_{i=1}^{p} (B_i u_{k-i} + A_i y_{k-i}) + e_k.
-
-The system's Markov parameters follow by Y_0 = D, Y_k = B_k + sum_{i=1}^{k} A_i Y_{k-i}, with A_i and B_i zero beyond p.
+"""Two methods that compute the column space of the extended observability matrix from blocks of a record.
 
 Input-output subspace identification with past inputs and outputs as instruments (PO-MOESP): with block Hankel matrices
 of past (p) and future (f) data, the extended observability matrix spans the columns of the future outputs from which
@@ -18,6 +10,13 @@ covariance L32 L32' + L33 L33', so that its singular values are the canonical co
 of a strong mode's channels stands before a weak mode, and bends its pole by the square of noise over motion, which no
 scatter over the record's pieces shows.
 
+The residues of its poles come from an observer. The responses are regressed on past inputs and past responses (Juang,
+Phan, Horta, Longman 1993, "Identification of observer/Kalman filter Markov parameters", J. Guidance 16(2)):
+
+    y_k = D u_k + sum_{i=1}^{p} (B_i u_{k-i} + A_i y_{k-i}) + e_k.
+
+The system's Markov parameters follow by Y_0 = D, Y_k = B_k + sum_{i=1}^{k} A_i Y_{k-i}, with A_i and B_i zero beyond p.
+
 Covariance-driven stochastic subspace identification: the covariances R_k = E[y_{t+k} y_t'] of the response to white
 noise are Markov parameters, R_k = C A^{k-1} G (Peeters and De Roeck 1999, "Reference-based stochastic subspace
 identification for output-only modal analysis", MSSP 13(6)), so their block Hankel matrix factors as an impulse
@@ -28,7 +27,6 @@ unweighted, the chance scatter of a strong mode's covariances drowns a weak one.
 
 from __future__ import annotations
 
-import copy
 import itertools
 import warnings
 from collections.abc import Sequence
@@ -126,34 +124,22 @@ def _joined(first: Floats, second: Floats) -> Floats:
     return triangle
 
 
-class OkidSource(Source):
-    """A record with measured input, in blocks, for OKID followed by the eigensystem realization algorithm.
+class Observer:
+    """The observer of a record with measured input, in blocks, and the Markov parameters that follow from it.
 
     Parameters
     ----------
     pieces : sequence of (array, shape (samples, inputs); array, shape (samples, outputs))
         Blocks of input and output; each carries `lags` samples of what came before it.
-    sampling_rate : float
-        Hz.
-    floor : int, optional
-        Where a force acts; 0 for a base acceleration.
-    lags : int, optional
+    lags : int
         p above.
     """
 
-    unit = "block"
-
-    def __init__(
-        self, pieces: Sequence[tuple[Floats, Floats]], sampling_rate: float, floor: int = 0, lags: int = LAGS
-    ) -> None:
-        self.sampling_rate = sampling_rate
-        self.floor = floor
+    def __init__(self, pieces: Sequence[tuple[Floats, Floats]], lags: int) -> None:
         self.lags = lags
         self.inputs = pieces[0][0].shape[1]
         self.outputs = pieces[0][1].shape[1]
-        self.groups = np.zeros(len(pieces), dtype=np.int64)
-        self.energies = np.array([float(np.mean(response**2)) for _, response in pieces])
-        # Poles and residues of the same pieces are asked for one after the other.
+        # Residues of the same pieces are asked for more than once.
         self._latest: tuple[bytes | None, Floats] | None = None
         self._triangles = Triangles([_triangle(_regression(u, y, lags)) for u, y in pieces])
 
@@ -164,15 +150,6 @@ class OkidSource(Source):
             self._latest = (pieces, self._regressed(keep))
         return self._latest[1]
 
-    def rougher(self) -> OkidSource:
-        """Use half the lags on the same data. The change is at least the bias that noise causes."""
-        other = copy.copy(self)
-        other.lags, other._latest = self.lags // 2, None
-        width = self.inputs + other.lags * (self.inputs + self.outputs)
-        columns = np.r_[:width, -self.outputs : 0]
-        other._triangles = Triangles([_triangle(piece[:, columns]) for piece in self._triangles.pieces])
-        return other
-
     def _regressed(self, keep: Bools | None) -> Floats:
         triangle = self._triangles.together(keep)
         split = triangle.shape[1] - self.outputs
@@ -181,18 +158,6 @@ class OkidSource(Source):
         lagged = weights[self.inputs :].reshape(self.lags, self.inputs + self.outputs, self.outputs)
         past = lagged.transpose(0, 2, 1)
         return _system_markov(direct, past[:, :, : self.inputs], past[:, :, self.inputs :], ERA_ROWS + ERA_COLUMNS)
-
-    def factor(self, keep: Bools | None = None) -> Floats:
-        """Left factor of the block Hankel matrix of the Markov parameters."""
-        return left_factor(block_hankel(self.markov(keep), ERA_ROWS, ERA_COLUMNS))
-
-    def impulse(self, keep: Bools | None = None) -> Impulse:
-        """Return the Markov parameters, from the first that rings no more.
-
-        An impulse response starts with a step; sampled, it rings at half the sampling rate, and residues of the first
-        samples would be 0.1 to 0.7 % low in the highest modes.
-        """
-        return Impulse(self.markov(keep), RINGING, np.full(self.inputs, self.floor, dtype=np.int64))
 
 
 def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:
@@ -230,7 +195,7 @@ def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
             return np.asarray(linalg.solve(vectors, drive))
         except (linalg.LinAlgError, linalg.LinAlgWarning):
             raise NoSolutionError(
-                "okid",
+                "subspace",
                 "the observer of this record has no separate poles; is one channel a copy of another, or constant?",
             ) from None
 
@@ -274,18 +239,13 @@ class SubspaceSource(Source):
         lags: int = LAGS,
     ) -> None:
         self.sampling_rate = sampling_rate
-        self._observer = OkidSource(pieces, sampling_rate, floor, min(lags, 2 * rows - 1))
+        self.floor = floor
+        self._observer = Observer(pieces, min(lags, 2 * rows - 1))
         self.rows = rows
-        self.inputs = pieces[0][0].shape[1]
-        self.outputs = pieces[0][1].shape[1]
-        self.groups, self.energies = self._observer.groups, self._observer.energies
+        self.inputs, self.outputs = self._observer.inputs, self._observer.outputs
+        self.groups = np.zeros(len(pieces), dtype=np.int64)
+        self.energies = np.array([float(np.mean(response**2)) for _, response in pieces])
         self._triangles = Triangles([_triangle(_data(u, y, rows)) for u, y in pieces])
-
-    def rougher(self) -> SubspaceSource:
-        """Use half the observer's lags for the residues, which scale the modes and tell the clock of the input."""
-        other = copy.copy(self)
-        other._observer = self._observer.rougher()
-        return other
 
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the future outputs as the past explains them, weighted by their covariance, weight undone."""
@@ -306,8 +266,12 @@ class SubspaceSource(Source):
         return triangle[past:, future_inputs:past], triangle[past:, past:]
 
     def impulse(self, keep: Bools | None = None) -> Impulse:
-        """Return the observer's Markov parameters, from the first that rings no more."""
-        return self._observer.impulse(keep)
+        """Return the observer's Markov parameters, from the first that rings no more.
+
+        An impulse response starts with a step; sampled, it rings at half the sampling rate, and residues of the first
+        samples would be 0.1 to 0.7 % low in the highest modes.
+        """
+        return Impulse(self._observer.markov(keep), RINGING, np.full(self.inputs, self.floor, dtype=np.int64))
 
 
 def _data(excitation: Floats, response: Floats, rows: int) -> Floats:

@@ -1,12 +1,13 @@
 """Standard deviations of modes as files have them: with what no scatter within a record shows."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import nnls
 
 from cvxshear.records.record import Finding
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Bools, Floats, Ints
 
 SENSOR_STD = 0.005
 """Systematic standard deviation of a shape entry, relative to the mode's largest: a sensor that is 5 degrees askew
@@ -18,8 +19,7 @@ def frequency_std(scatter: Floats, modes: Ints, findings: Sequence[Finding]) -> 
 
     The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
     frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
-    without a known change is given the smallest known change. One that is only suspected to change, by its scatter, has
-    that scatter in its deviation already.
+    without a known change is given the smallest known change.
 
     Parameters
     ----------
@@ -97,3 +97,79 @@ def independent_std(covariance: Floats, shape: Floats) -> Floats:
     rows = np.vstack([off**2, DRAWN * np.eye(len(shape))])
     variances = nnls(rows, np.concatenate([seen / typical, np.full(len(shape), DRAWN)]))[0] * typical
     return np.sqrt(np.maximum(variances, 0.1 * typical))
+
+
+Estimate = Callable[[Bools], Floats | None]
+
+
+def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
+    """Find the covariance by leaving out one piece at a time.
+
+    Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
+    squares of what leaving it out changes is without bias where a piece's variance goes with 1 / p_j, and nearly so
+    where it does not (HC2 of MacKinnon and White 1985, "Some heteroskedasticity-consistent covariance matrix
+    estimators", J. Econometrics 29). For equal weights it is the usual jackknife.
+
+    Parameters
+    ----------
+    estimate : callable
+        From a mask of pieces to the parameters, shape (k,), or None where they are not found.
+    groups : array of int, shape (pieces,)
+        Stratum of each piece.
+    weights : array, shape (pieces,)
+        How much each piece tells.
+
+    Returns
+    -------
+    covariance : array, shape (k, k)
+    freedom : array, shape (k,)
+        Degrees of freedom of each variance, its strata's together (Satterthwaite 1946), a stratum's from its weights
+        (Bell and McCaffrey 2002).
+    lost : int
+        Pieces without which the parameters were not found; the other pieces replace them.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two pieces of some stratum can be left out.
+    """
+    parts, freedoms, lost = [], [], 0
+    for group in np.unique(groups):
+        found, rest = [], []
+        pieces = np.flatnonzero(groups == group)
+        shares = weights[pieces] / weights[pieces].sum()
+        for piece, share in zip(pieces, shares, strict=True):
+            keep = np.ones(len(groups), dtype=bool)
+            keep[piece] = False
+            values = estimate(keep)
+            if values is None:
+                lost += 1
+            else:
+                found.append(values)
+                rest.append(1 - share)
+        if len(found) < 2:
+            raise InputError(
+                "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
+                "the rest; record longer, or more hits"
+            )
+        spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
+        parts.append(spread.T @ spread * len(pieces) / len(found))
+        form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
+        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
+    variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
+    squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
+    freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
+    return total, freedom, lost
+
+
+def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
+    """Noise with the spectra and cross-spectra of a residual, shape (samples, channels), of random phase.
+
+    One random phase a line, the same for all channels, keeps their coherence (Prichard and Theiler 1994).
+    """
+    spectrum = np.fft.rfft(residual, axis=0)
+    phase = np.exp(2j * np.pi * random.random(len(spectrum)))
+    phase[0] = 1.0
+    if len(residual) % 2 == 0:
+        phase[-1] = 1.0
+    return np.fft.irfft(spectrum * phase[:, None], n=len(residual), axis=0)

@@ -1,25 +1,25 @@
 """Findings about a record from its modes: clocks, signs, swaps, resolution, reciprocity, amplitude."""
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from scipy import optimize, special
 
-from cvxshear.records.amplitude import amplitude_findings
-from cvxshear.records.clocks import straight
-from cvxshear.records.deviations import SENSOR_STD
-from cvxshear.records.estimate import Details, Replication
-from cvxshear.records.findings import finding
-from cvxshear.records.floors import ROTATES
-from cvxshear.records.frf import FrfSource
-from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
-from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
+from cvxshear.records.clocks import FAULTY, Segments
+from cvxshear.records.deviations import SENSOR_STD, jackknife
+from cvxshear.records.estimate import SURROGATES, Details, Replication
+from cvxshear.records.examination import ROTATES
+from cvxshear.records.frf import FrfSource, ImpulseSource
+from cvxshear.records.mode_shapes import LONGEST
+from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, Parts, PoleCandidate, Values
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, ModalResult
-from cvxshear.records.segments import Segments
 from cvxshear.util import ranking
-from cvxshear.util.quantities import counted, listed, numbered, significant
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.errors import InputError
+from cvxshear.util.odds import weigh
+from cvxshear.util.quantities import SURE, counted, listed, numbered, significant
+from cvxshear.util.typing import Bools, Floats, Ints
 
 A_MODE = 0.3
 """Probability that a stable pole of no reproducible shape between two modes is a mode of the frame: of another
@@ -71,10 +71,6 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
 
-CLOCK_CERTAIN = 4.5
-"""Standard deviations, of a score of blocks, for a clock that is off: one sound record in some hundreds has one."""
-STRAIGHT = 0.5
-"""Share of a channel's phases that a clock's straight line may leave: it explains three quarters of their squares."""
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
 COMPLEX = 5.0
@@ -89,14 +85,6 @@ OTHER = (
 ALIKE = 0.8
 """Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
 its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories."""
-GAIN_CHANGED = 0.04
-"""Change of a channel's gain between two records that is worth a word: twice what calibrations differ by."""
-REPEATED = 0.003
-"""Typical change of a shape between two tests of one frame, relative to the mode's largest entry."""
-LARGEST_GAIN = 12.0
-"""Largest change of a gain that is looked for: g for m/s2, and room beyond."""
-IMPROBABLE_GAIN = 1e-3
-"""Significance level of the misfit with one gain, and of the larger misfit without it."""
 FEWEST_PERIODS = 500
 """Least number of periods of the lowest mode in an ambient record; 1000 to 2000 are usual (Brincker and Ventura
 2015)."""
@@ -145,9 +133,11 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
         turn = float(np.degrees(highest * abs(late)))
-        if len(full.frequencies) < 2 or turn < LEAST_TURN or abs(late) < CLOCK_CERTAIN * std:
+        if len(full.frequencies) < 2 or turn < LEAST_TURN or std <= 0.0:
             continue
-        if left > STRAIGHT * before:
+        # The deviation holds the phases that the straight line leaves. Delays are equally probable up to the longest.
+        gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * LONGEST))
+        if weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY]))[1] < SURE:
             continue
         if segments is not None:
             place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
@@ -155,17 +145,14 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
             if beside == len(record.channels) and floors:
                 # Every resonance turns the phases between the input and a floor; those between two floors it does not.
                 beside = min(floors, key=lambda floor: abs(late_by[floor]))
-            if not straight(segments, place, beside, float(late_by[place] - late_by[beside])):
+            if not segments.against(place, [beside]).nearer(float(late_by[place] - late_by[beside])):
                 continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
-        # Beside a damper, the reference clock itself may be off.
-        third = np.delete(full.clocks.before, [names.index(name), full.clocks.reference])
-        beyond_doubt = bool(np.any(third <= STRAIGHT * before))
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
             late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
-            which="" if beyond_doubt else "; which of the two is off no third clock tells",
+            which="" if len(names) > 2 else "; which of the two is off no third clock tells",
         )  # fmt: skip
 
 
@@ -284,45 +271,102 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
             yield finding("complex mode", {"mode": int(mode), "degrees": float(phase)})
 
 
-def cables_changed(before: ModalResult, after: ModalResult) -> list[Finding]:
-    """Find what changed between two records of a frame that a cable explains: a channel reversed, or with another gain.
+TYPICAL_CHANGE = 0.01
+"""Relative change of such frequencies between strong and weak motion; the mini table's are 0.6 to 2.4 %."""
+SMALLEST_CHANGE = 1e-3
+"""Relative change of a frequency that says nothing: four degrees of temperature have this effect on a steel frame."""
+FEWEST_BLOCKS = 8
+"""Least number of blocks: half of them, four, still determine the modes and their scatter."""
 
-    The entries of a channel change by one and the same factor in every mode; damage changes them by another in each.
+
+def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:
+    """Modes whose frequency depends on amplitude: strong blocks against weak ones, a whole decay against its end.
+
+    Two hypotheses, equally probable beforehand, are weighed over all modes together: no change, or changes of a
+    typical size. The scatter is Student's, as it is estimated from a few pieces.
     """
-    floors = np.intersect1d(before.floors, after.floors)
-    modes = np.intersect1d(before.modes, after.modes)
-    if len(floors) < 3 or len(modes) < 2:
-        return []
-    chosen = [np.ix_(np.isin(item.modes, modes), np.isin(item.floors, floors)) for item in (before, after)]
-    shapes, stds = [], []
-    for item, part in zip((before, after), chosen, strict=True):
-        largest = np.abs(item.mode_shapes[part]).max(axis=1, keepdims=True)
-        shapes.append(item.mode_shapes[part] / largest)
-        stds.append(np.nan_to_num(item.mode_shape_std[part]))
-    weights = 1.0 / (stds[0] ** 2 + stds[1] ** 2 + 2 * REPEATED**2)
+    blocks = setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS
+    compared = _strong_and_weak(setting) if blocks else _early_and_late(setting, result)
+    if compared is None:
+        return
+    first, second, std, freedom = compared
+    changes = first - second
+    scales = np.hypot(np.maximum(std, SMALLEST_CHANGE), np.array([[0.0], [TYPICAL_CHANGE]]))
+    likely = -np.log(scales) - 0.5 * (freedom + 1.0) * np.log1p((changes / scales) ** 2 / freedom)
+    if weigh(likely.sum(axis=1))[1] < SURE:
+        return
+    energies = setting.source.energies
+    strong = energies > np.median(energies)
+    for place in np.flatnonzero((likely[1] > likely[0]) & (np.abs(changes) > SMALLEST_CHANGE)).tolist():
+        numbers = {"mode": int(result.modes[place]), "change": float(changes[place]), "std": float(std[place])}
+        frequencies = np.exp([first[place], second[place]])
+        if blocks:
+            numbers |= {"amplitude_ratio": float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))}
+            yield finding("amplitude", numbers, strong=frequencies[0], weak=frequencies[1])
+        else:
+            yield finding("amplitude/decay", numbers, whole=frequencies[0], later=frequencies[1])
 
-    def misfit(gain: float, place: int) -> float:
-        """Weighted squares that the first test's shapes leave of the second's, each mode with a scale of its own."""
-        expected = shapes[0] * np.where(np.arange(len(floors)) == place, gain, 1.0)
-        scale = (weights * expected * shapes[1]).sum(axis=1) / (weights * expected**2).sum(axis=1)
-        return float((weights * (shapes[1] - scale[:, None] * expected) ** 2).sum())
 
-    found = []
-    for place in range(len(floors)):
-        for bounds in ((-LARGEST_GAIN, -1 / LARGEST_GAIN), (1 / LARGEST_GAIN, LARGEST_GAIN)):
-            best = optimize.minimize_scalar(
-                misfit, args=(place,), bounds=bounds, method="bounded", options={"xatol": 1e-9}
-            )
-            found.append((float(best.fun), float(best.x), place))
-    found.sort()
-    least, gain, place = found[0]
-    second = min(each for each, _, other in found if other != place)
-    freedom = len(modes) * (len(floors) - 1) - 1
-    # A change of the frame as well, or instead, leaves more than one gain explains.
-    if abs(gain - 1.0) < GAIN_CHANGED or special.chdtrc(freedom, least) < IMPROBABLE_GAIN:
-        return []
-    if min(second, misfit(1.0, place)) < least + special.chdtri(1, IMPROBABLE_GAIN):
-        return []
-    what = "is reversed" if abs(gain + 1.0) < GAIN_CHANGED else f"reads {gain:.3f} times as much"
-    numbers = {"floor": int(floors[place]), "gain": gain, "records": [before.name, after.name]}
-    return [finding("cable", numbers, what=what, after=after.name, before=before.name)]
+_Compared = tuple[Floats, Floats, Floats, Floats]
+"""Log frequencies under strong and under weak motion, standard deviations of their differences, degrees of freedom."""
+
+
+def _strong_and_weak(setting: Replication) -> _Compared | None:
+    energies = setting.source.energies
+    strong = energies > np.median(energies)
+    first, second = _log_frequencies(setting, strong), _log_frequencies(setting, ~strong)
+    if first is None or second is None or np.all(np.abs(first - second) < SMALLEST_CHANGE):
+        return None
+    # Noise that the stronger half hardly shows may be a tenth of the weaker: each half says itself how it scatters.
+    scatters = [_scatter(setting, half) for half in (strong, ~strong)]
+    known = [each for each in scatters if each is not None]
+    if len(known) < 2:
+        return None
+    (first_std, first_freedom), (second_std, second_freedom) = known
+    return first, second, np.hypot(first_std, second_std), np.minimum(first_freedom, second_freedom)
+
+
+def _scatter(setting: Replication, half: Bools) -> tuple[Floats, Floats] | None:
+    """Find the standard deviations of the log frequencies of half of the blocks, and their degrees of freedom."""
+    blocks = np.flatnonzero(half)
+
+    def estimate(keep: Bools) -> Floats | None:
+        left = np.zeros(len(half), dtype=bool)
+        left[blocks[keep]] = True
+        return _log_frequencies(setting, left)
+
+    try:
+        covariance, freedom, _ = jackknife(estimate, np.zeros(len(blocks), dtype=np.int64), np.ones(len(blocks)))
+    except InputError:
+        return None
+    return np.sqrt(np.diag(covariance)), freedom
+
+
+def _early_and_late(setting: Replication, result: ModalResult) -> _Compared | None:
+    """Compare the impulse response from its start with the same once it has decayed to a third."""
+    impulse = setting.source.impulse()
+    if impulse is None:
+        return None
+    power = np.sum(impulse.sequence**2, axis=(1, 2))
+    left = np.cumsum(power[::-1])[::-1]
+    weak = np.flatnonzero(left < left[impulse.start] / 9)
+    if not weak.size or weak[0] > 0.6 * len(power):
+        return None
+    begun, rate = int(weak[0]), setting.source.sampling_rate
+    source = ImpulseSource(dataclasses.replace(impulse, start=begun), rate)
+    later = _logarithms(setting, Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None))
+    if later is None:
+        return None
+    # Noise stays while each mode decays.
+    lost = 2 * np.pi * result.frequencies * result.damping_ratios * (begun - impulse.start) / rate
+    std = result.frequency_std * np.exp(np.clip(lost, 0.0, 50.0))
+    pieces = len(setting.source.groups) or SURROGATES
+    return np.log(result.frequencies), later, std, np.full(len(std), pieces - 1.0)
+
+
+def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:
+    return _logarithms(setting, setting.values(keep))
+
+
+def _logarithms(setting: Replication, values: Values | None) -> Floats | None:
+    return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))

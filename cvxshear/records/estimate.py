@@ -1,94 +1,36 @@
 """Compute frequencies, shapes, scales and deviations from the chosen poles, on all or part of the data."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from cvxshear.records import frf
-from cvxshear.records.clock_offsets import Offsets, offsets, undone
-from cvxshear.records.findings import finding
-from cvxshear.records.mode_shapes import main_axis, real_shape, rms_phase, signed_projection
+from cvxshear.records.deviations import independent_std, jackknife, surrogate
+from cvxshear.records.mode_shapes import (
+    Offsets,
+    collinearity,
+    lost_phase,
+    main_axis,
+    offsets,
+    real_shape,
+    rms_phase,
+    sign_changes,
+    undone,
+)
 from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
 from cvxshear.records.realization import DampedModes, Impulse, Source
-from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.records.record import Finding, FrfRecord, Record, finding
+from cvxshear.records.result import ModalResult
+from cvxshear.records.stabilization import Criteria
 from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
-Estimate = Callable[[Bools], Floats | None]
 
-
-def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
-    """Find the covariance by leaving out one piece at a time.
-
-    Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
-    squares of what leaving it out changes is without bias where a piece's variance goes with 1 / p_j, and nearly so
-    where it does not (HC2 of MacKinnon and White 1985, "Some heteroskedasticity-consistent covariance matrix
-    estimators", J. Econometrics 29). For equal weights it is the usual jackknife.
-
-    Parameters
-    ----------
-    estimate : callable
-        From a mask of pieces to the parameters, shape (k,), or None where they are not found.
-    groups : array of int, shape (pieces,)
-        Stratum of each piece.
-    weights : array, shape (pieces,)
-        How much each piece tells.
-
-    Returns
-    -------
-    covariance : array, shape (k, k)
-    freedom : array, shape (k,)
-        Degrees of freedom of each variance, its strata's together (Satterthwaite 1946), a stratum's from its weights
-        (Bell and McCaffrey 2002).
-    lost : int
-        Pieces without which the parameters were not found; the other pieces replace them.
-
-    Raises
-    ------
-    InputError
-        Where fewer than two pieces of some stratum can be left out.
-    """
-    parts, freedoms, lost = [], [], 0
-    for group in np.unique(groups):
-        found, rest = [], []
-        pieces = np.flatnonzero(groups == group)
-        shares = weights[pieces] / weights[pieces].sum()
-        for piece, share in zip(pieces, shares, strict=True):
-            keep = np.ones(len(groups), dtype=bool)
-            keep[piece] = False
-            values = estimate(keep)
-            if values is None:
-                lost += 1
-            else:
-                found.append(values)
-                rest.append(1 - share)
-        if len(found) < 2:
-            raise InputError(
-                "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
-                "the rest; record longer, or more hits"
-            )
-        spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
-        parts.append(spread.T @ spread * len(pieces) / len(found))
-        form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
-        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
-    variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
-    squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
-    freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
-    return total, freedom, lost
-
-
-LARGEST_SHAPE_STD = 0.3
-"""Largest standard deviation of a shape entry, relative to the mode's largest entry."""
-LARGEST_FREQUENCY_STD = 0.02
-"""Largest relative standard deviation of a frequency. A mode's deviation is a part of its half-power
-bandwidth, twice its damping ratio, and smaller by the root of the number of decays in the record."""
-
-
-def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
+def scattering(parts: Parts, chosen: Sequence[PoleCandidate], criteria: Criteria) -> Doubts:
     """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
 
     Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
@@ -115,36 +57,19 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate]) -> Doubts:
             continue
         std = np.sqrt(np.diag(spread))
         of_shape = np.hypot(*np.split(std[1:], 2)).max() / np.abs(item.shape).max()
-        doubts |= doubted(item, float(of_shape), float(std[0]))
+        doubts |= doubted(item, float(of_shape), float(std[0]), criteria)
     return doubts
 
 
-def doubted(item: PoleCandidate, of_shape: float, of_frequency: float) -> Doubts:
+def doubted(item: PoleCandidate, of_shape: float, of_frequency: float, criteria: Criteria) -> Doubts:
     """Doubt a mode if the standard deviation of its shape or its frequency is too large."""
-    if of_shape <= LARGEST_SHAPE_STD and of_frequency <= LARGEST_FREQUENCY_STD:
+    steady = of_frequency <= criteria.largest_frequency_std
+    if of_shape <= criteria.largest_shape_std and steady:
         return {}
     scatter = f"shape scatters by {100 * of_shape:.0f} % and frequency by {100 * of_frequency:.1f} %"
-    return {item.members: (f"{scatter} over the record's pieces", of_frequency <= LARGEST_FREQUENCY_STD)}
+    return {item.members: (f"{scatter} over the record's pieces", steady)}
 
 
-def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
-    """Noise with the spectra and cross-spectra of a residual, shape (samples, channels), of random phase.
-
-    One random phase a line, the same for all channels, keeps their coherence (Prichard and Theiler 1994).
-    """
-    spectrum = np.fft.rfft(residual, axis=0)
-    phase = np.exp(2j * np.pi * random.random(len(spectrum)))
-    phase[0] = 1.0
-    if len(residual) % 2 == 0:
-        phase[-1] = 1.0
-    return np.fft.irfft(spectrum * phase[:, None], n=len(residual), axis=0)
-
-
-BIAS_LEFT = 1.0 / 3.0
-"""Ratio of an observer's bias to the change with half its lags. The change is three times the bias if the bias falls
-with the square of the lags (Richardson's extrapolation), as for the damping ratios of the highest modes."""
-NO_CHANGE = 1e-9
-"""Change of a parameter, relative or of an entry of at most 1, that is rounding."""
 SURROGATES = 20
 """Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
 FEW_PIECES = 6
@@ -166,8 +91,6 @@ class Replication:
     quantity : str
     shift : float
         Decay that an exponential window added, 1/s.
-    rule : str
-        For the real normal mode.
     base : bool
         Whether the input is a base acceleration.
     """
@@ -177,7 +100,6 @@ class Replication:
     floors: Ints
     quantity: str
     shift: float
-    rule: str
     base: bool
 
     @property
@@ -239,11 +161,7 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     clocks = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
     straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
     shapes = np.array([main_axis(shape) for shape in straight])
-    # The projection uses the record with its offsets; the signs are those without offsets.
-    if setting.rule == "magnitude":
-        real = np.array([real_shape(shape) for shape in straight])
-    else:
-        real = np.array([signed_projection(*both) for both in zip(values.shapes, straight, strict=True)])
+    real = np.array([real_shape(shape) for shape in straight])
     places = ranking.largest(np.abs(real if reference is None else reference.real))
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
@@ -298,27 +216,8 @@ def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, 
             # The deviations are estimates from a few pieces; still, 95 % of the errors must lie within 1.96 deviations.
             factor = special.stdtrit(freedom, 0.025) / special.ndtri(0.025)
             result = result * np.outer(factor, factor)
-        bias = _bias(setting, full)
-        if bias is not None:
-            result = result + np.outer(bias, bias)
-            # Under base motion the observer affects the clock of the input alone.
-            if np.max(np.abs(bias[: -len(full.clocks.seconds)])) > NO_CHANGE:
-                how += ", and a third of what half the observer's lags change"
         return result, how, lost
     return disturbed(setting, full, seed), f"{SURROGATES} surrogates of the residual", 0
-
-
-def _bias(setting: Replication, full: Details) -> Floats | None:
-    """Find the bias of `full.vector()` by what a rougher approximation of the same data changes; None without one."""
-    rougher = setting.source.rougher()
-    if rougher is None:
-        return None
-    other = dataclasses.replace(setting, parts=Parts(rougher, setting.sweep.poles))
-    values = other.values(None)
-    if values is None:
-        return None
-    part = details(other, values, None, full)
-    return None if (part.scales is None) != (full.scales is None) else BIAS_LEFT * (part.vector() - full.vector())
 
 
 def _widened(spread: Floats, other: Floats) -> Floats:
@@ -413,3 +312,106 @@ def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
     kind = "those of responses cut off there" if truncated else "samples of the true functions"
     numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
     return finding("leakage", numbers, kind=kind, why=why)
+
+
+def assembled(
+    record: Record, setting: Replication, full: Details, covariance: Floats, *, method: str, uncertainty: str
+) -> ModalResult:
+    """Assemble the result, without findings.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    setting : Replication
+    full : Details
+        The modes of all the data.
+    covariance : array, shape (k, k)
+        Of `full.vector()`.
+    method : str
+    uncertainty : str
+        How the covariance was got.
+
+    Returns
+    -------
+    ModalResult
+    """
+    modes, floors = full.real.shape
+    std = np.sqrt(np.diag(covariance))
+    entries = _entry_jacobian(full, len(covariance))
+    joint = np.vstack([np.eye(modes, len(covariance)), entries])
+    of_entries = entries @ covariance @ entries.T
+    blocks = [of_entries[r : r + floors, r : r + floors] for r in range(0, modes * floors, floors)]
+    relative = np.sqrt(np.array([np.maximum(np.diag(block), 0.0) for block in blocks]))
+    independent = np.array([independent_std(block, shape) for block, shape in zip(blocks, full.real, strict=True)])
+    scale = np.ones(modes) if full.scales is None else full.scales
+    # The remaining phases about the straight line are not scatter of the data. They add to the uncertainty of the
+    # offset.
+    left = np.radians(full.clocks.unexplained) / (2 * np.pi * np.sqrt(np.mean(full.frequencies**2)))
+    offset_std = np.hypot(std[len(std) - len(left) :], left)
+    names = [*(channel.name for channel in record.channels), "input"]
+    return ModalResult(
+        name=record.name,
+        method=method,
+        stories=record.stories,
+        floors=record.floors,
+        frequencies=full.frequencies,
+        frequency_std=std[:modes],
+        damping_ratios=full.damping_ratios,
+        damping_std=std[modes : 2 * modes],
+        mode_shapes=full.real * scale[:, None],
+        mode_shape_std=relative,
+        entry_std=np.hypot(independent, _scale_std(full, covariance)),
+        mass_normalized=full.scales is not None,
+        modes=_numbers(full.real, record, setting.sweep.chosen),
+        complex_shapes=full.shapes,
+        phase_collinearity=np.array([collinearity(shape) for shape in full.shapes]),
+        lost_phase=np.array([lost_phase(shape) for shape in full.shapes]),
+        clock_offsets={
+            name: (float(value), float(error))
+            for name, value, error in zip(names, full.clocks.seconds, offset_std, strict=False)
+        },
+        covariance=joint @ covariance @ joint.T,
+        uncertainty=uncertainty,
+        sweep=setting.sweep,
+    )
+
+
+def _entry_jacobian(full: Details, size: int) -> Floats:
+    """Jacobian of the entries over each mode's largest, by the parameters: d(q psi) / q = d psi + psi dq / q."""
+    modes, floors = full.real.shape
+    start = 2 * modes
+    result = np.zeros((modes * floors, size))
+    result[:, start : start + modes * floors] = np.eye(modes * floors)
+    if full.scales is not None:
+        for r in range(modes):
+            result[r * floors : (r + 1) * floors, start + modes * floors + r] = full.real[r] / full.scales[r]
+    return result
+
+
+def _scale_std(full: Details, covariance: Floats) -> Floats:
+    """Independent errors on the entries that leave mass-normalized modes as uncertain in scale as they are.
+
+    A mode's scale errs for all its n entries at once, and an error of the force for all m modes; a fit that
+    takes entries for independent would average it away. Errors of n k var(q) psi_i^2 average to k var(q),
+    with k = 1' cov(q) 1 / sum var(q), the common share of the errors of the modes. Shape (m, n), over each
+    mode's largest entry.
+    """
+    modes, floors = full.real.shape
+    if full.scales is None:
+        return np.zeros((modes, floors))
+    start = 2 * modes + modes * floors
+    of_scales = covariance[start : start + modes, start : start + modes] / np.outer(full.scales, full.scales)
+    together = max(1.0, float(of_scales.sum() / max(np.trace(of_scales), 1e-300)))
+    return np.asarray(np.sqrt(floors * together * np.diag(of_scales))[:, None] * np.abs(full.real))
+
+
+def _numbers(shapes: Floats, record: Record, chosen: Sequence[PoleCandidate]) -> Ints:
+    """Which modes of the frame these are: as they were chosen or by changes of sign, where these tell; else from 1."""
+    numbers = np.array([item.number for item in chosen], dtype=np.int64)
+    if numbers.all():
+        return numbers
+    if shapes.shape[1] == record.stories > 1:
+        changes = np.array([sign_changes(shape) for shape in shapes], dtype=np.int64)
+        if np.all(np.diff(changes) > 0):
+            return changes + 1
+    return np.arange(1, len(shapes) + 1, dtype=np.int64)

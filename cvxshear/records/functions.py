@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from cvxshear.records.frf import Spectra, hit_spectra, table_spectra
+from cvxshear.records.prepare import detrended, struck, without_offset
 from cvxshear.records.record import FrfRecord, Record, TimeRecord
-from cvxshear.records.signals import detrended, struck, without_offset
 from cvxshear.util.typing import Complexes, Floats, Ints
+
+if TYPE_CHECKING:
+    pass
+
 
 LINES = 512
 """Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""
@@ -105,7 +110,7 @@ def measured_functions(record: Record, highest: float) -> Functions:
         spectra = []
         for run in record.runs:
             assert run.excitation is not None
-            cross, power = _welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
+            cross, power = welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
             spectra.append(Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
         found = _of_spectra(record, spectra, _lines(segment, rate), averaged=True)
     else:
@@ -132,7 +137,7 @@ def _of_spectra(record: Record, spectra: list[Spectra], lines: Floats, *, averag
 def _of_undriven(record: TimeRecord, segment: int) -> Functions:
     """Half-spectra and coherence against the highest floor."""
     reference = len(record.channels) - 1
-    spectra = [_welch(run.responses, reference, record.sampling_rate, segment) for run in record.runs]
+    spectra = [welch(run.responses, reference, record.sampling_rate, segment) for run in record.runs]
     cross, power = (np.sum([item[part] for item in spectra], axis=0) for part in (0, 1))
     lags = np.fft.irfft(cross, axis=0)[: segment // 2]
     # Positive lags alone, the sharp cut at the end softened; the zero lag counts half.
@@ -158,7 +163,7 @@ def _segment(record: TimeRecord, highest: float) -> int:
     return max(64, int(min(wanted, 2 * samples / FEWEST_SEGMENTS))) // 2 * 2
 
 
-def _welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[Complexes, Floats]:
+def welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[Complexes, Floats]:
     """Cross-spectra of all columns with one, and their own spectra, each of shape (lines, columns)."""
     part = min(segment, len(columns))
     _, cross = scipy.signal.csd(columns[:, [reference]], columns, rate, nperseg=part, nfft=segment, axis=0)

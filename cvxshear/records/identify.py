@@ -3,38 +3,92 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cvxshear.records import diagnostics
-from cvxshear.records.agreement import second_opinion
-from cvxshear.records.assemble import assembled
-from cvxshear.records.diagnostics import left_out, overlooked_modes
-from cvxshear.records.estimate import Replication, covariance, details, doubted, scattering, settle_truncation
+from cvxshear.records import diagnostics, estimate
+from cvxshear.records.clocks import clock_drift, clock_offset
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.functions import measured_functions
-from cvxshear.records.late_clocks import CERTAIN_DELAY, clock_drift, clock_offset
-from cvxshear.records.mode_shapes import RULES
 from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.records.placement import findings_of, weighed
-from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, Attempt, default_method, settled, source_of
+from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, default_method, scaled, source_of
 from cvxshear.records.realization import Source
 from cvxshear.records.record import Finding, FrfRecord, Record
-from cvxshear.records.releases import without_drifts
 from cvxshear.records.result import ModalResult
-from cvxshear.records.signals import in_step, scaled
 from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.quantities import SURE
+from cvxshear.util.typing import Json
 
 CLOCKS = ("clock offset", "clock drift")
 """Kinds of findings that the whole band and the modes may both tell of a channel."""
 FUNCTION_RANGE = 1.5
 """Times the highest natural frequency: as far the functions of a record are kept."""
+
+
+DECIMATION_FACTORS = (2, 4, 8, 16, 32, 64)
+"""Steps of the sampling rate: at a factor of two the highest mode is met within LOWEST_SHARE and half the rate."""
+
+
+LOWEST_SHARE = 0.1
+"""Fraction of the sampling rate. With a lower highest mode, the rate is reduced."""
+
+
+Attempt = Callable[..., tuple[Source, Sweep]]
+
+
+def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:
+    """Find the sampling rate that suits the modes, and source and sweep at it.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    wanted : int
+        Number of modes that would be all.
+    attempt : callable
+        From a record to its source and sweep.
+    highest : float, optional
+        Hz that must stay in sight: the highest mode picked by hand.
+
+    Returns
+    -------
+    source : Source
+    sweep : Sweep
+    """
+    best = attempt(record)
+    if record.band is not None or _suits(best, wanted):
+        return best
+    for factor in DECIMATION_FACTORS:
+        band = (0.0, record.sampling_rate / (2.5 * factor))
+        if band[1] < highest:
+            break
+        try:
+            trial = attempt(dataclasses.replace(record, band=band))
+        except (InputError, NoSolutionError):
+            # The record is too short for a lower rate, or has no model there: keep the earlier result.
+            break
+        if len(trial[1].chosen) < len(best[1].chosen):
+            break
+        if len(trial[1].chosen) > len(best[1].chosen) or _too_low(best):
+            best = trial
+        if _suits(best, wanted):
+            break
+    return best
+
+
+def _suits(found: tuple[Source, Sweep], wanted: int) -> bool:
+    return len(found[1].chosen) == wanted and not _too_low(found)
+
+
+def _too_low(found: tuple[Source, Sweep]) -> bool:
+    source, sweep = found
+    return not sweep.chosen or sweep.chosen[-1].frequency < LOWEST_SHARE * source.sampling_rate
 
 
 @dataclass(frozen=True)
@@ -45,13 +99,11 @@ class Options:
     blocks: int = BLOCKS
     criteria: Criteria = field(default_factory=Criteria)
     count: int | None = None
-    rule: str = "magnitude"
     accept_swapped: bool = False
     seed: int = 0
     pick: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        checks.choice(self.rule, RULES, "rule")
         if self.method is not None:
             checks.choice(self.method, MODAL_METHODS, "method")
         if self.pick and self.count is not None:
@@ -66,13 +118,10 @@ def identify_modes(
     blocks: int = BLOCKS,
     criteria: Criteria | None = None,
     count: int | None = None,
-    rule: str = "magnitude",
-    correct_clocks: bool = False,
     accept_swapped: bool = False,
     seed: int = 0,
     pick: Sequence[float] | None = None,
     functions: bool = False,
-    second: str | None = None,
 ) -> ModalResult:
     """Identify the sway modes of a frame from a record.
 
@@ -81,19 +130,13 @@ def identify_modes(
     record : TimeRecord or FrfRecord
     method : str, optional
         "era": eigensystem realization on impulse responses, from hits, frequency response functions or free decays.
-        "okid": the same on the Markov parameters of an observer, for measured continuous input. "subspace": instruments
-        of the past, for the same. "ssi": covariance-driven, for ambient records. By default, the method that suits the
-        input.
+        "subspace": instruments of the past, for measured continuous input. "ssi": covariance-driven, for ambient
+        records. By default, the method that suits the input.
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
     count : int, optional
         Most modes; one a story where None.
-    rule : str, optional
-        Real normal mode: "magnitude", each entry's modulus with the sign of its real part; "projection", the
-        real part itself on the shape's main axis.
-    correct_clocks : bool, optional
-        Shift the channels by their estimated clock offsets and identify again.
     accept_swapped : bool, optional
         Report channels that look swapped as a finding, not as an error.
     seed : int, optional
@@ -102,8 +145,6 @@ def identify_modes(
         Frequencies in Hz, as read off a stabilization diagram: the nearest stable poles, within 3 %, are the modes.
     functions : bool, optional
         Whether the result keeps what the record shows over frequency, for figures.
-    second : str, optional
-        Another method; a finding for each mode says whether this method has the mode as well.
 
     Returns
     -------
@@ -118,16 +159,14 @@ def identify_modes(
     NoSolutionError
         Where no mode of the frame was found.
     """
-    if second is not None:
-        checks.choice(second, MODAL_METHODS, "second")
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
-    options = Options(method, blocks, criteria or Criteria(), count, rule, accept_swapped, seed, picked)
+    options = Options(method, blocks, criteria or Criteria(), count, accept_swapped, seed, picked)
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
             looked = examined(record)
             try:
-                result, record = _with_clocks(looked, options, correct_clocks=correct_clocks)
+                result = _identified(looked.record, options, looked.turning)
             except NoSolutionError as error:
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:
@@ -135,27 +174,13 @@ def identify_modes(
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
             if functions:
                 result = dataclasses.replace(
-                    result, functions=measured_functions(record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
                 )
-            if second is not None:
-                other = _identified(record, dataclasses.replace(options, pick=(), method=second))
-                opinion = second_opinion(result, dataclasses.replace(other, name=second))
-                result = dataclasses.replace(result, findings=(*result.findings, *opinion))
             return result
     except np.linalg.LinAlgError as error:
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
         raise NoSolutionError(options.method or default_method(record), reason) from error
-
-
-def _with_clocks(looked: Examined, options: Options, *, correct_clocks: bool) -> tuple[ModalResult, Record]:
-    """Identify the modes, with clocks set right where that was asked for and needed; the record used comes second."""
-    record = looked.record
-    result = _identified(record, options, looked.turning)
-    if not correct_clocks or not any(finding.kind == "clock offset" for finding in result.findings):
-        return result, record
-    record = in_step(record, {name: (seconds, 0.0) for name, (seconds, _) in result.clock_offsets.items()})
-    return _with_first_findings(result, _identified(record, options, looked.turning)), record
 
 
 def _identified(record: Record, options: Options, turning: Callable[[float], float] | None = None) -> ModalResult:
@@ -171,28 +196,24 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         return source, sweep_orders(source, options.criteria, choose, **limits)
 
     record, (source, sweep), of_places = _repaired(record, wanted, attempt, options)
-    if not isinstance(record, FrfRecord) and record.input == "free_decay":
-        steady, of_drifts = without_drifts(record, np.array([item.eigenvalue for item in sweep.chosen]))
-        if of_drifts:
-            record, of_places = steady, of_places + of_drifts
-            source, sweep = settled(record, wanted, attempt)
     if len(sweep.chosen) < len(options.pick):
         raise InputError(_out_of_reach(sweep, options.pick))
     parts = Parts(source, sweep.poles)
+    scattering = partial(estimate.scattering, parts, criteria=options.criteria)
     # Modes that were picked by hand stay; their standard deviations show their uncertainty.
-    while len(source.groups) and not options.pick and (doubts := scattering(parts, sweep.chosen)):
+    while len(source.groups) and not options.pick and (doubts := scattering(sweep.chosen)):
         sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
     while sweep.chosen:
-        setting = Replication(parts, sweep, record.floors, record.quantity, shift, options.rule, base)
-        of_leakage = settle_truncation(record, setting, _chosen(sweep))
-        full = details(setting, _chosen(sweep), None)
-        spread, how, lost = covariance(setting, full, options.seed)
-        result = assembled(record, setting, full, spread, method=method, uncertainty=how)
+        setting = estimate.Replication(parts, sweep, record.floors, record.quantity, shift, base)
+        of_leakage = estimate.settle_truncation(record, setting, _chosen(sweep))
+        full = estimate.details(setting, _chosen(sweep), None)
+        spread, how, lost = estimate.covariance(setting, full, options.seed)
+        result = estimate.assembled(record, setting, full, spread, method=method, uncertainty=how)
         # Once clocks are right, and by surrogates where nothing can be left out.
         each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), result.frequency_std.tolist(), strict=True)
-        doubts = {} if options.pick else {k: v for item in each for k, v in doubted(*item).items()}
-        if not doubts:
+        doubts = {k: v for item in each for k, v in estimate.doubted(*item, options.criteria).items()}
+        if options.pick or not doubts:
             break
         sweep = sweep.without(doubts)
     else:
@@ -203,14 +224,14 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         # well.
         modes = {item.members for item in sweep.chosen}
         others = [item for item in sweep.candidates if item.members not in modes]
-        twice = [item for item in others if item.twin in modes and not scattering(parts, [item])]
-        sweep = sweep.without(scattering(parts, [item for item in others if item.physical]))
+        twice = [item for item in others if item.twin in modes and not scattering([item])]
+        sweep = sweep.without(scattering([item for item in others if item.physical]))
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage + [diagnostics.found_twice(item) for item in twice]
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     sizes = {"floors": len(record.channels), "stories": record.stories}
-    left = left_out(sweep.candidates, sweep.chosen)
-    findings += overlooked_modes(result.frequencies, result.modes, left, **sizes)
+    left = diagnostics.left_out(sweep.candidates, sweep.chosen)
+    findings += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
     return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
 
 
@@ -278,16 +299,6 @@ def _nothing(sweep: Sweep) -> str:
     )
 
 
-def _with_first_findings(first: ModalResult, again: ModalResult) -> ModalResult:
-    """Put what the record showed before its clocks were set right into the second result."""
-    mended = [
-        dataclasses.replace(finding, message=finding.message + "; corrected")
-        for finding in first.findings
-        if finding.kind == "clock offset"
-    ]
-    return dataclasses.replace(again, findings=(*mended, *again.findings), clock_offsets=first.clock_offsets)
-
-
 def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
     """Widen the entries of floors without a sensor at their center, or with an unknown center."""
     unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
@@ -317,31 +328,25 @@ def _besides(looked: Examined) -> str:
 def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
     """Add what was found before; clocks that were set right count together with what was left."""
     seen, offsets = [], dict(result.clock_offsets)
-    counted: set[tuple[str, str]] = set()
-    late = {finding.numbers["channel"] for finding in result.findings if finding.kind == "clock offset"}
     for finding in looked.findings:
-        name = finding.numbers.get("channel", "")
-        if finding.kind == "clock offset" and name in offsets:
-            against = finding.numbers["reference"]
-            (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
-            if abs(rest - zero) > CERTAIN_DELAY * finding.numbers["std"]:
-                # Phases that the bands rule out come from dampers.
-                rest, zero, std, spread = 0.0, 0.0, finding.numbers["std"], 0.0
-            apart = finding.numbers["seconds"] + rest - zero
-            seen.append(clock_offset(name, against, apart, float(np.hypot(std, spread))))
-            # The finding counts from the bands' reference, the offsets from that of the modes.
-            from_modes = result.clock_offsets.get(against, (0.0, 0.0))
-            offsets[name] = apart + from_modes[0], float(np.hypot(std, from_modes[1]))
-        elif finding.kind == "clock drift" and "reference" in finding.numbers and name in late:
-            # A drift is taken out with a start that the modes tell finer.
-            numbers, zero = finding.numbers, result.clock_offsets.get(finding.numbers["reference"], (0.0, 0.0))[0]
-            start = numbers["seconds"] + offsets[name][0] - zero
-            seen.append(clock_drift(name, numbers["reference"], start, numbers["drift"], numbers["drift_std"]))
-            offsets[name] = start, offsets[name][1]
-            counted.add(("clock offset", name))
-        else:
+        numbers: Json = finding.numbers
+        name, against = str(numbers.get("channel", "")), str(numbers.get("reference", ""))
+        if finding.kind not in CLOCKS or name not in offsets:
             seen.append(finding)
+            continue
+        (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
+        if np.hypot(std, spread) > numbers.get("std", np.inf):
+            # The whole band tells it better: dampers turn the phases of the modes.
+            rest, zero, std, spread = 0.0, 0.0, numbers["std"], 0.0
+        apart = numbers["seconds"] + rest - zero
+        if finding.kind == "clock offset":
+            seen.append(clock_offset(name, against, apart, float(np.hypot(std, spread))))
+        else:
+            seen.append(clock_drift(name, against, apart, numbers["drift"], numbers["drift_std"]))
+        # The finding counts from the bands' reference, the offsets from that of the modes.
+        from_modes = result.clock_offsets.get(against, (0.0, 0.0))
+        offsets[name] = apart + from_modes[0], float(np.hypot(std, from_modes[1]))
     # The remaining offset of a clock that the whole band corrected is counted above, or belongs to its drift.
-    twice = counted | {(finding.kind, finding.numbers["channel"]) for finding in seen if finding.kind in CLOCKS}
-    left = [item for item in result.findings if (item.kind, item.numbers.get("channel")) not in twice]
+    told = {finding.numbers["channel"] for finding in seen if finding.kind in CLOCKS}
+    left = [item for item in result.findings if item.kind not in CLOCKS or item.numbers["channel"] not in told]
     return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)

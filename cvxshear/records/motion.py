@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.floors import one_a_floor
+from cvxshear.records.examination import one_a_floor
 from cvxshear.records.record import Record, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError

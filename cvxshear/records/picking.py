@@ -5,19 +5,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
 from cvxshear.data.pairing import mac
 from cvxshear.records import stabilization
-from cvxshear.records.clock_offsets import offsets, undone
-from cvxshear.records.mode_shapes import collinearity, possible_changes, real_shape, sign_changes
+from cvxshear.records.mode_shapes import collinearity, offsets, possible_changes, real_shape, sign_changes, undone
 from cvxshear.records.realization import Poles, Source, realize
 from cvxshear.records.stabilization import Cluster, Criteria
 from cvxshear.util.typing import Bools, Complexes, Floats
-
-MOST_CANDIDATES = 8
-"""Number of strongest candidates that determine clock offsets."""
 
 MOSTLY_ROTATION = "mostly rotation"
 """How the reason of a candidate begins that is set aside as a mode of rotation."""
@@ -39,9 +36,6 @@ PICKABLE = 0.03
 
 Doubts = dict[tuple[tuple[int, int], ...], tuple[str, bool]]
 """Rejected candidates by their members: the reason, and whether their frequency comes back."""
-
-_Rank = tuple[int, int, float]
-"""Modes, those among them whose signs fit as they stand, and the logarithm of the product of their energies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +197,7 @@ def sweep_orders(
     if band is not None:
         found = [item for item in found if band[0] <= item.frequency <= band[1]]
     found = _weighed(_distinct(found, criteria), source.data(), source.sampling_rate)
-    return choose(poles, stable, _swaying(_collinear(found, criteria), turning))
+    return choose(poles, stable, _set_aside(found, criteria, turning))
 
 
 def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
@@ -241,48 +235,39 @@ def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -
 
 
 def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
-    """Clock offsets of the channels, s, by the strongest candidates; None with a single candidate.
+    """Clock offsets of the channels, s, by the strong candidates; None with a single candidate.
 
     The straight line through the phases gives each mode the same weight. The phase of a pole of noise means nothing.
     """
-    usable = sorted((item for item in found if item.physical), key=lambda item: -item.energy)[:MOST_CANDIDATES]
-    strong = [item for item in usable if item.energy > FAINT * usable[0].energy]
+    usable = [item for item in found if item.physical]
     if len(usable) < 2 or len(usable[0].shape) < 2:
         return None
+    strong = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
     return offsets(np.array([item.eigenvalue for item in strong]), np.array([item.shape for item in strong])).seconds
 
 
-def _collinear(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
-    """Judge the phases, those that a clock offset explains taken away first."""
-    seconds = _clocks(found)
-    if seconds is None:
-        return found
+def _set_aside(
+    found: list[PoleCandidate], criteria: Criteria, turning: Callable[[float], float] | None
+) -> list[PoleCandidate]:
+    """Set candidates aside that are no sway modes: of scattered phases, or mostly rotation.
 
-    def reason(item: PoleCandidate) -> str:
-        straight = undone(np.array([item.eigenvalue]), item.shape[None], seconds)[0]
-        measure = max(collinearity(straight), collinearity(item.shape))
-        return f"modal phase collinearity {measure:.2f} only" if measure < criteria.least_collinearity else ""
-
-    return _without_those(found, reason)
-
-
-def _without_those(found: list[PoleCandidate], reason: Callable[[PoleCandidate], str]) -> list[PoleCandidate]:
-    """Set candidates aside for which there is a reason."""
-    each = [(item, reason(item) if item.physical else "") for item in found]
-    return [dataclasses.replace(item, physical=False, reason=why) if why else item for item, why in each]
-
-
-def _swaying(found: list[PoleCandidate], turning: Callable[[float], float] | None) -> list[PoleCandidate]:
-    """Set the modes aside that are mostly rotation, by the difference of sensors on one floor."""
-    if turning is None:
-        return found
-
-    def reason(item: PoleCandidate) -> str:
-        share = turning(item.frequency)
-        said = f"{MOSTLY_ROTATION}: {100 * share:.0f} % of the motion is in the difference of sensors on one floor"
-        return said if share > 0.5 else ""
-
-    return _without_those(found, reason)
+    Phases that a clock offset explains are taken away first. Rotation is in the difference of sensors on one floor.
+    """
+    seconds, judged = _clocks(found), []
+    for item in found:
+        reason = ""
+        if item.physical and seconds is not None:
+            straight = undone(np.array([item.eigenvalue]), item.shape[None], seconds)[0]
+            measure = max(collinearity(straight), collinearity(item.shape))
+            if measure < criteria.least_collinearity:
+                reason = f"modal phase collinearity {measure:.2f} only"
+        share = 0.0 if turning is None else turning(item.frequency)
+        if item.physical and not reason and share > 0.5:
+            reason = (
+                f"{MOSTLY_ROTATION}: {100 * share:.0f} % of the motion is in the difference of sensors on one floor"
+            )
+        judged.append(dataclasses.replace(item, physical=False, reason=reason) if reason else item)
+    return judged
 
 
 def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCandidate]:
@@ -308,14 +293,12 @@ def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | No
     """
     if not usable:
         return []
-    return list(max((_ranked_by_signs(usable, shapes, count) for shapes in _real(usable, order)), key=_rank)[1])
+    ranked = [_ranked_by_signs(usable, shapes, count) for shapes in _real(usable, order)]
+    return list(max(ranked, key=itemgetter(0))[1])
 
 
-_Ranked = tuple[_Rank, tuple[PoleCandidate, ...]]
-
-
-def _rank(choice: _Ranked) -> _Rank:
-    return choice[0]
+_Ranked = tuple[tuple[int, int, float], tuple[PoleCandidate, ...]]
+"""A choice, after its rank: modes, those whose signs fit as they stand, the log of the product of their energies."""
 
 
 def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) -> _Ranked:
@@ -331,7 +314,7 @@ def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) ->
             if rank > best[number][0]:
                 best[number] = rank, (*chosen, dataclasses.replace(item, number=number))
         for number in range(1, count + 1):
-            best[number] = max(best[number], best[number - 1], key=_rank)
+            best[number] = max(best[number], best[number - 1], key=itemgetter(0))
     return best[count]
 
 

@@ -14,19 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.records.examination import in_unit, unit_in_truth
-from cvxshear.records.findings import finding
-from cvxshear.records.record import Channel, Finding
+from cvxshear.records.examination import OTHER_UNIT, REVERSED, in_unit, unit_in_truth
+from cvxshear.records.record import Channel, Finding, finding
 from cvxshear.util import ranking
+from cvxshear.util.odds import weigh
 from cvxshear.util.quantities import STANDARD_GRAVITY, SURE, chance, listed
 from cvxshear.util.typing import Floats, Ints
 
-REVERSED = 0.02
-"""Probability beforehand that a channel is reversed: one in fifty."""
 PRIOR_EXCHANGED = 0.02
 """Probability beforehand that a channel is in another's place."""
-OTHER_UNIT = 0.005
-"""Probability beforehand that one channel is in g where the others are in m/s2, or the other way round."""
 PRIOR_MISSED = 0.03
 """Probability beforehand that the lowest mode found is the second, and that the next one found is the third."""
 SPREAD_OF_STIFFNESS = 0.7
@@ -39,12 +35,6 @@ FREQUENCY_RATIOS = {(1, 2): (2.85, 0.2), (1, 3): (4.6, 0.25), (2, 3): (1.62, 0.1
 of 4 to 12 stories have 2.9 to 3.0, 4.4 to 4.9 and 1.5 to 1.65, those with a soft or a stiff story spread about it."""
 WORST = 10.0
 """Largest loss of log likelihood for one rule broken: no rule is as certain as its Gaussian says far out."""
-NEAR_TOP = 0.9
-"""Of the height: the second mode's node lies below it."""
-UNUSUAL = 3.0
-"""Loss of log likelihood for a second mode whose node is beyond the sensors."""
-UNNAMED = 0.005
-"""Least total probability of the other hypotheses that is reported."""
 DOUBTFUL = 0.3
 """Least probability of a hypothesis that is reported beside the declared channels."""
 
@@ -103,36 +93,33 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     """
     count = len(floors)
     pairs = list(itertools.combinations(range(count), 2))
-    prior: list[tuple[ChannelMistake, float]] = [(ChannelMistake("sound"), 1.0)]
-    # All channels but some reversed is the same as those reversed.
-    prior += [(ChannelMistake("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
+    # All channels but some reversed is the same as those reversed. Whoever makes one mistake may make another.
+    singles = range(count if count > 2 else 1)
+    also = [(), *((i,) for i in range(count if count > 2 else 0))]
+    prior = [(ChannelMistake("sound"), 1.0)]
+    prior += [(ChannelMistake("sign", (i,)), REVERSED) for i in singles]
     prior += [(ChannelMistake("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
-    prior += [(ChannelMistake("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
-    if count > 2:
-        # Whoever exchanges two cables may have reversed one as well.
+    for turned in also:
+        share = REVERSED ** len(turned)
         prior += [
-            (ChannelMistake("swapped channels", pair, turned=(i,)), PRIOR_EXCHANGED / (count - 1) * REVERSED)
+            (ChannelMistake("swapped channels", pair, turned=turned), share * PRIOR_EXCHANGED / (count - 1))
             for pair in pairs
-            for i in range(count)
         ]
-    prior += [
-        (ChannelMistake("unit", (i,), factor, turned=turned), OTHER_UNIT * REVERSED ** len(turned))
-        for i in range(count)
-        for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
-        for turned in ((), *((j,) for j in range(count if count > 2 else 0)))
-    ]
-    of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
-    scores = np.log([[before] for _, before in prior]) + of_numbers
-    scores += [
+        prior += [
+            (ChannelMistake("unit", (i,), factor, turned=turned), share * OTHER_UNIT)
+            for i in range(count)
+            for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
+        ]
+    likely = [
         [_likelihood(frequencies, item.undone(shapes), floors, stories, numbers) for numbers in FREQUENCY_RATIOS]
         for item, _ in prior
     ]
-    probabilities = np.exp(scores - scores.max())
-    probabilities /= probabilities.sum()
-    each = probabilities.sum(axis=1)
+    of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
+    log_priors = np.log([[before] for _, before in prior]) + of_numbers
+    probabilities = weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
     found = [
-        dataclasses.replace(item, probability=float(p), missed=float(row[1:].sum() / max(p, 1e-300)))
-        for (item, _), p, row in zip(prior, each, probabilities, strict=True)
+        dataclasses.replace(item, probability=float(row.sum()), missed=float(row[1:].sum() / max(row.sum(), 1e-300)))
+        for (item, _), row in zip(prior, probabilities, strict=True)
     ]
     return ranking.ranked(found, lambda item: item.probability)
 
@@ -148,8 +135,8 @@ def _likelihood(frequencies: Floats, shapes: Floats, floors: Ints, stories: int,
         result -= _unlike_a_first_mode(low, floors, stories)
     else:
         # Its node lies in the upper half: sensors below and at the top are on both sides of it.
-        around = floors[0] <= stories / 2 and floors[-1] > NEAR_TOP * stories
-        result -= WORST * max(0, _changes(low) - 1) + (WORST if around else UNUSUAL) * (_changes(low) == 0)
+        around = floors[0] <= stories / 2 and floors[-1] == stories
+        result -= WORST * (abs(_changes(low) - 1) if around else max(0, _changes(low) - 1))
     if numbers == (1, 2):
         result -= _rises(low, high)
     else:
@@ -226,9 +213,8 @@ def findings_of(hypotheses: Sequence[ChannelMistake], channels: Sequence[Channel
     missed = next(item.missed for item in hypotheses if item.kind == "sound")
     otherwise = "a mode was missed and " if missed > 0.5 else ""
     options.append(f"{otherwise}the channels are as declared ({chance(sound)})")
-    rest = 1.0 - sound - sum(item.probability for item in rivals)
-    if rest > UNNAMED:
-        options.append(f"something else is wrong ({chance(rest)})")
+    rest = max(1.0 - sound - sum(item.probability for item in rivals), 0.0)
+    options.append(f"something else is wrong ({chance(rest)})")
     # Where one is more probable than all others together the modes do tell, only not surely enough to change anything.
     said = (
         f"by the lowest modes {options[0]}, or {listed(options[1:], 'or')}"

@@ -56,10 +56,6 @@ class Source(ABC):
         """Return the same of all the data, in no other weight than their own size."""
         return self.factor()
 
-    def rougher(self) -> Source | None:
-        """Approximate the same data more roughly: the difference covers a bias; None where there is no bias."""
-        return None
-
     def impulse(self, keep: Bools | None = None) -> Impulse | None:
         """Return the impulse responses behind the factor; None where no input was measured, and none can be known."""
         return None

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
 
+
 def other_modes(findings: Sequence[Finding]) -> list[Json]:
     """Alternative mode numbers of a record, as in `other_modes` of a measurement file."""
     return [
@@ -41,7 +42,7 @@ class ModalResult(Shown):
     ----------
     name : str
     method : str
-        "era", "okid", "subspace", "ssi" or "given".
+        "era", "subspace", "ssi" or "given".
     stories : int
     floors : array of int, shape (n,)
         Measured floors, ascending.

@@ -7,11 +7,10 @@ import numpy as np
 import scipy
 from scipy import linalg, ndimage
 
+from cvxshear.records.clocks import mains_lines
 from cvxshear.records.data_frames import stretches
-from cvxshear.records.findings import finding
-from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord
-from cvxshear.records.segments import mains_lines
-from cvxshear.records.signals import AnyRecord, impulsive, only
+from cvxshear.records.prepare import AnyRecord, impulsive, only
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import counted
 from cvxshear.util.typing import Bools, Floats
@@ -26,8 +25,6 @@ CLIPPED_COUNT = 5
 """Times as many samples at the extreme value as at the next, and one more, that make a clip where none repeats."""
 DRIFTED = 0.2
 """Change of the mean along the record, in standard deviations of the channel."""
-NEAR_NYQUIST = 0.05
-"""Share of a channel's power in the top tenth of its band that points to aliasing."""
 STUCK = 0.5
 """s, and at least 20 samples, for which a converter that works does not repeat one value while the others move."""
 STUCK_SHARE = 0.02
@@ -55,7 +52,7 @@ LEFT_OUT = ("dead channel", "stuck channel")
 
 
 def channel_findings(record: Record) -> list[Finding]:
-    """Dead, stuck, clipped, held, drifting, humming and aliased channels and spikes, each with its numbers."""
+    """Dead, stuck, clipped, held, drifting and humming channels and spikes, each with its numbers."""
     if isinstance(record, FrfRecord):
         levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))
         return _dead(record, levels)
@@ -176,16 +173,11 @@ def _interpolation_errors(values: Floats) -> Floats:
 def _local_scale(errors: Floats) -> Floats:
     """Estimate the standard deviation of errors around each sample, from the medians of their sizes in blocks."""
     count = max(1, len(errors) // 200)
-    size, longer = divmod(len(errors), count)
-    # The first blocks are longer by one sample where the number does not come out even.
-    longer_ones, others = np.split(np.abs(errors), [longer * (size + 1)])
-    parts = longer_ones.reshape(longer, size + 1), others.reshape(count - longer, size)
-    medians = np.concatenate([np.median(part, axis=1) for part in parts if len(part)]) / 0.6745
-    # The louder of a block and its neighbours: an onset is no spike.
-    medians = ndimage.maximum_filter1d(medians, 3)
-    lengths = np.repeat([size + 1, size], [longer, count - longer])
-    middles = np.cumsum(lengths) - 0.5 * lengths
-    scale = np.interp(np.arange(len(errors)), middles, medians)
+    parts = np.array_split(np.abs(errors), count)
+    # The louder of a block and its neighbors: an onset is no spike.
+    medians = ndimage.maximum_filter1d([np.median(part) / 0.6745 for part in parts], 3)
+    lengths = np.array([len(part) for part in parts])
+    scale = np.interp(np.arange(len(errors)), np.cumsum(lengths) - 0.5 * lengths, medians)
     return np.asarray(np.where(scale > 0, scale, np.inf))
 
 
@@ -258,7 +250,6 @@ def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> Ite
     yield from _constant(values, where, name)
     if record.input != "free_decay" and name != "input":
         yield from _drift(values, where, name)
-    yield from _aliased(values, where, name, record.sampling_rate)
     yield from _humming(values, where, name, record.sampling_rate)
 
 
@@ -313,16 +304,6 @@ def _drift(values: Floats, where: str, name: str) -> Iterator[Finding]:
     scatter = float(np.std(pieces))
     if level > 0 and abs(change) > DRIFTED * level and abs(change) > 4 * scatter:
         yield finding("drift", {"channel": name, "change": change, "over_std": abs(change) / level}, where=where)
-
-
-def _aliased(values: Floats, where: str, name: str, rate: float) -> Iterator[Finding]:
-    _, power = scipy.signal.welch(values, fs=rate, nperseg=min(1024, len(values)))
-    top = power[int(0.9 * len(power)) :]
-    below = power[int(0.7 * len(power)) : int(0.9 * len(power))]
-    share = float(top.sum() / power.sum()) if power.sum() > 0 else 0.0
-    # White noise has a tenth of its power in this band, and another tenth just below it; an alias has more.
-    if share > NEAR_NYQUIST and top.max() > 10 * np.median(below):
-        yield finding("aliasing", {"channel": name, "share": share}, where=where, highest=rate / 2)
 
 
 def _humming(values: Floats, where: str, name: str, rate: float) -> Iterator[Finding]:

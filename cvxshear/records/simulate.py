@@ -45,8 +45,7 @@ class KnownFrame:
     def accelerations(self, forces: Floats, step: float) -> Floats:
         """Accelerations under forces that are straight lines between samples, m/s2, shape (samples, N).
 
-        The state is carried from sample to sample by the matrix exponential of the first-order hold, which
-        is exact for such forces.
+        Each mode is one recursive filter by the first-order hold, which is exact for such forces.
 
         Parameters
         ----------
@@ -55,23 +54,14 @@ class KnownFrame:
         step : float
             s.
         """
-        count = len(self.masses)
-        frequencies, shapes = self.modes()
-        mass = np.diag(self.masses)
-        damper = mass @ shapes.T @ np.diag(4 * np.pi * self.damping * frequencies) @ shapes @ mass
-        inverse = np.diag(1 / np.asarray(self.masses))
-        system = np.block([[np.zeros((count, count)), np.eye(count)], [-inverse @ self.stiffness, -inverse @ damper]])
-        load = np.vstack([np.zeros((count, count)), inverse])
-        a, b, c, d, _ = scipy.signal.cont2discrete((system, load, system[count:], inverse), step, method="foh")
-        # The modes of the discrete system decouple, so each is one recursive filter; of a conjugate pair one will do.
-        values, vectors = np.linalg.eig(a)
-        one = values.imag >= 0.0
-        weights = np.where(values.imag > 0.0, 2.0, 1.0)[one]
-        drive = forces @ np.linalg.solve(vectors, b.astype(complex))[one].T
-        for place, value in enumerate(values[one]):
-            drive[:, place] = scipy.signal.lfilter([0.0, 1.0], [1.0, -value], drive[:, place])
-        out = weights * (c @ vectors[:, one])
-        return np.asarray(forces @ d.T + drive.real @ out.real.T - drive.imag @ out.imag.T)
+        moved = np.zeros(forces.shape)
+        for frequency, shape in zip(*self.modes(), strict=True):
+            omega = 2 * np.pi * frequency
+            # From the modal force to the acceleration of the modal coordinate: s^2 / (s^2 + 2 z w s + w^2).
+            mode = (np.array([1.0, 0.0, 0.0]), np.array([1.0, 2 * self.damping * omega, omega**2]))
+            above, below, _ = scipy.signal.cont2discrete(mode, step, method="foh")
+            moved += np.outer(scipy.signal.lfilter(above.ravel(), below, forces @ shape), shape)
+        return moved
 
 
 PAPER_FRAME = KnownFrame(np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0]), 0.01)

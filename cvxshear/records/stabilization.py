@@ -43,6 +43,11 @@ class Criteria:
         Number of orders in which a physical mode is stable.
     least_collinearity : float, optional
         MPC, once clock offsets are removed.
+    largest_shape_std : float, optional
+        Of an entry over the mode's largest, by leaving parts of the record out.
+    largest_frequency_std : float, optional
+        Relative, by the same. A mode's deviation is a part of its half-power bandwidth, twice its damping ratio, and
+        smaller by the root of the number of decays in the record.
     """
 
     highest_order: int | None = None
@@ -53,11 +58,19 @@ class Criteria:
     least_persistence: float = 0.5
     least_orders: int = 4
     least_collinearity: float = 0.7
+    largest_shape_std: float = 0.3
+    largest_frequency_std: float = 0.02
 
     def __post_init__(self) -> None:
         if self.highest_order is not None:
             checks.whole(self.highest_order, "highest_order", least=4, most=400)
-        for name in ("frequency_change", "damping_change", "highest_damping"):
+        for name in (
+            "frequency_change",
+            "damping_change",
+            "highest_damping",
+            "largest_shape_std",
+            "largest_frequency_std",
+        ):
             checks.number(getattr(self, name), name, above=0.0)
 
     def orders(self, count: int) -> range:

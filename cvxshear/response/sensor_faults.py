@@ -15,19 +15,18 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES, sound_pieces
-from cvxshear.records.examination import examined
-from cvxshear.records.floors import ACROSS, center_weights
+from cvxshear.records.examination import ACROSS, center_weights, examined
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN
+from cvxshear.records.prepare import SINC_TERMS, between
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.records.sick_channels import spikes_in, stuck_in
-from cvxshear.records.signals import SINC_TERMS, between
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 
 SAID = (
-    "dead channel", "stuck channel", "clipped channel", "held samples", "aliasing", "mains hum", "direction", "sign",
-    "unit", "swapped channels", "clock offset", "clock drift",
+    "dead channel", "stuck channel", "clipped channel", "held samples", "mains hum", "direction", "sign",
+    "unit", "swapped channels", "clock offset", "clock drift", "lost samples",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
@@ -138,7 +137,7 @@ class SensorRecord:
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
-            if finding.kind == "dead channel":
+            if finding.kind in ("dead channel", "lost samples"):
                 out.update(columns)
             elif finding.kind == "stuck channel":
                 for column, (place, piece) in itertools.product(columns, pieces):

@@ -230,7 +230,7 @@ class Weighed(Datum):
 @pytest.fixture
 def weighed(monkeypatch):
     """Register the kind of datum above for one test."""
-    monkeypatch.setattr(registry_module, "_kinds", dict(registry_module._kinds))
+    monkeypatch.setattr(registry_module, "REGISTERED", dict(registry_module.REGISTERED))
     monkeypatch.setattr(Weighed, "weight", 9.81 * 1.1 * MASS.sum())
     register(Weighed)
 
@@ -295,7 +295,7 @@ def model_of(of):
 
 
 def test_a_registered_kind_does_not_outlive_its_test():
-    assert set(registry_module._kinds) == {"Frequencies", "Shapes", "Static"}
+    assert set(registry_module.REGISTERED) == {"Frequencies", "Shapes", "Static"}
 
 
 def test_modes_that_changed_places_are_paired_by_their_shapes():

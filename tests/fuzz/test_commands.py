@@ -68,7 +68,7 @@ def with_value(content: bytes, place: float, value: float) -> bytes:
     return content[: found.start()] + text.encode() + content[found.end() :]
 
 
-METHODS = (("base", "okid"), ("base", "subspace"), ("none", "ssi"), ("free_decay", "era"))
+METHODS = (("base", "subspace"), ("none", "ssi"), ("free_decay", "era"))
 
 CHANGES = st.lists(st.tuples(PLACES, st.sampled_from(VALUES)), min_size=1, max_size=3)
 

@@ -285,23 +285,7 @@ def test_functions(run, tmp_path):
     assert "no pair of columns such as floor1_re" in run("new", "--record", tmp_path / "b.csv")[2]
 
 
-def compressed(path, values):
-    path.write_bytes(gzip.compress(text("time,ground,a1,a2,a3\n", values).encode()))
-
-
-def mat(path, values):
-    io.savemat(
-        path, {"time": values[:, 0], "ground": values[:, 1], "a1": values[:, 2], "a2": values[:, 3], "a3": values[:, 4]}
-    )
-
-
-def npz(path, values):
-    np.savez(path, time=values[:, 0], ground=values[:, 1], a1=values[:, 2], a2=values[:, 3], a3=values[:, 4])
-
-
-def npy(path, values):
-    names = ("time", "ground", "a1", "a2", "a3")
-    np.save(path, np.array([tuple(row) for row in values], dtype=[(name, "f8") for name in names]))
+NAMES = ("time", "ground", "a1", "a2", "a3")
 
 
 def xlsx(path, values):
@@ -312,11 +296,18 @@ def xlsx(path, values):
     book.save(path)
 
 
-@pytest.mark.parametrize(
-    ("ending", "write"), [("csv.gz", compressed), ("mat", mat), ("npz", npz), ("npy", npy), ("xlsx", xlsx)]
-)
-def test_kinds_of_files(ending, write, values, run, tmp_path):
-    write(tmp_path / f"a.{ending}", values)
+WRITERS = {
+    "csv.gz": lambda path, values: path.write_bytes(gzip.compress(text(",".join(NAMES) + "\n", values).encode())),
+    "mat": lambda path, values: io.savemat(path, dict(zip(NAMES, values.T, strict=True))),
+    "npz": lambda path, values: np.savez(path, **dict(zip(NAMES, values.T, strict=True))),
+    "npy": lambda path, values: np.save(path, np.rec.fromarrays(values.T, names=",".join(NAMES))),
+    "xlsx": xlsx,
+}
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_kinds_of_files(ending, values, run, tmp_path):
+    WRITERS[ending](tmp_path / f"a.{ending}", values)
     check(begun(run, tmp_path, f"a.{ending}")[1], values)
 
 

@@ -237,7 +237,6 @@ def test_the_signs_of_a_record_at_some_floors_tell_that_a_mode_is_lacking():
 
 
 def test_a_record_that_lacks_a_mode_is_numbered_by_the_loop_where_its_signs_do_not_tell():
-    # The observer of `okid` shifts the highest mode by more than its stated deviation.
     _, modes = shaken([3, 5, 8], count=5, method="subspace")
     assert modes.modes.tolist() == [1, 2, 3, 4, 5]
     rivals = ["attached_mass", "ground_spring", "sensor_gain", "story_change", "gravity"]

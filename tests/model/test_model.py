@@ -10,14 +10,48 @@ from cvxshear.model.shear import (
     ShearSystem,
     attached_share,
     frame_modes,
+    mass_matrix,
     mode_derivatives,
     modes,
     shear_system,
     stiffness_matrix,
+    transformation,
 )
 from cvxshear.util.errors import NoModesError
 
 MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 400.0])
+
+
+@pytest.mark.parametrize("stories", [1, 2, 5, 9])
+def test_stiffness_is_tridiagonal_and_in_equilibrium(stories):
+    """A displaced floor deforms its two adjacent stories, pulls at the neighboring floors, and does not load the
+    others."""
+    k = np.random.default_rng(stories).uniform(1e4, 4e4, stories)
+    K = stiffness_matrix(k)
+    for floor in range(stories):
+        forces = np.zeros(stories + 2)
+        forces[floor] -= k[floor]
+        forces[floor + 1] += k[floor]
+        if floor + 1 < stories:
+            forces[floor + 1] += k[floor + 1]
+            forces[floor + 2] -= k[floor + 1]
+        np.testing.assert_allclose(K[:, floor], forces[1 : stories + 1], rtol=1e-15, atol=0)
+    np.testing.assert_array_equal(K, K.T)
+
+
+def test_transformation_gives_story_drifts():
+    u = np.array([0.3, 0.5, -0.2])
+    np.testing.assert_allclose(transformation(3).T @ u, [0.3, 0.2, -0.7], rtol=1e-15)
+
+
+def test_mass_matrix():
+    np.testing.assert_array_equal(mass_matrix(MASS), [[4.0, 0, 0], [0, 3.0, 0], [0, 0, 2.0]])
+
+
+def test_frequencies_of_the_papers_three_story_frame():
+    """Compare with section 5 of the paper, to its four printed decimals."""
+    found = modes(mass_matrix([10.0, 7.5, 5.0]), stiffness_matrix(np.array([1800.0, 1200.0, 600.0])))
+    np.testing.assert_allclose(found.frequencies, [1.0336, 2.2099, 3.2812], rtol=0, atol=5e-5)
 
 
 @pytest.mark.parametrize("stories", [1, 3, 39, 40, 60])
@@ -158,3 +192,15 @@ def test_sensors_that_show_the_floors_are_the_identity():
         np.testing.assert_array_equal(each.gain, np.ones(3))
         np.testing.assert_array_equal(each.extended().matrix, np.eye(3, 4))
         np.testing.assert_array_equal(each.scaled(1, 2.0, 0).matrix, np.diag([1.0, 2.0, 1.0]))
+
+
+def test_derivatives_of_frequencies_scale_as_they_must():
+    """Scaling all masses or all stiffnesses gives sum m dlam/dm = -lambda and sum k dlam/dk = lambda; shapes scale with
+    the masses only."""
+    system = shear_system(MASS, STIFFNESS)
+    at = modes(system.M, system.K)
+    dlam, dphi = mode_derivatives(at, system, slice(None))
+    np.testing.assert_allclose(MASS @ dlam[:3], -at.eigenvalues, rtol=1e-12)
+    np.testing.assert_allclose(STIFFNESS @ dlam[3:], at.eigenvalues, rtol=1e-12)
+    np.testing.assert_allclose(np.einsum("p,pij->ij", MASS, dphi[:3]), -0.5 * at.shapes, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(np.einsum("p,pij->ij", STIFFNESS, dphi[3:]), np.zeros((3, 3)), rtol=0, atol=1e-13)

@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg
 
 from cvxshear.records import continuous
-from cvxshear.records.continuous import CovarianceSource, OkidSource, SubspaceSource, Triangles
+from cvxshear.records.continuous import CovarianceSource, SubspaceSource, Triangles
 
 
 @pytest.mark.parametrize(
@@ -57,25 +57,12 @@ def driven(samples=260, seed=2):
 def test_an_observer_of_exact_data_is_the_system():
     u, y, response = driven()
     pieces = [(u[:140], y[:140]), (u[120:], y[120:])]
-    source = OkidSource(pieces, 50.0, floor=2, lags=6)
+    source = SubspaceSource(pieces, 50.0, floor=2, rows=5, lags=6)
     for keep in (None, np.array([True, False])):
-        np.testing.assert_allclose(source.markov(keep)[:40], response[:40], atol=1e-8)
+        np.testing.assert_allclose(source.impulse(keep).sequence[:40], response[:40], atol=1e-8)
     impulse = source.impulse()
     assert (impulse.start, impulse.driven.tolist()) == (12, [2])
     np.testing.assert_allclose(source.energies, [np.mean(piece[1] ** 2) for piece in pieces])
-
-
-def test_a_rougher_observer_is_that_of_half_the_lags_on_the_same_samples():
-    u, y, _ = driven()
-    y = y + 0.3 * np.random.default_rng(3).standard_normal(y.shape)
-    pieces = [(u[:140], y[:140]), (u[120:], y[120:])]
-    rougher = OkidSource(pieces, 50.0, lags=6).rougher()
-    half = OkidSource([(a[3:], b[3:]) for a, b in pieces], 50.0, lags=3)
-    np.testing.assert_allclose(rougher.markov(), half.markov(), atol=1e-9)
-    inner = SubspaceSource(pieces, 50.0, rows=5, lags=20)
-    np.testing.assert_allclose(inner.impulse().sequence, OkidSource(pieces, 50.0, lags=9).markov())
-    fewer = OkidSource([(a[5:], b[5:]) for a, b in pieces], 50.0, lags=4)
-    np.testing.assert_allclose(inner.rougher().impulse().sequence, fewer.markov(), atol=1e-9)
 
 
 def test_the_factor_of_a_subspace_is_the_future_as_the_past_explains_it():

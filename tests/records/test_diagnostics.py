@@ -11,12 +11,12 @@ import pytest
 
 from cvxshear import InputError
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
-from cvxshear.records.clock_offsets import offsets
 from cvxshear.records.deviations import SENSOR_STD, entry_std
 from cvxshear.records.diagnostics import reciprocity_findings
+from cvxshear.records.mode_shapes import offsets
+from cvxshear.records.prepare import in_step, struck
 from cvxshear.records.record import Finding
 from cvxshear.records.sick_channels import channel_findings
-from cvxshear.records.signals import in_step, struck
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.records.shared import TWO_STORY_FREQUENCIES, two_story_frf
 from tests.studies.record_faults import only
@@ -86,9 +86,7 @@ def test_clock_offset_is_found_and_corrected(record):
     [finding] = found(result, "clock offset")
     assert finding.numbers["channel"] == "floor2"
     assert finding.numbers["seconds"] == pytest.approx(0.008, abs=3e-4)
-    again = identify_modes(late, correct_clocks=True)
-    assert [f.message.endswith("; corrected") for f in found(again, "clock offset")] == [True]
-    np.testing.assert_allclose(again.mode_shapes, identify_modes(record).mode_shapes, atol=2e-3)
+    np.testing.assert_allclose(result.mode_shapes, identify_modes(record).mode_shapes, atol=2e-3)
 
 
 @pytest.mark.parametrize(("kept", "both"), [([0, 2], True), ([0, 1, 2], False)])
@@ -107,8 +105,8 @@ def test_what_the_modes_leave_of_a_drift_s_start_is_counted_with_it():
     [finding] = [item for item in result.findings if item.kind.startswith("clock")]
     assert finding.kind == "clock drift"
     start, std = result.clock_offsets["floor3"]
-    assert finding.numbers["seconds"] == start
-    assert abs(start) < 3.0 * std
+    assert finding.numbers["seconds"] == start - result.clock_offsets[finding.numbers["reference"]][0]
+    assert abs(finding.numbers["seconds"]) < 3.0 * std
 
 
 @pytest.mark.parametrize("late", [0, 1, 2])
@@ -197,16 +195,30 @@ def test_dead_channel_is_left_out(record):
     np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
 
 
-def test_clipped_channel(record):
-    level = 0.5 * np.abs(record.runs[0].responses[:, 2]).max()
+def hum(values):
+    """Return 50 Hz sampled at 20 Hz, which folds to 10 Hz: a sine of amplitude s is s or -s at each sample."""
+    return values + values.std() * np.cos(2 * np.pi * 50.0 * np.arange(len(values)) / 20)
 
-    def clip(values):
-        np.clip(values[:, 2], -level, level, out=values[:, 2])
 
-    [finding] = [f for f in channel_findings(changed(record, clip)) if f.kind == "clipped channel"]
-    assert finding.numbers["channel"] == "floor3"
-    assert abs(finding.numbers["level"]) == pytest.approx(level)
-    assert "of 3000 samples" in finding.message
+@pytest.mark.parametrize(
+    ("change", "kind", "number", "expected"),
+    [
+        (lambda values: np.clip(values, -0.5 * values.max(), 0.5 * values.max()), "clipped channel", "share", 0.1),
+        (lambda values: values + np.linspace(0, 3 * values.std(), len(values)), "drift", "over_std", 2.7),
+        (lambda values: np.repeat(values[::2], 2), "held samples", "repeats", 2),
+        (hum, "mains hum", "share", 0.5),
+        (lambda values: 0.0 * values, "dead channel", "std", 0.0),
+    ],
+)
+def test_a_fault_of_one_channel(record, change, kind, number, expected):
+    def one(values):
+        values[:, 1] = change(values[:, 1])
+
+    said = [finding.to_dict() for finding in channel_findings(changed(record, one))]
+    [numbers] = [finding["numbers"] for finding in said if finding["kind"] == kind]
+    assert numbers["channel"] == "floor2"
+    assert numbers[number] == pytest.approx(expected, abs=0.3 if kind == "drift" else 0.1)
+    assert type(numbers[number]) in (int, float)
 
 
 @pytest.mark.parametrize(("frequency", "noise"), [(3.5, 7.0), (3.5, 0.0), (0.8, 0.3), (0.8, 0.0)])
@@ -227,47 +239,10 @@ def test_a_rounded_peak_is_no_clip(frequency, noise):
     assert clips == {1.0: 0, 0.7: 20}
 
 
-def test_drift(record):
-    def warm_up(values):
-        values[:, 0] += np.linspace(0, 3 * values[:, 0].std(), len(values))
-
-    [finding] = [f for f in channel_findings(changed(record, warm_up)) if f.kind == "drift"]
-    assert finding.numbers["channel"] == "floor1"
-    assert finding.numbers["over_std"] == pytest.approx(2.7, abs=0.3)
-
-
-def test_held_samples(record):
-    def fill_up(values):
-        values[1::2, 2] = values[::2, 2]
-
-    [finding] = [f for f in channel_findings(changed(record, fill_up)) if f.kind == "held samples"]
-    assert finding.numbers["repeats"] == 2
-
-
-def test_aliasing(record):
-    def hum(values):
-        # A hum of 49.6 Hz sampled at 20 Hz folds to 9.6 Hz; a sine of amplitude s has the power s^2 / 2.
-        values[:, 0] += values[:, 0].std() * np.sin(2 * np.pi * 49.6 * np.arange(len(values)) / 20)
-
-    [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "aliasing"]
-    assert finding.numbers["channel"] == "floor1"
-    assert finding.numbers["share"] == pytest.approx(1 / 3, abs=0.05)
-
-
 def test_a_hammer_sampled_at_a_third_of_the_mains_does_not_hum():
     """At 20 Hz, three lines of the mains fold to 0 Hz, inside the spectrum of a blow, and three fold to 10 Hz."""
     sound = hammer_record(PAPER_FRAME, 4, noise=0.02, hits=1)
     assert not [f for f in channel_findings(sound) if f.kind == "mains hum"]
-
-
-def test_mains_hum(record):
-    def hum(values):
-        # At half the sampling rate (50 Hz folds to 10 Hz), a sine of amplitude s is s or -s at each sample.
-        values[:, 0] += values[:, 0].std() * np.cos(2 * np.pi * 50.0 * np.arange(len(values)) / 20)
-
-    [finding] = [f for f in channel_findings(changed(record, hum)) if f.kind == "mains hum"]
-    assert finding.numbers["channel"] == "floor1"
-    assert finding.numbers["share"] == pytest.approx(1 / 2, abs=0.05)
 
 
 def test_ambient_record_too_short():
@@ -343,27 +318,12 @@ def test_frequency_that_depends_on_amplitude():
     np.testing.assert_allclose(changes, np.log(0.98) / 2, atol=0.002)
 
 
-def earthquake(seed: int, limit: float | None = None, rate: float = 20.0, steps: int = 20) -> TimeRecord:
-    """Return a record of a decaying ground motion; the second story slides beyond `limit` times its elastic peak."""
+def earthquake(seed: int, rate: float = 20.0, steps: int = 20) -> TimeRecord:
+    """Return a record of a decaying ground motion."""
     random = np.random.default_rng(seed)
     time, inner = np.arange(0.0, 120.0, 1 / rate), np.arange(0.0, 120.0, 1 / (rate * steps))
     ground = np.interp(inner, time, random.standard_normal(len(time)) * np.minimum(time / 4, np.exp((4 - time) / 25)))
-    masses, (frequencies, shapes) = PAPER_FRAME.masses, PAPER_FRAME.modes()
-    weighed = shapes * masses
-    damper = weighed.T @ np.diag(4 * np.pi * PAPER_FRAME.damping * frequencies) @ weighed
-    slides = np.inf
-    for passed in range(1 if limit is None else 2):
-        place, speed, slid, peak, moved = np.zeros(3), np.zeros(3), 0.0, 0.0, np.zeros((len(inner), 3))
-        for row, shaken in enumerate(ground):
-            drift = np.diff(place, prepend=0.0) - [0.0, slid, 0.0]
-            peak = max(peak, abs(drift[1]))
-            slid += drift[1] - np.clip(drift[1], -slides, slides)
-            drift[1] = np.clip(drift[1], -slides, slides)
-            shear = PAPER_FRAME.stiffnesses * drift
-            moved[row] = (np.append(shear[1:], 0.0) - shear - damper @ speed) / masses
-            speed = speed + (moved[row] - shaken) / (rate * steps)
-            place = place + speed / (rate * steps)
-        slides = np.inf if limit is None or passed else limit * peak
+    moved = PAPER_FRAME.accelerations(-np.outer(ground, PAPER_FRAME.masses), 1 / (rate * steps)) + ground[:, None]
     sampled = np.column_stack([ground, moved])[::steps]
     noisy = sampled + 0.01 * sampled.std(axis=0) * random.standard_normal(sampled.shape)
     channels = tuple(Channel(f"floor{floor}", floor) for floor in (1, 2, 3))
@@ -387,12 +347,6 @@ def test_earthquake_on_a_linear_frame_has_no_amplitude_in_its_frequencies(seed):
     assert not found(identify_modes(earthquake(seed)), "amplitude")
 
 
-@pytest.mark.parametrize("seed", [0, 2])
-def test_earthquake_in_which_a_story_slides_is_suspected(seed):
-    said = found(identify_modes(earthquake(seed, limit=0.5)), "amplitude")
-    assert any("scatters" in finding.message for finding in said)
-
-
 @pytest.mark.parametrize("offset", [0.0, 0.02, -0.02])
 def test_blows_are_blows_whatever_the_offset_of_the_force(offset):
     """Over a run, an offset of 2 % of the peak has more energy than the blow; sound runs outvote one without a blow."""
@@ -404,12 +358,6 @@ def test_blows_are_blows_whatever_the_offset_of_the_force(offset):
     np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=2e-4)
     quiet = dataclasses.replace(runs[0], excitation=offset * peak + 0.01 * np.sin(np.arange(runs[0].samples)))
     assert struck(dataclasses.replace(record, runs=(quiet, *runs[1:])))
-
-
-def test_findings_are_plain_values(record):
-    finding = channel_findings(changed(record, lambda values: values.__setitem__((slice(None), 0), 0.0)))[0]
-    assert finding.to_dict()["kind"] == "dead channel"
-    assert isinstance(finding.to_dict()["numbers"]["std"], float)
 
 
 def test_shapes_are_as_uncertain_as_a_failure_of_reciprocity_says():

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ast
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -258,15 +256,6 @@ def test_an_unknown_mass_is_said(tmp_path):
     said = (tmp_path / "out.toml").read_text()
     assert "nothing tells how heavy the frame is: total_mass = 1 is written in its place" in said
     assert cvxshear.load(tmp_path / "out.toml").frame.total_mass == 1.0
-
-
-def test_modes_are_identified_without_a_reader_or_a_writer():
-    """`formats` builds records of `modal`. Therefore `modal` must not import from it, not even in a function."""
-    for path in (Path(cvxshear.__file__).parent / "modal").glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
-            assert not any(name.startswith("cvxshear.io") for name in names), path.name
 
 
 @pytest.mark.parametrize("direction", [100, -100])

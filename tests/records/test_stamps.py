@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvxshear.io.columns import Columns
-from cvxshear.records.stamps import rounding_of, sampling_rate_of
+from cvxshear.records.data_frames import rounding_of, sampling_rate_of
 from cvxshear.util.errors import InputError
 
 

@@ -17,7 +17,7 @@ from cvxshear.records.simulate import KnownFrame, ambient_record, base_record, h
 from cvxshear.util.errors import CvxshearError
 from tests.studies.record_faults import only
 
-METHODS = {"subspace": "base", "okid": "base", "ssi": "none", "era": "force"}
+METHODS = {"subspace": "base", "ssi": "none", "era": "force"}
 WITHIN = 1.96
 RATE = {"none": 4.0}
 """Sampling rate over the highest frequency; the default is 2.6.

@@ -30,10 +30,11 @@ NAMED_BY = {
     "stuck": ("stuck channel", "dead channel"),
     "saturated": ("clipped channel",),
     "spikes": ("spikes",),
+    "without samples": ("lost samples",),
 }
 """Kinds of finding that name each fault."""
 
-ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"held samples", "aliasing", "drift"}
+ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"held samples", "drift"}
 INPUTS = ("base", "force", "none", "free_decay")
 
 
@@ -162,6 +163,9 @@ def case_of(seed: int, kind: str, fault: str) -> Case:
         elif fault == "saturated":
             limit = random.uniform(1.0, 2.0) * column.std()
             column = np.clip(column, -limit, limit)
+        elif fault == "without samples":
+            first, lost = int(random.uniform(0.2, 0.8) * len(column)), int(np.exp(random.uniform(0.0, np.log(100.0))))
+            column[first:-lost] = column[first + lost :]
         elif fault == "spikes":
             hit = random.choice(len(column), 12, replace=False)
             column[hit] += random.uniform(8, 40, 12) * random.choice([-1, 1], 12) * level

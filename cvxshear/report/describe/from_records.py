@@ -11,7 +11,7 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, numbered, percent, with_std, with_stds
 
 METHOD_WORDS = {
-    "era": "eigensystem realization (era)", "okid": "observer identification and eigensystem realization (okid)",
+    "era": "eigensystem realization (era)",
     "subspace": "subspace identification (subspace)", "ssi": "stochastic subspace identification (ssi)",
     "given": "modes found elsewhere",
 }  # fmt: skip
