@@ -17,6 +17,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.effects.composition import acting_on, composed, slices
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
+from cvxshear.fit.optimality import triangular
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
@@ -72,9 +73,7 @@ class Evaluation:
 
         A step and its uncertainty need no more of J; there are many more data than parameters.
         """
-        whole = np.asarray(np.linalg.qr(np.column_stack([self.J, self.r]), mode="r"))
-        P = self.J.shape[1]
-        return whole[:P, :P], whole[:P, P]
+        return triangular(self.J, self.r)
 
     @cached_property
     def known_triangle(self) -> Floats:

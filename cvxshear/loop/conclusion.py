@@ -13,12 +13,11 @@ from cvxshear.effects.masses import LoadScale
 from cvxshear.fit.efficient import Estimate, parameter_names
 from cvxshear.loop.comparison import VerdictFits
 from cvxshear.loop.fitter import ModelClass
-from cvxshear.loop.hypotheses import OPEN, OVERLOOKED, NumberingProbability
+from cvxshear.loop.hypotheses import OPEN, OVERLOOKED, NumberingProbability, dual_fits_as_well, dual_set
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet, LoopResult, where_it_sits
 from cvxshear.loop.search import Search, fits_alike
-from cvxshear.loop.searches import dual_fits_as_well, dual_set
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.quantities import SURE, listed, significant

@@ -29,9 +29,6 @@ from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained
 from cvxshear.util.typing import Floats
 
-FAR = 6.0
-"""Largest distance, in standard deviations, of an inequality that cuts the Gaussian."""
-
 TINY = 1e-12
 """Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
 
@@ -160,11 +157,9 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
                 if tailed_prior is None
                 else log_tailed_interval(*between, slope, std[p], *tailed_prior)
             )
-    for row in range(len(rows)):
-        of_own = row < 2 * len(B) and row % len(B) in together
-        if not of_own and std[row] > 0 and slack[row] < FAR * std[row]:
-            value += float(log_interval(-np.inf, max(slack[row], 0.0), -multipliers[row], std[row]))
-    return value
+    own_interval = (np.arange(len(rows)) < 2 * len(B)) & np.isin(np.arange(len(rows)) % len(B), sorted(together))
+    cut = ~own_interval & (std > 0)
+    return value + float(np.sum(log_interval(-np.inf, np.maximum(slack[cut], 0.0), -multipliers[cut], std[cut])))
 
 
 def _spread(rows: Floats, H: Floats) -> Floats:

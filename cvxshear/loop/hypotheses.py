@@ -6,6 +6,12 @@ changes of sign. Shapes at a few floors and frequencies alone do not, and a wron
 absent. So other numberings are weighed by their evidence. These are the ones that a configuration names
 (`other_modes`). If the given numbers require an effect or leave a residual, each mode except the lowest is also assumed
 overlooked in turn.
+
+Frequencies alone also admit a second frame. A chain of N stories k_i and floors m_i has the eigenvalues of the chain
+with stories 1 / m_(N+1-i) and floors 1 / k_(N+1-i), up to scale. So every set of effects has a dual that fits equally
+well, in which a loss in story j is a mass on floor N+1-j (`Effect.dual`). With added mass in some tests the dual fits
+worse or better, and lies near its own minimum. No fit from the first frame reaches this minimum, so sets of effects are
+also visited from this frame.
 """
 
 from __future__ import annotations
@@ -22,7 +28,7 @@ from cvxshear.measurement.experiment import Configuration, ExpectedEffect, Exper
 from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Ints, Json, T
+from cvxshear.util.typing import Floats, Ints, Json, T
 
 OPEN = "open"
 """Kind of the open classes, and the common name of all of them."""
@@ -341,3 +347,50 @@ def _renumbered(experiment: Experiment, changes: Changes) -> Experiment:
         for each in experiment.configurations
     )
     return dataclasses.replace(experiment, configurations=configurations)
+
+
+def few_floors_seen(experiment: Experiment) -> bool:
+    """Whether no test measured more than half of the floors: very different frames may fit such data equally well."""
+    return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
+
+
+def dual_fits_as_well(experiment: Experiment) -> bool:
+    """Whether only frequencies were measured, without added mass.
+
+    Such data do not distinguish a frame from its dual.
+    """
+    return not experiment.static and not any(
+        each.measured.any() or np.any(each.added_mass) for each in experiment.configurations
+    )
+
+
+def dual_frame(frame: Floats) -> Floats:
+    """Return the masses and stiffnesses of the dual frame of the same total mass, shape (2N,).
+
+    Parameters
+    ----------
+    frame : ndarray, shape (2N,)
+        Floor masses and story stiffnesses, kg and N/m.
+    """
+    floor_mass, story_stiffness = np.split(frame, 2)
+    scale = floor_mass.sum() / np.sum(1.0 / story_stiffness)
+    dual: Floats = scale * np.concatenate([1.0 / story_stiffness[::-1], 1.0 / floor_mass[::-1]])
+    return dual
+
+
+def dual_set(
+    effects: frozenset[LocatedEffect], known: Sequence[LocatedEffect], stories: int
+) -> frozenset[LocatedEffect] | None:
+    """Find the effects of the dual frame that give the same frequencies; None if an effect has no dual.
+
+    Parameters
+    ----------
+    effects : frozenset of LocatedEffect
+    known : sequence of LocatedEffect
+        All effects that are looked for.
+    stories : int
+    """
+    by_place = {(placed.effect.name, placed.place): placed for placed in known}
+    found = [placed.effect.dual(placed.place, stories) for placed in effects]
+    duals = [by_place.get(each) if each is not None else None for each in found]
+    return frozenset(each for each in duals if each is not None) if None not in duals else None

@@ -119,7 +119,7 @@ class Linearised:
         """Find the gain with open accuracy of some residuals, and the log of the most probable factor on it."""
         rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
         size = UnknownSize(placed.label, float(np.count_nonzero(r[rows])), placed.effect.size_width, above_one=True)
-        return SizeMarginal([size], [1.0], [reached[rows]], [r[rows]]).over_grid()
+        return SizeMarginal([size], [1.0], [reached[rows]], [r[rows]], reached.T @ r).over_grid()
 
     def _gains_by_size(self, placed: LocatedEffect, own: Floats, r: Floats) -> tuple[Floats, Floats]:
         """Find the gain with each common log size of an effect's parameters, weighted by its prior; and these sizes.

@@ -37,9 +37,6 @@ CLEAR = 3.0
 WORTH_A_SENSOR = 1.2
 """Smallest factor on the distance that justifies one more sensor."""
 
-PROMISING = 8
-"""Number of tests, the best with the present sensors, for which more sensors are tried."""
-
 
 @dataclass(frozen=True)
 class NextTest(InJson):
@@ -76,8 +73,8 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
     each rival (`fit/gaussian.py`).
 
     The criterion is the smallest distance over the rivals. Rivals that no such test distinguishes do not count if other
-    rivals can be distinguished. If the distance stays below `CLEAR`, more floors receive a sensor, the best first,
-    while each sensor is worth its cost.
+    rivals can be distinguished. If the distance of the best test is below `CLEAR`, more floors receive a sensor,
+    the best first, while each sensor is worth its cost.
     """
     if not rivals:
         return None
@@ -115,8 +112,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
     found = ranking.ranked(found, lambda each: each[0].standard_deviations)
     best = found[0][0]
     if best.standard_deviations < CLEAR:
-        more = [_with_sensors(accepted, rivals, test, first) for test, first in found[:PROMISING]]
-        best = ranking.ranked([best, *more], lambda test: test.standard_deviations)[0]
+        best = _with_sensors(accepted, rivals, *found[0])
     return best if best.standard_deviations >= WORTHWHILE else None
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Changes, Hypothesis, NumberingProbability, log_odds
@@ -34,10 +35,6 @@ UNKNOWN_CAUSE, WITH_EACH_MORE = 1e-4, 10.0
 the smallest number of kinds that counts. UNKNOWN_CAUSE is the prior probability of such a cause for that number.
 WITH_EACH_MORE is the factor for each further kind. One frame in fifty has a cause that the catalogue lacks. Three kinds
 of effects imitate one in two hundred of these causes, five kinds half of them."""
-
-AS_PROBABLE = 0.01
-"""Relative difference of two probabilities that counts as zero. Fits end within a similar distance of their optimum,
-and the order of two equal effects must not depend on the machine."""
 
 
 @dataclass(frozen=True)
@@ -130,19 +127,21 @@ class Posterior:
     def many_causes_penalty(self) -> dict[LocatedEffect, float]:
         """Factor on the probability of each effect of the verdict: many kinds against one unknown cause.
 
-        Let P be the prior probability of the kinds of effects in one state, or in the frame, and u the probability of
-        an unknown cause that imitates them. The factor is P / (P + u). With fewer than `MANY_CAUSES` kinds the factor
-        is 1.
+        Let P be the prior probability of the kinds of effects in the frame, or in one state and the frame together,
+        and u the probability of an unknown cause that imitates them. The factor is P / (P + u). With fewer than
+        `MANY_CAUSES` kinds the factor is 1.
         """
         factors: dict[LocatedEffect, float] = {}
         present = self.verdict_set()
         for state in {placed.place.state for placed in present}:
-            together = [placed for placed in present if placed.place.state == state]
-            kinds = {placed.effect.name for placed in together}
+            kinds = {
+                (placed.effect.name, placed.place.state) for placed in present if placed.place.state in (state, None)
+            }
             if len(kinds) >= MANY_CAUSES:
-                known = float(np.prod([self._prior_of_kind(name, state) for name in sorted(kinds)]))
+                known = float(np.prod([self._prior_of_kind(*kind) for kind in sorted(kinds, key=str)]))
                 unknown = UNKNOWN_CAUSE * WITH_EACH_MORE ** (len(kinds) - MANY_CAUSES)
-                factors |= dict.fromkeys(together, known / (known + unknown))
+                own = [placed for placed in present if placed.place.state == state]
+                factors |= dict.fromkeys(own, known / (known + unknown))
         return factors
 
     def _prior_of_kind(self, name: str, state: str | None) -> float:
@@ -156,17 +155,11 @@ class Posterior:
         """Sort effects by probability; among equally probable effects, changes between states come first."""
         chance = self._in_sets if probability is None else probability
         position = {placed: at for at, placed in enumerate(self._prior)}
-        groups: list[list[LocatedEffect]] = []
-        for placed in ranking.ranked(effects, chance.__getitem__):
-            if groups and chance[placed] >= (1.0 - AS_PROBABLE) * chance[groups[-1][0]]:
-                groups[-1].append(placed)
-            else:
-                groups.append([placed])
-        return [
-            placed
-            for group in groups
-            for placed in sorted(group, key=lambda each: (each.place.state is None, position[each]))
-        ]
+        known = sorted(effects, key=lambda each: (each.place.state is None, position[each]))
+        with np.errstate(divide="ignore"):
+            logs = {each: float(np.log(chance[each])) for each in known}
+        # Fits of the search end within this distance of their optimum.
+        return ranking.ranked(known, logs.__getitem__, same=ROUGH.step)
 
     def verdict_set(self) -> frozenset[LocatedEffect]:
         """Choose the added effects.

@@ -323,7 +323,7 @@ class Plan(Shown):
 
     @property
     def rests_on_total(self) -> bool:
-        """Whether more than half of the variance of a floor mass is that of the total mass."""
+        """Whether the total mass causes more than half of the variance of a floor mass."""
         return 2 * self.chosen.total_mass_std**2 > self.typical_std[0] ** 2
 
     @property

@@ -2,8 +2,8 @@
 
 A hypothesis changes one thing: a sign, a sensor's place or unit, an order, a mode's number, a floor mass, the floor of
 a load, a frequency. The nearest shear frame is fitted to the data as given and as changed. A change that can be made at
-K places has the prior odds q / K against the data as given, q the share of files with a mistake of its kind. With the
-evidence of each fit these are probabilities (`util/odds.py`). A mistake is named if the data as given are improbable,
+K places has the prior odds q / K against the data as given, q the share of files with a mistake of its kind. The
+evidence of each fit makes them probabilities (`util/odds.py`). A mistake is named if the data as given are improbable,
 with all changes that are needed to make the mistake certain.
 """
 

@@ -6,7 +6,7 @@ import pytest
 from scipy import linalg
 
 from cvxshear.effects import LocatedEffect, Place, catalogue, compose, named
-from cvxshear.loop.searches import dual_fits_as_well
+from cvxshear.loop.hypotheses import dual_fits_as_well
 from cvxshear.measurement.experiment import Experiment
 
 STORIES = 4

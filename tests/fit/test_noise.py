@@ -1,7 +1,5 @@
 """Test undeclared noise: its marginal, its estimates, and the quantities that it must not change."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.integrate import simpson
@@ -216,52 +214,6 @@ def test_the_gain_of_two_unknown_noises_is_their_integral_on_a_grid():
     integral = top + np.log(simpson(simpson(np.exp(density - top), grid[1]), grid[0]))
     expected = integral + np.sum(at.r**2) / 2 - 2 * np.log(0.7 * np.sqrt(2 * np.pi))
     assert found.gain == pytest.approx(expected, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("values", "floored"),
-    [
-        ([3.0, 40.0], [3.0, 40.0]),
-        # If the marginal is flat or bends upwards, its width is ten times the prior width.
-        ([-2.0, 40.0], [0.1 / 1.5**2, 40.0]),
-        ([3.0, 1e15], [1e3, 1e15]),
-    ],
-)
-def test_the_curvature_of_the_marginal_has_an_inverse(values, floored):
-    vectors = np.linalg.qr(np.array([[1.0, 2.0], [3.0, -1.0]]))[0]
-    bent = (vectors * values) @ vectors.T
-    marginal = SimpleNamespace(widths=np.array([0.7, 1.5]), negative=lambda v: (0.5 * v @ bent @ v, bent @ v))
-    found = SizeMarginal.curvature(marginal, np.array([0.3, -0.2]))
-    np.testing.assert_allclose(found, (vectors * floored) @ vectors.T, rtol=1e-6, atol=1e-6)
-
-
-def test_factors_taken_as_they_are_have_the_gain_of_laplace_there():
-    """Compare with the log of the integral over u of a Gaussian with the marginal's height and curvature and a
-    normalized prior."""
-    of = experiment_with(1, 0.004, 0.008)
-    estimate = efficient(of, backends.get("auto"))
-    noise = NoiseFactors((("frequency", 1.7), ("mode_shape", 0.9)))
-    misfit = estimate.misfit.replaced(noise=noise)
-    at = misfit.evaluate(estimate.theta)
-    free = estimate.uncertainty.root_of(at.triangle[0])
-    found = estimated_noise(misfit, at, free, here=True)
-    assert not found.settled
-    assert estimated_noise(misfit, at, free).settled
-    np.testing.assert_allclose(found.log_factors, np.log([1.7, 0.9]), rtol=1e-9)
-    assert dict(found.noise.factors) == pytest.approx({"frequency": 1.7, "mode_shape": 0.9})
-    marginal, u, h = marginal_of(misfit, at, free), np.log([1.7, 0.9]), 1e-3
-    points = [u + h * np.array([i, j]) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-    value = marginal.values(np.array(points)).reshape(3, 3)
-    across = (value[2, 2] - value[2, 0] - value[0, 2] + value[0, 0]) / 4
-    bent = [value[2, 1] + value[0, 1] - 2 * value[1, 1], value[1, 2] + value[1, 0] - 2 * value[1, 1]]
-    hessian = -np.array([[bent[0], across], [across, bent[1]]]) / h**2
-    expected = value[1, 1] - 0.5 * np.linalg.slogdet(hessian)[1] - 2 * np.log(0.7)
-    assert found.gain == pytest.approx(expected, abs=1e-4)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(hessian), rtol=1e-3)
-    said = found.to_dict()
-    assert said["frequency"] == pytest.approx({"factor": 1.7, "std": 1.7 * np.sqrt(found.covariance[0, 0])})
-    assert said["mode_shape"] == pytest.approx({"factor": 0.9, "std": 0.9 * np.sqrt(found.covariance[1, 1])})
-    assert said["displacement"] is None
 
 
 @pytest.mark.parametrize("left_out", [STDS, (*STDS, "mode_shapes", "measured_floors")])

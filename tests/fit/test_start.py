@@ -1,19 +1,15 @@
 """Each starting point of a fit has its intended property."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy import linalg
 
 from cvxshear import Experiment
-from cvxshear.fit import start
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import filled, nearest_first, smooth_frames, solved_story_equations, starts, uniform
 from cvxshear.model.shear import modes
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
-from cvxshear.util.errors import NoModesError, NoSolutionError
 from tests.frames import chain, configuration, experiment, modes_of
 
 MASS, STIFFNESS = np.array([12.0, 9.0, 7.0, 4.0]), np.array([9e3, 8e3, 5e3, 3e3])
@@ -192,37 +188,3 @@ def test_smooth_frames_keep_what_is_known_and_have_their_derivatives(frame, colu
     for at, direction in enumerate(np.eye(len(c))):
         ends = [problem.evaluate(c + sign * h * direction).objective for sign in (1, -1)]
         assert 2 * found.r @ found.J[:, at] == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("chi2", "smooth", "expected"),
-    [
-        ([700.0, 300.0, np.inf], 1.0, [300.0, 700.0]),
-        ([1700.0, 1300.0, np.inf], 5000.0, [5000.0, 1300.0, 1700.0]),
-        ([1700.0, 1300.0, np.inf], np.inf, [1300.0, 1700.0]),
-        ([1700.0, 1300.0, np.inf], None, [1300.0, 1700.0]),
-        ([np.inf, np.inf, np.inf], 7.0, [7.0]),
-    ],
-)
-def test_a_smooth_frame_leads_where_no_starting_point_is_near(monkeypatch, chi2, smooth, expected):
-    """A start is far if its misfit is a hundred times the expected value for ten data. The misfit identifies each start
-    here."""
-
-    def evaluate(theta, derivatives):
-        if np.isinf(theta[0]):
-            raise NoModesError("none")
-        return SimpleNamespace(chi2=theta[0])
-
-    def smooth_start(experiment, plain):
-        if smooth is None:
-            raise NoSolutionError("a backend", "nothing")
-        return np.array([smooth, 1.0])
-
-    monkeypatch.setattr(start, "starts", lambda experiment: [np.array([value, 1.0]) for value in chi2])
-    monkeypatch.setattr(start, "uniform", lambda experiment: None)
-    monkeypatch.setattr(start, "smooth_start", smooth_start)
-    effects = [SimpleNamespace(start=[0.5]), SimpleNamespace(start=[])]
-    misfit = SimpleNamespace(experiment=None, evaluate=evaluate, count=lambda theta: 10, effects=effects)
-    found = start.nearest_first(misfit, np.zeros(1))
-    assert [each[0] for each in found] == expected
-    np.testing.assert_array_equal(start.nearest_start(misfit), [expected[0], 1.0, 0.5])

@@ -67,6 +67,15 @@ def test_many_kinds_of_causes_are_weighed_against_one_unknown_cause():
     assert fewer.of_effects[MASS] == pytest.approx(0.9)
 
 
+def test_a_cause_in_one_state_counts_with_those_of_the_frame():
+    """Two kinds in the frame are few; with a third one in a state, the cause in this state is weighed."""
+    spring, other = put("ground_spring", floor=2), put("added_mass", floor=2, state="before")
+    of = posterior(model([spring, A, other], 0.9), model([B], 0.1), priors={spring: PRIOR, other: PRIOR})
+    P = PRIOR * (1 - (1 - PRIOR) ** 4) * PRIOR
+    assert of.of_effects[other] == pytest.approx(0.9 * P / (P + 1e-4))
+    assert of.of_effects[spring] == pytest.approx(0.9)
+
+
 def test_the_deviation_of_an_effect_holds_the_scatter_between_its_sets():
     """A is in two sets, 0.12 +- 0.003 and 0.10 +- 0.004 at 3 to 1. The deviation is the mean square about the first; a
     set without A does not count."""

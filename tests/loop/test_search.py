@@ -11,11 +11,12 @@ from cvxshear import Experiment, backends, close_loop
 from cvxshear.effects import Effect, GroundSpring, LocatedEffect, Parameter, Place, SensorGain
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
+from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop import conclusion
-from cvxshear.loop import fitter as fitter_module
 from cvxshear.loop.close import search_for_effects
 from cvxshear.loop.evidence import log_evidence
+from cvxshear.loop.fitter import Fitter
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.next_test import next_test
 from tests.fe.experiments import simulated
@@ -79,14 +80,14 @@ def fits(monkeypatch):
     If no set explains the data, a separate search judges all sets again with wider noise.
     """
     counted = Counter()
-    plain = fitter_module._fitted
+    plain = Fitter.models
 
-    def counting(proposal, backend, accuracy):
-        if accuracy == fitter_module.ROUGH:
-            counted[proposal.misfit.widened, frozenset(proposal.effects)] += 1
-        return plain(proposal, backend, accuracy)
+    def counting(fitter, proposals, accuracy=ROUGH):
+        if accuracy == ROUGH:
+            counted.update((each.misfit.widened, frozenset(each.effects)) for each in proposals)
+        return plain(fitter, proposals, accuracy)
 
-    monkeypatch.setattr(fitter_module, "_fitted", counting)
+    monkeypatch.setattr(Fitter, "models", counting)
     return counted
 
 

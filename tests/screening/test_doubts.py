@@ -52,7 +52,7 @@ def told(declared):
     ],
 )
 def test_a_declaration_is_asked_about_where_it_looks_wrong(frame, names):
-    """Units, elevations in place of heights, and deviations that nobody has; a placeholder is no mass in tons."""
+    """Units, elevations in place of heights, and impossible deviations; a placeholder is no mass in tons."""
     assert told(building(frame=frame)) == names
 
 

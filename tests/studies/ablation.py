@@ -28,7 +28,6 @@ SURE = 0.95
 RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "many causes are weighed against an unknown one": ("loop.posterior", {"MANY_CAUSES": 99}),
     "causes must have been made more probable": ("loop.posterior", {"RAISED": 1.0}),
-    "equal probabilities go by their position": ("loop.posterior", {"AS_PROBABLE": 0.0}),
     "beam of six sets": ("loop.search", {"BEAM": 3}),
     "sets within a thousandth of the best are followed": ("loop.search", {"WITHIN": 4.0}),
     "two equal sets are both expanded": ("loop.search", {"TIE": 0.0}),
@@ -39,11 +38,10 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "effects on accuracy": ("loop.search", {"RESCALING": 0}),
     "at most twelve effects in one sequence": ("loop.linear", {"MOST_TAKEN": 3}),
     "first predictions with a wide prior": ("loop.linear", {"WIDE": 1.0}),
-    "numberings are probed": ("loop.searches", {"PROBED": 1}),
-    "the best sets are tried with other numberings": ("loop.searches", {"CARRIED_OVER": 0}),
-    "numberings behind the best are searched": ("loop.searches", {"REACH": 7.0}),
-    "numberings far behind are given up": ("loop.searches", {"FAR_BEHIND": np.inf}),
-    "pairs of changes at few floors": ("loop.searches", {"MOST_PAIRED": 0}),
+    "numberings are probed": ("loop.close", {"PROBED": 1}),
+    "numberings behind the best are searched": ("loop.close", {"REACH": 7.0}),
+    "numberings far behind are given up": ("loop.close", {"FAR_BEHIND": np.inf}),
+    "pairs of changes at few floors": ("loop.close", {"MOST_PAIRED": 0}),
     "a second mode is no peak": ("fit.gaussian", {"SECOND_MODE": np.inf}),
     "noise is widened": ("loop.close", {"MOST_WIDENINGS": 0}),
 }

@@ -185,12 +185,13 @@ def _effects(result: LoopResult) -> str:
 
 
 def _piled(result: LoopResult) -> bool:
-    """Return whether one state, or the frame, has too many kinds of uncertain effects to believe any."""
+    """Return whether the frame, or one state with the frame, has too many kinds of uncertain effects to believe any."""
     kinds: dict[str | None, set[str]] = {}
     for item in result.effects:
         if item.probability < ADDED:
             kinds.setdefault(item.placed.place.state, set()).add(item.placed.effect.name)
-    return any(len(names) >= MANY_CAUSES for names in kinds.values())
+    frame = kinds.pop(None, set())
+    return len(frame) >= MANY_CAUSES or any(len(names) + len(frame) >= MANY_CAUSES for names in kinds.values())
 
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:

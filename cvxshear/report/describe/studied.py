@@ -11,9 +11,9 @@ from cvxshear.backends import Comparison, ProgramKind
 from cvxshear.backends.benchmark import BackendResult
 from cvxshear.fit.results import UNITS_OF_FRAME
 from cvxshear.paper import tables as printed
-from cvxshear.paper.reproduction import Reproduction
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
+from cvxshear.paper.tables import Reproduction
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.results import SUFFICES, ExpectedAccuracy, Plan
 from cvxshear.report.describe import (
