@@ -302,7 +302,7 @@ def rms(values: Floats) -> float:
 
 
 def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
-    """Read a recording, and correct the certain faults of its sensors (`sensor_faults`).
+    """Read a recording, and correct the certain faults of its sensors (`SensorRecord`).
 
     Parameters
     ----------
