@@ -18,8 +18,8 @@ from cvxshear.cli.options import (
     BackendName,
     File,
     Files,
-    Outputs,
     ReportOut,
+    ResultOptions,
     SeriesOut,
     UnitsOption,
     Writer,
@@ -27,7 +27,10 @@ from cvxshear.cli.options import (
     input_files,
 )
 from cvxshear.cli.output import as_typed, deliver, doubts_of, heading_of, names, numbers, progress, show
+from cvxshear.report import terminal
+from cvxshear.report.describe import describe
 from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
+from cvxshear.util.quantities import Units
 from cvxshear.util.results import as_json
 from cvxshear.util.writing import write_file
 
@@ -38,7 +41,6 @@ if TYPE_CHECKING:
     from cvxshear.response import IdentifiedDamping, Reconstruction, RecordPrediction
     from cvxshear.response.sources import ModelSource
     from cvxshear.screening import FileFinding
-    from cvxshear.util.quantities import Units
 
 
 UNCERTAIN = 3
@@ -53,7 +55,7 @@ def identify(
     tolerance: float = 1e-6,
     units: UnitsOption = None,
     *,
-    outputs: Outputs,
+    outputs: ResultOptions,
 ) -> None:
     """Identify floor masses and story stiffnesses.
 
@@ -77,7 +79,6 @@ def identify(
     from cvxshear import identify as run
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
-    from cvxshear.util.quantities import Units
 
     files_of, display = outputs.prepared(Identification), Units.parse(units)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
@@ -116,7 +117,7 @@ def loop(
     strict: bool = False,
     units: UnitsOption = None,
     *,
-    outputs: Outputs,
+    outputs: ResultOptions,
 ) -> None:
     """Find the physical effect that the shear model lacks, and report the error before and after.
 
@@ -150,10 +151,8 @@ def loop(
     """
     from cvxshear import LoopResult
     from cvxshear.loop.verdicts import VERDICTS
-    from cvxshear.report import terminal
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import close_loop
-    from cvxshear.util.quantities import Units
 
     if effects == LIST:
         show(_catalogued())
@@ -214,9 +213,6 @@ def _identified(
     result: Identification, beside: Identification | None, damping: IdentifiedDamping | None, units: Units
 ) -> Iterator[RenderableType]:
     """Render an identification, the frames of another one for comparison, and the damping."""
-    from cvxshear.report import terminal
-    from cvxshear.report.describe import describe
-
     yield from terminal.shown(result, units)
     if beside is not None:
         yield f"\nFor comparison: method {beside.method}, each configuration by itself"
@@ -233,19 +229,20 @@ def _catalogued() -> Iterator[RenderableType]:
     from cvxshear.data import noise_kinds
     from cvxshear.effects import catalogue
     from cvxshear.loop import VERDICTS
-    from cvxshear.report.terminal import plain_table
 
-    yield plain_table("Effects", "name", "what it is", words=(0, 1), rows=((x.name, x.summary) for x in catalogue()))
+    yield terminal.plain_table(
+        "Effects", "name", "what it is", words=(0, 1), rows=((x.name, x.summary) for x in catalogue())
+    )
     kinds = []
     for kind in noise_kinds().values():
         (usual, most), unit = kind.sized(1.0, kind.largest / kind.default)
         kinds.append((kind.plural, f"{usual:g} {unit}", f"{most:g} {unit}", kind.reason))
     yield ""
     head = ("kind", "std where none is declared", "largest std", "why")
-    yield plain_table("Kinds of data", *head, words=(0, 3), rows=kinds)
+    yield terminal.plain_table("Kinds of data", *head, words=(0, 3), rows=kinds)
     yield ""
     verdicts = ((x.name, x.sentence) for x in VERDICTS.values())
-    yield plain_table("Verdicts", "name", "what it means", words=(0, 1), rows=verdicts)
+    yield terminal.plain_table("Verdicts", "name", "what it means", words=(0, 1), rows=verdicts)
 
 
 @dataclass(frozen=True)
@@ -321,7 +318,7 @@ def _write_page(path: str, result: RecordPrediction | Reconstruction) -> None:
     write_file(path, render_response(result, as_typed()))
 
 
-def predict(context: typer.Context, *, motion: Motion, export: list[str] | None = None, outputs: Outputs) -> None:
+def predict(context: typer.Context, *, motion: Motion, export: list[str] | None = None, outputs: ResultOptions) -> None:
     """Predict how every floor answers to a record, beside what was measured.
 
     Example: cvxshear predict frame.toml --record earthquake.toml
@@ -347,7 +344,7 @@ def predict(context: typer.Context, *, motion: Motion, export: list[str] | None 
 
 
 def reconstruct(
-    context: typer.Context, *, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: Outputs
+    context: typer.Context, *, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: ResultOptions
 ) -> None:
     """Find how every floor moved, from the floors that carry sensors: drifts, forces, and whether a story changed.
 
@@ -376,7 +373,6 @@ def reconstruct(
 def _deliver_motion(
     result: RecordPrediction | Reconstruction, doubts: Sequence[FileFinding] | None, out: str | None, *files: Writer
 ) -> None:
-    from cvxshear.report import terminal
     from cvxshear.screening import in_json
 
     deliver({**result.to_dict(), **in_json(doubts)}, out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)

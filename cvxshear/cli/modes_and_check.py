@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.options import LIST, File, JsonOut, Outputs, ReportOut, TomlOut, input_files, writes
+from cvxshear.cli.options import LIST, File, JsonOut, ReportOut, ResultOptions, TomlOut, input_files, writes
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.io.formats import endings_of
+from cvxshear.report import terminal
 from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output, write_file
 
@@ -96,7 +97,6 @@ def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
     strict
         Status 3 where a doubt is open.
     """
-    from cvxshear.report import terminal
     from cvxshear.screening import Screening
 
     experiment, tests = measured([file], accept_swapped=True)
@@ -117,7 +117,7 @@ def modes(
     jobs: int = 1,
     report: ReportOut = None,
     *,
-    outputs: Outputs,
+    outputs: ResultOptions,
 ) -> None:
     """Identify natural frequencies, damping and mode shapes from records.
 
@@ -147,7 +147,6 @@ def modes(
     from cvxshear.io.modes import identify_modes_many, write_merged
     from cvxshear.io.uff import write_uff
     from cvxshear.records import ModalResult
-    from cvxshear.report import terminal
     from cvxshear.report.describe.from_records import poles_table
 
     sources = _files(records, output)
@@ -224,7 +223,6 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Render the identified modes of each record for a terminal, and the findings about the records."""
     from cvxshear.io.modes import UNKNOWN_SCALE
     from cvxshear.records.result import scale_unknown
-    from cvxshear.report import terminal
 
     for test in tests:
         yield from terminal.shown(test.modes)

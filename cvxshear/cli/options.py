@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from cvxshear.cli.output import show, used
+from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
 from cvxshear.util.writing import check_output, same_file
 
@@ -228,37 +229,35 @@ SeriesOut = Annotated[
 
 
 @dataclass(frozen=True)
-class FigureOutputs:
+class FigureOptions:
     """Options of commands that draw figures of their result."""
 
     figure: FiguresOut = None
     quiet: Quiet = False
     out: JsonOut = None
 
-    def prepared(self, result: type, first: str = "") -> Callable[..., list[Writer]]:
+    def prepared(self, result: type) -> Callable[..., list[Writer]]:
         """Check the requested files before the command runs; "list" alone prints the figures and ends the command.
 
         Parameters
         ----------
         result : type
             Type of the results.
-        first : str, optional
-            Figure that is drawn if the user names none. Default: the first of the type.
 
         Returns
         -------
         callable
-            (*results, **options of the drawing functions) -> functions that write the files.
+            (*results) -> functions that write the files.
 
         Raises
         ------
         InputError
             If a kind of figure is unknown, or a package for a file is not installed.
         """
-        wanted = self._figures(result, first)
+        wanted = self._figures(result)
 
-        def writers(*results: Any, **options: Any) -> list[Writer]:
-            return [*(partial(_draw, entry, path, results, options) for entry, path in wanted), *self.tables(results)]
+        def writers(*results: Any) -> list[Writer]:
+            return [*(partial(_draw, entry, path, results) for entry, path in wanted), *self.tables(results)]
 
         return writers
 
@@ -266,35 +265,33 @@ class FigureOutputs:
         """Return the functions that write the tables of results."""
         return []
 
-    def _figures(self, result: type, first: str) -> list[tuple[FigureEntry, str]]:
+    def _figures(self, result: type) -> list[tuple[FigureEntry, str]]:
         if not self.figure:
             return []
         from cvxshear.report.figures import figures_of
 
         figures = figures_of(result)
         if LIST in self.figure:
-            from cvxshear.report.terminal import plain_table
-
             title, head = "Figures: --figure KIND:OUT.svg, .png or .pdf", ("kind", "what it shows", "needs")
             rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
-            show([plain_table(title, *head, words=(0, 1, 2), rows=rows)])
+            show([terminal.plain_table(title, *head, words=(0, 1, 2), rows=rows)])
             raise typer.Exit
-        return [_split(text, figures, first or next(iter(figures))) for text in self.figure]
+        return [_split(text, figures) for text in self.figure]
 
 
 @dataclass(frozen=True)
-class Outputs(FigureOutputs):
+class ResultOptions(FigureOptions):
     """Options of commands that draw figures of their result and write its tables."""
 
     csv: CsvOut = None
     xlsx: XlsxOut = None
 
-    def prepared(self, result: type, first: str = "") -> Callable[..., list[Writer]]:
+    def prepared(self, result: type) -> Callable[..., list[Writer]]:
         if self.xlsx is not None:
             from cvxshear.io.spreadsheets import load_openpyxl
 
             load_openpyxl()
-        return super().prepared(result, first)
+        return super().prepared(result)
 
     def tables(self, results: Sequence[object]) -> list[Writer]:
         from cvxshear.io.spreadsheets import write_csv, write_xlsx
@@ -303,10 +300,10 @@ class Outputs(FigureOutputs):
         return [partial(_tabulate, write, path, results) for write, path in asked if path is not None]
 
 
-def _draw(entry: FigureEntry, path: str, results: Sequence[Any], options: Mapping[str, Any]) -> None:
+def _draw(entry: FigureEntry, path: str, results: Sequence[Any]) -> None:
     from cvxshear.report.figures import save
 
-    save(entry.draw(*results, **options), path)
+    save(entry.draw(*results), path)
 
 
 def _tabulate(write: Callable[..., None], path: str, results: Sequence[object]) -> None:
@@ -321,10 +318,10 @@ def _path(text: str) -> str:
     return path if colon and len(kind) > 1 else text
 
 
-def _split(text: str, figures: Mapping[str, FigureEntry], first: str) -> tuple[FigureEntry, str]:
-    """Return the figure and the path of a request."""
+def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, str]:
+    """Return the figure and the path of a request; the default is the first figure."""
     path = _path(text)
-    kind = text[: -len(path) - 1] or first
+    kind = text[: -len(path) - 1] or next(iter(figures))
     if kind not in figures:
         from cvxshear.util import checks
 

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cvxshear.report import terminal
 from cvxshear.util.errors import InputError, printable
 from cvxshear.util.writing import json_text, shell_line, write_file
 from cvxshear.version import __version__
@@ -106,7 +107,6 @@ def deliver(
 
 def doubts_of(found: Sequence[FileFinding] | None) -> Iterable[RenderableType]:
     """Render the warnings of a computed result."""
-    from cvxshear.report import terminal
     from cvxshear.report.describe.from_records import doubts_section
 
     return terminal.rendered(doubts_section(found or ()))

@@ -9,18 +9,20 @@ import typer
 
 from cvxshear.cli.options import (
     BackendName,
-    FigureOutputs,
+    FigureOptions,
     File,
     JsonOut,
-    Outputs,
     Quiet,
+    ResultOptions,
     TomlOut,
     UnitsOption,
     input_files,
 )
 from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
+from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
+from cvxshear.util.quantities import Units
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -53,7 +55,7 @@ def plan(
     output: TomlOut = None,
     units: UnitsOption = None,
     *,
-    outputs: Outputs,
+    outputs: ResultOptions,
 ) -> None:
     """Choose the floors to measure and the masses to add, before a test.
 
@@ -104,9 +106,7 @@ def plan(
     """
     from cvxshear.planning import Plan, measurement_of, write_template
     from cvxshear.planning import plan as run
-    from cvxshear.report import terminal
     from cvxshear.screening import in_json, refuse_mistakes
-    from cvxshear.util.quantities import Units
 
     files_of, display = outputs.prepared(Plan), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
@@ -157,7 +157,11 @@ def _one_or_many(found: list[Any] | None) -> Any:
 
 
 def reproduce(
-    backend: BackendName = "auto", samples: Samples = 10_000, seed: int = 2023, *, outputs: FigureOutputs
+    backend: BackendName = "auto",
+    samples: Samples = 10_000,
+    seed: int = 2023,
+    quiet: Quiet = False,
+    out: JsonOut = None,
 ) -> None:
     """Print the paper's figures beside recomputed ones, with the difference.
 
@@ -170,22 +174,11 @@ def reproduce(
     seed
         Seed of the noise.
     """
-    from cvxshear import Identification, identify
     from cvxshear.paper import reproduce as run
-    from cvxshear.paper.reproduction import exact_modes
-    from cvxshear.paper.setups import three_story
-    from cvxshear.paper.tables import PRINTED
-    from cvxshear.report import terminal
 
-    files_of = outputs.prepared(Identification, "convergence")
-    with progress("reproducing the paper", outputs.quiet):
+    with progress("reproducing the paper", quiet):
         result = run(backend, samples=tuple(sorted({100, samples})), seed=seed)
-    files = []
-    if outputs.figure:
-        # The paper's Fig. 4: errors of the masses in each iteration, from its two initial masses.
-        found = [identify(exact_modes(), "two-stage", initial_mass=start) for start in PRINTED["initial_mass"].values()]
-        files = files_of(*found, true_mass=three_story(0.01).floor_mass)
-    deliver(result.to_dict(), outputs.out, lambda: terminal.shown(result), *files)
+    deliver(result.to_dict(), out, lambda: terminal.shown(result))
 
 
 def noise(
@@ -194,7 +187,7 @@ def noise(
     methods: str = "two-stage,one-shot,efficient",
     jobs: int = 1,
     *,
-    outputs: FigureOutputs,
+    outputs: FigureOptions,
 ) -> None:
     """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
 
@@ -212,9 +205,8 @@ def noise(
         Processes; -1 takes every core.
     """
     from cvxshear.paper import NoiseStudy, noise_study, paper_setups, six_story_study
-    from cvxshear.report import terminal
 
-    files_of = outputs.prepared(NoiseStudy, "variation")
+    files_of = outputs.prepared(NoiseStudy)
     with progress("three stories", outputs.quiet) as advance:
         of_methods = tuple(listed_names(methods) or ())
         three = noise_study(paper_setups(), of_methods, samples, seed, jobs=jobs, progress=advance)
@@ -258,7 +250,6 @@ def backends(
         deliver({"backends": [each.to_dict() for each in there]}, out, lambda: _listed(there))
         return
     from cvxshear import compare_backends, load
-    from cvxshear.report import terminal
 
     experiment = load(file)
     with progress("comparing backends", quiet):
@@ -269,10 +260,8 @@ def backends(
 
 def _listed(backends: Sequence[Solver]) -> Iterator[RenderableType]:
     """Tabulate the installed backends with the version of their solver, and the way to install the others."""
-    from cvxshear.report.terminal import plain_table
-
     there = [(x.name, x.package or "this library", x.version or "–", x.through or "–") for x in backends if x.installed]
-    yield plain_table("installed", "backend", "solver", "version", "called by", rows=there)
+    yield terminal.plain_table("installed", "backend", "solver", "version", "called by", rows=there)
     if missing := [(each.name, each.how_to_get) for each in backends if not each.installed]:
         yield ""
-        yield plain_table("not installed", "backend", "how to get it", words=(0, 1), rows=missing)
+        yield terminal.plain_table("not installed", "backend", "how to get it", words=(0, 1), rows=missing)

@@ -20,7 +20,6 @@ from cvxshear.loop import LoopResult
 from cvxshear.measurement.declaration import Heading
 from cvxshear.records import ModalResult
 from cvxshear.report.describe import PAGE_COLUMNS, Sentence, Table, describe
-from cvxshear.report.describe.closed_loop import open_questions
 from cvxshear.report.describe.headline import headline, verdict_of
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.errors import InputError, printable
@@ -144,7 +143,6 @@ def render(
         photograph=photograph_of(heading),
         headline=capital(headline(result)),
         verdict=verdict_of(result),
-        open_questions=open_questions(result),
         figure=drawn,
         backends=describe(comparison)["worst"],
         left_out=comparison.left_out,

@@ -20,7 +20,7 @@ from cvxshear.report.describe import Table, describe, table_of_rows
 from cvxshear.report.describe.headline import carried_by, chi2_by_kind, headline
 from cvxshear.report.describe.identified import frame_table, in_words
 from cvxshear.report.html import render
-from cvxshear.report.terminal import plain_table
+from cvxshear.report.terminal import notebook_html, plain_table
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import (
     Units,
@@ -178,7 +178,7 @@ def test_every_verdict_is_on_the_page_that_explains_them():
 def test_states_and_frame_come_first_then_the_probabilities_of_the_result(ambiguous):
     document = describe(ambiguous)
     keys = [section.key for section in document.sections]
-    assert keys[:6] == ["verdict", "states", "frame", "effects", "sets", "candidates"]
+    assert keys[:7] == ["verdict", "limits", "states", "frame", "effects", "sets", "candidates"]
     assert [section.key for section in document.sections if section.appendix] == [
         "declared", "modes", "steps", "not-considered", "effort"
     ]  # fmt: skip
@@ -265,7 +265,7 @@ def test_a_prompt_shows_one_short_line(result, request):
     for each in (found, found.experiment):
         assert "\n" not in repr(each)
         assert len(repr(each)) < 250
-        assert each._repr_html_().count("<table") >= 1
+        assert notebook_html(each).count("<table") >= 1
 
 
 def test_the_other_results_show_themselves(paper, study, comparison):
@@ -276,7 +276,7 @@ def test_the_other_results_show_themselves(paper, study, comparison):
     assert repr(study).startswith("<NoiseStudy 5 setups, 50 samples each, by two-stage, one-shot")
     for each in (study, comparison):
         assert max(map(cell_len, str(each).splitlines())) <= 80
-        assert "<table" in each._repr_html_()
+        assert "<table" in notebook_html(each)
 
 
 def test_a_wide_table_is_folded_and_loses_nothing():
@@ -309,7 +309,7 @@ def test_headers_that_must_be_wrapped_cost_no_number():
 def test_names_are_data(unexplained):
     steering = "a[bold]b\x1b[31m\r\n\u202ec"
     renamed = dataclasses.replace(unexplained.experiment, name=steering)
-    for said in (str(renamed), repr(renamed), renamed._repr_html_()):
+    for said in (str(renamed), repr(renamed), notebook_html(renamed)):
         assert "\x1b" not in said
         assert "\u202e" not in said
         assert "a[bold]b\\x1b[31m\\r\\n\\u202ec" in said

@@ -1,5 +1,6 @@
 """Test the descriptions of `check`, `plan` and `predict`: equal content in terminal, prompt and notebook."""
 
+import dataclasses
 import html
 import json
 import re
@@ -12,8 +13,10 @@ from scipy import signal
 
 import cvxshear
 from cvxshear.planning import plan
+from cvxshear.priors import Bounds
 from cvxshear.records.record import Finding
 from cvxshear.report.describe import Sentence, Table, describe
+from cvxshear.report.terminal import notebook_html
 from cvxshear.response import DrivenRecord, DrivenRun, predict
 from cvxshear.screening import Screening
 from cvxshear.util.quantities import Units
@@ -72,7 +75,7 @@ def test_prompt_print_and_notebook_show_the_same(result, request):
     found = request.getfixturevalue(result)
     assert len(repr(found)) < 250
     assert "\n" not in repr(found)
-    said, page = str(found), found._repr_html_()
+    said, page = str(found), notebook_html(found)
     assert max(cell_len(line) for line in said.splitlines()) <= 80
     for shown in parts(found, Table):
         assert f'id="{shown.key}"' in page
@@ -189,7 +192,7 @@ def test_a_screening_that_found_nothing_says_so_with_what_was_accepted():
     assert not found.refused
     assert "nothing looks wrong" in " ".join(str(found).split())
     assert "accepted beforehand: swapped_sensors" in str(found)
-    assert "<img" not in found._repr_html_()
+    assert "<img" not in notebook_html(found)
 
 
 @pytest.mark.parametrize(("times", "said"), [(1.0, False), (30.0, True)])
@@ -204,3 +207,45 @@ def test_deviations_that_are_far_too_large_are_said(times, said):
     assert len(warned) == said
     for text in warned:
         assert float(text.split(" is ")[1].split(" times")[0]) == pytest.approx(times, rel=0.5)
+
+
+PRICE = re.compile(r"one more N/m on the upper bound of story stiffness 1 would lower the misfit by ([\d.e-]+)")
+HOW = ("as_given", "polished", "replaced")
+
+
+@pytest.fixture(scope="module")
+def example():
+    """Return the paper's example with declared noise."""
+    declared = cvxshear.load("paper").to_dict()
+    for each in declared["configuration"]:
+        each |= {"frequency_std": 0.002, "mode_shape_std": 0.01}
+    return cvxshear.Experiment.from_dict(declared)
+
+
+def limited(example, upper):
+    prior = Bounds("story_stiffness", upper=[upper, 1e9])
+    return cvxshear.identify(dataclasses.replace(example, priors=(prior,)))
+
+
+def test_a_printed_price_is_what_a_wider_bound_gains(example):
+    held, wider = limited(example, 23500.0), limited(example, 23501.0)
+    (price,) = PRICE.findall(" ".join(str(held).split()))
+    assert float(price) == pytest.approx(held.parts[0].fit.chi2 - wider.parts[0].fit.chi2, rel=0.02)
+    assert PRICE.search(" ".join(notebook_html(held).split()))
+    (as_json,) = held.to_dict()["active"]
+    assert float(price) == pytest.approx(as_json["dual"], rel=0.01)
+
+
+def test_nothing_is_printed_where_no_bound_is_active(example):
+    for result in (cvxshear.identify(example), limited(example, 1e9)):
+        assert "price" not in str(result)
+
+
+def test_accepted_polished_and_replaced_answers_are_printed(comparison):
+    (table,) = next(each for each in describe(comparison).sections if each.key == "worst").parts
+    assert table.head[2:5] == ("as given", "polished", "replaced")
+    for name, solved, *accepted in (row[:5] for row in table.rows):
+        rows = [each for each in comparison.rows if each.backend == name]
+        assert list(map(int, accepted)) == [sum(getattr(x, how) for x in rows) for how in HOW]
+        assert sum(map(int, accepted)) >= int(solved.split()[0])
+    assert all(word in str(comparison) for word in table.head[3:5])

@@ -190,10 +190,19 @@ def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):
     Page(notebook_html(comparison))
 
 
-def test_importing_the_library_loads_no_report():
-    code = "import cvxshear, sys; print([name for name in sys.modules if name.startswith('cvxshear.report')])"
+def test_importing_the_library_loads_no_report_and_a_printed_result_loads_nothing_that_it_does_not_need():
+    code = (
+        "import cvxshear, sys\n"
+        "found = cvxshear.identify(cvxshear.load('paper'))\n"
+        "before = {name for name in sys.modules if name.startswith('cvxshear')}\n"
+        "print(any('report' in name for name in before), len(str(found)) > 100)\n"
+        "print(len([name for name in sys.modules if name.startswith('cvxshear') and name not in before]))\n"
+        "print('matplotlib' in sys.modules, 'jinja2' in sys.modules)\n"
+    )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert shown.stdout.strip() == "[]"
+    first, count, last = shown.stdout.splitlines()
+    assert (first, last) == ("False True", "False False")
+    assert int(count) < 10
 
 
 def test_the_animation_moves_the_drawing_that_was_made(text):

@@ -10,10 +10,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
 from importlib import import_module
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from cvxshear.util.quantities import AUTOMATIC, Units
-from cvxshear.util.typing import Floats
+
+if TYPE_CHECKING:
+    from cvxshear.util.typing import Floats
 
 Exact = float | int | str | None
 

@@ -65,9 +65,6 @@ from cvxshear.util.quantities import (
 )
 from cvxshear.util.typing import Floats
 
-MOST_QUESTIONS = 4
-"""Number of open questions on the first screen of a report; a later section lists all."""
-
 
 def effects_section(result: LoopResult) -> Section:
     """List the added effects, the most probable first, each with its rivals."""
@@ -188,6 +185,7 @@ def _closure(result: LoopResult, units: Units = AUTOMATIC) -> Document:
     effort = f"Backend {result.backend}: {counted(result.fits, 'fit')}, {counted(result.programs, 'step program')}."
     sections = (
         verdict_section(result),
+        limits_section(result),
         states_section(result, units),
         frame_section(result, units),
         effects_section(result),
@@ -197,7 +195,6 @@ def _closure(result: LoopResult, units: Units = AUTOMATIC) -> Document:
         *effect_sections(result),
         before_after(result),
         residual_section(result),
-        limits_section(result),
         Section("next", "What to test next", (Sentence(_next(result, units)),)),
         declared(result.experiment, units),
         measured_modes(result.experiment, units),
@@ -407,8 +404,8 @@ def _by_state(
         written = (with_std(*each, "%", factor=0.01) for each in zip(change.tolist(), std.tolist(), strict=True))
         changes = [f" ({text})" if abs(value) > NOTHING else "" for text, value in zip(written, change, strict=True)]
         columns.append(Column(f"{heading}, {unit}", tuple(map("".join, zip(texts, changes, strict=True)))))
-    # A value with its change takes twice the width.
-    yield from Table(key, title, tuple(columns), top_first=True).folded(PAGE_COLUMNS // 2)
+    # A value with its change takes half as much again of the width.
+    yield from Table(key, title, tuple(columns), top_first=True).folded(2 * PAGE_COLUMNS // 3)
 
 
 def frame_section(result: LoopResult, units: Units) -> Section:
@@ -445,27 +442,6 @@ def _undetermined(result: LoopResult) -> Iterator[str]:
         yield f"Not determined: {in_words(names)}."
     for text in (*generous_noise(result.estimate.quality), *result.information):
         yield f"{capital(text)}."
-
-
-def open_questions(result: LoopResult) -> tuple[str, ...]:
-    """List up to `MOST_QUESTIONS` open questions that the headline omits, the most important first.
-
-    Parameters
-    ----------
-    result : LoopResult
-    """
-    said = []
-    # The headline names the rivals if the effects are few.
-    for item in result.effects if len(result.effects) > NAMED else ():
-        if item.rivals:
-            first = item.rivals[0]
-            how = "cannot be distinguished from" if first.twin else "may in truth be"
-            said.append(f"{capital(item.placed.label)} {how} {first.placed.label} ({chance(first.probability)}).")
-    if in_doubt(result):
-        said.append("The numbers of the measured modes are in question.")
-    said += _undetermined(result)
-    more = len(said) - MOST_QUESTIONS
-    return (*said[:MOST_QUESTIONS], *([f"{more} more below."] if more > 0 else []))
 
 
 def _next(result: LoopResult, units: Units) -> str:

@@ -322,8 +322,8 @@ def generous_noise(fit: Quality) -> Iterator[str]:
     size = significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
     yield (
         f"the residual is {size} times smaller than the stated standard deviations let expect (chi-square "
-        f"{significant(fit.chi2)}, {counted(fit.dof, 'degree')} of freedom): these are too large, and with them those "
-        "of masses and stiffnesses, or they hold errors that all these data share, as those that 'modes' writes do"
+        f"{significant(fit.chi2)}, {counted(fit.dof, 'degree')} of freedom): these are too large, and so are those of "
+        "masses and stiffnesses. Deviations that 'modes' writes also hold errors that all data share"
     )
 
 

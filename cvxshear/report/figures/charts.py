@@ -1,4 +1,4 @@
-"""Draw charts: probabilities of the effects, residuals, planned tests, scatter under noise, the mass iteration."""
+"""Draw charts: residuals, planned tests, scatter under noise, the mass iteration."""
 
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -14,90 +14,16 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from cvxshear.data import Deviation
 from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.loop import LoopResult
-from cvxshear.loop.results import Candidate, by_part
+from cvxshear.loop.results import by_part
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.planning.results import Plan, accuracy_curve
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import chance
 from cvxshear.util.typing import Floats
-
-MOST_BARS = 14
-"""Number of drawn effects, the most probable first; all added effects are drawn."""
-
-LONGEST_LABEL = 44
-"""Largest number of letters of an effect's name beside its dots; a telephone shows two lines."""
-
-LEAST_DRAWN = 1e-4
-"""Smallest probability on the axis, and smallest distance to 1; an effect beyond them is drawn at the edge."""
 
 HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
 """Style of the marks for the state before: a hollow diamond."""
-
-
-@figure(
-    "ranking",
-    LoopResult,
-    title="Probabilities of the effects",
-    alternative="How probable each effect is before and with the data; the numbers are in the table above.",
-    section="candidates",
-    applies=lambda result: bool(result.candidates),
-    needs="effects that were looked for",
-    narrow=True,
-)
-def ranking(result: LoopResult) -> Figure:
-    """Draw the probability of each effect before the data and with them, on an axis of log odds.
-
-    How probable each effect is: before the data (hollow diamonds) and with them (dots). Beyond the dotted line an
-    effect is more probable than not.
-
-    The added effects are above, the other candidates below.
-    """
-    added = {item.placed for item in result.effects}
-    mine = [item for item in result.candidates if item.placed in added]
-    others = [item for item in result.candidates if item.placed not in added]
-    bars = [*mine, *others[: max(MOST_BARS - len(mine), 0)]]
-    lines = 2 if style.narrow_page() else 1
-    figure = style.new_figure(style.page_width(), LINE * (1.5 * lines * max(len(bars), 2) + 8))
-    axes = figure.subplots()
-    axes.set_xscale("logit")
-    axes.axvline(0.5, color="black", ls=":", lw=1.2)
-    _dots(axes, bars, len(mine))
-    wrap = 30 if style.narrow_page() else 90
-    labels = ["\n".join(textwrap.wrap(style.letters(item.placed.label, LONGEST_LABEL), wrap - 6)) for item in bars]
-    axes.set_yticks(range(len(bars)), labels)
-    for label in axes.get_yticklabels()[: len(mine)]:
-        label.set_fontweight("bold")
-    axes.set_ylim(max(len(bars), 1) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("\n".join(textwrap.wrap("probability that it is there (scale of the logarithm of the odds)", wrap)))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: chance(value).replace(".0 %", " %")))
-    axes.set_xlim(0.8 * LEAST_DRAWN, 1.0 - 0.8 * LEAST_DRAWN)
-    axes.grid(axis="x")
-    style.legend(figure, axes, 1 if style.narrow_page() else 3, left=True)
-    return figure
-
-
-def _dots(axes: Axes, bars: list[Candidate], added: int) -> None:
-    """Draw both probabilities and a line between; added effects have full dots, values beyond the edge arrows."""
-    places = np.arange(len(bars))
-    edges = LEAST_DRAWN, 1.0 - LEAST_DRAWN
-    before, after = np.clip([[item.prior for item in bars], [item.probability for item in bars]], *edges)
-    axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    axes.plot(before, places, label="before the data", **HOLLOW)
-    inside = np.array([LEAST_DRAWN <= item.probability <= 1.0 - LEAST_DRAWN for item in bars], dtype=bool)
-    for chosen, label, colour in (
-        (places < added, "with the data: added", style.AFTER),
-        (places >= added, "with the data: not added", style.GREY),
-    ):
-        for marker, there in (("o", inside), ("<", ~inside & (after < 0.5)), (">", ~inside & (after > 0.5))):
-            at = np.flatnonzero(chosen & there)
-            if len(at):
-                named = label if label not in axes.get_legend_handles_labels()[1] else None
-                axes.plot(after[at], at, ls="none", marker=marker, color=colour, ms=5.0, label=named)
-
 
 USUAL = 2.0
 """Number of standard deviations that chance rarely exceeds."""
@@ -257,39 +183,6 @@ BOX = 0.8
 """Width of the boxes of all methods together, as a fraction of the distance between two noise levels."""
 
 
-@figure("boxes", NoiseStudy, title="Scatter of the estimates")
-def noise_boxes(study: NoiseStudy) -> Figure:
-    """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
-
-    Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.
-
-    Parameters
-    ----------
-    study : NoiseStudy
-        Of one frame at one or several noise levels.
-
-    Returns
-    -------
-    Figure
-        Boxes hold the middle half with the median, whiskers reach 1.5 box lengths at most; points lie beyond.
-    """
-    groups = _by_method(study)
-    first = next(iter(groups.values()))
-    figure, drawn, levels = _panels_of(first, "error, %")
-    width = BOX / len(groups)
-    for parameter, axes in enumerate(drawn):
-        axes.axhline(0, color="black", lw=0.7)
-        for place, scatters in enumerate(groups.values()):
-            at = np.arange(len(levels)) + (place - (len(groups) - 1) / 2) * width
-            _boxes(axes, [100 * each.errors[:, parameter] for each in scatters], at, width, place)
-        axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
-        axes.set_xlim(-0.6, len(levels) - 0.4)
-        axes.grid(axis="y")
-    handles = [Patch(ec="black", alpha=0.8, label=name, **_filling(i)) for i, name in enumerate(groups)]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-    return figure
-
-
 @figure("variation", NoiseStudy, title="Coefficients of variation")
 def noise_variation(study: NoiseStudy) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
@@ -320,6 +213,39 @@ def noise_variation(study: NoiseStudy) -> Figure:
         axes.set_xticks([0, *levels] if len(levels) <= 6 else axes.get_xticks())
         axes.grid()
     style.legend(figure, drawn[0])
+    return figure
+
+
+@figure("boxes", NoiseStudy, title="Scatter of the estimates")
+def noise_boxes(study: NoiseStudy) -> Figure:
+    """Box plots of the identified masses and stiffnesses at each noise level (the paper's Fig. 5).
+
+    Boxes hold the middle half of the estimates with the median; whiskers reach 1.5 box lengths at most.
+
+    Parameters
+    ----------
+    study : NoiseStudy
+        Of one frame at one or several noise levels.
+
+    Returns
+    -------
+    Figure
+        Boxes hold the middle half with the median, whiskers reach 1.5 box lengths at most; points lie beyond.
+    """
+    groups = _by_method(study)
+    first = next(iter(groups.values()))
+    figure, drawn, levels = _panels_of(first, "error, %")
+    width = BOX / len(groups)
+    for parameter, axes in enumerate(drawn):
+        axes.axhline(0, color="black", lw=0.7)
+        for place, scatters in enumerate(groups.values()):
+            at = np.arange(len(levels)) + (place - (len(groups) - 1) / 2) * width
+            _boxes(axes, [100 * each.errors[:, parameter] for each in scatters], at, width, place)
+        axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
+        axes.set_xlim(-0.6, len(levels) - 0.4)
+        axes.grid(axis="y")
+    handles = [Patch(ec="black", alpha=0.8, label=name, **_filling(i)) for i, name in enumerate(groups)]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 
 
@@ -382,17 +308,15 @@ MOST_LINES = 6
     applies=lambda *results: bool(_iterated(*results)),
     needs="a method that iterates on the masses: two-stage",
 )
-def convergence(*results: Identification, true_mass: Floats | None = None) -> Figure:
+def convergence(*results: Identification) -> Figure:
     """Error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
 
-    Error of each floor mass over the iterations of the two-stage method.
+    Difference of each floor mass from its last value over the iterations of the two-stage method.
 
     Parameters
     ----------
     *results : Identification
         Results of a method that iterates on the masses; one panel for each configuration.
-    true_mass : ndarray, shape (N,), optional
-        Reference masses of the errors, kg. Default: the final masses of the iteration, without its last point.
 
     Returns
     -------
@@ -408,14 +332,14 @@ def convergence(*results: Identification, true_mass: Floats | None = None) -> Fi
     figure = style.new_figure(max(style.PAGE_WIDTH * columns / 3, 5.0), 2.6 * rows + 0.6)
     drawn = style.panels(figure, len(parts), columns, sharey=True)
     for place, (axes, part) in enumerate(zip(drawn, parts, strict=True)):
-        _iterations(axes, part, true_mass)
+        _iterations(axes, part)
         title = style.letters(part.name, 20)
         if sum(item.name == part.name for item in parts) > 1 and part.history is not None:
             started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
             title += f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
         axes.set_title(title, fontsize=8.5)
         if place % columns == 0:
-            axes.set_ylabel("error of the mass, relative" if true_mass is not None else "mass still to go, relative")
+            axes.set_ylabel("mass still to go, relative")
     style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
     return figure
 
@@ -425,11 +349,9 @@ def _iterated(*results: Identification) -> list[SingleIdentification]:
     return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
 
 
-def _iterations(axes: Axes, part: SingleIdentification, true_mass: Floats | None) -> None:
+def _iterations(axes: Axes, part: SingleIdentification) -> None:
     assert part.history is not None
-    final = part.history[-1] if true_mass is None else np.asarray(true_mass, dtype=float)
-    history = part.history[:-1] if true_mass is None else part.history
-    errors = np.abs(history / final - 1.0)
+    errors = np.abs(part.history[:-1] / part.history[-1] - 1.0)
     # A logarithmic axis cannot show an error of zero.
     errors = np.where(errors > 0, errors, np.nan)
     names = [f"floor {i + 1}" for i in range(errors.shape[1])]

@@ -203,7 +203,8 @@ def mac(result: LoopResult | Identification) -> Figure:
     """Draw the MAC matrix of each configuration.
 
     The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every
-    mode of the model: where the diagonal is light and the rest is dark, every mode was recognised.
+    mode of the model. A light diagonal means that every mode was recognised; with few sensors other entries are
+    large too.
 
     Each configuration has one panel; dark is 0, light is 1, also in black and white.
     """

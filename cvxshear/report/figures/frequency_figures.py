@@ -166,6 +166,7 @@ def functions(*results: ModalResult) -> Figure:
     figure, groups = _panels_of(results, 1.75)
     for result, drawn in zip(results, groups, strict=True):
         seen, made = _functions_of(result), synthesized(result)
+        drawn[0].set_ylabel(_named(seen), fontsize=7)
         shown = band_of(seen.frequencies, result.frequencies)
         strongest = np.argmax(np.sum(np.abs(seen.values[shown]) ** 2, axis=0), axis=1)
         lines = seen.frequencies[shown]
@@ -177,7 +178,6 @@ def functions(*results: ModalResult) -> Figure:
             axes.set_yscale("log")
             style.logarithmic(axes.yaxis, most=5)
             _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
-    _label_units(figure, groups, [_named(_functions_of(result)) for result in results])
     style.legend(figure, groups[0][0], 2)
     return figure
 
@@ -207,46 +207,31 @@ def coherence(*results: ModalResult) -> Figure:
     -------
     Figure
         One panel for each record and floor, one line for each driving point. Without a measured input, the figure shows
-        the coherence with the highest floor, which then has no panel.
+        the coherence with the highest floor.
 
     Raises
     ------
     InputError
         If a result has no functions, or its functions are not averages.
     """
-    figure, groups = _panels_of(results, 1.35, reference=False)
-    looks = _looks([_functions_of(result) for result in results])
+    figure, groups = _panels_of(results, 1.35)
+    drivers = {_driver(seen, at): floor for seen in map(_functions_of, results) for at, floor in enumerate(seen.inputs)}
+    labels = sorted(drivers, key=drivers.__getitem__)
+    looks = {label: {**look, "marker": ""} for label, look in zip(labels, style.looks(len(labels)), strict=True)}
     for result, drawn in zip(results, groups, strict=True):
         seen = _functions_of(result)
         assert seen.coherence is not None
         shown = band_of(seen.frequencies, result.frequencies)
-        for axes, output in zip(drawn, _outputs(seen, reference=False), strict=True):
+        for output, axes in enumerate(drawn):
             for column in range(len(seen.inputs)):
                 values = seen.coherence[shown, output, column]
-                axes.plot(seen.frequencies[shown], values, **looks[_driver(seen, column)])
+                axes.plot(seen.frequencies[shown], values, lw=0.9, **looks[_driver(seen, column)])
             axes.set(ylim=(0, 1.04), yticks=[0, 0.5, 1])
             _dress(axes, result, f"floor {seen.floors[output]}", several=len(results) > 1)
     figure.supylabel("coherence", fontsize=8.5)
     handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure
-
-
-def _label_units(figure: Figure, groups: Sequence[Sequence[Axes]], names: Sequence[str]) -> None:
-    """Label the functions: once if all have the same kind, otherwise at each record."""
-    if len(set(names)) == 1:
-        figure.supylabel(names[0], fontsize=8.5)
-        return
-    for drawn, name in zip(groups, names, strict=True):
-        drawn[0].set_ylabel(name, fontsize=7)
-
-
-def _looks(seen: Sequence[Functions]) -> dict[str, dict[str, Any]]:
-    """Choose one line style for each driving point in all records, the lowest floor first."""
-    drivers = {_driver(each, column): int(floor) for each in seen for column, floor in enumerate(each.inputs)}
-    labels = sorted(drivers, key=drivers.__getitem__)
-    every = zip(labels, style.looks(len(labels)), strict=True)
-    return {label: {**look, "marker": "", "lw": 0.9} for label, look in every}
 
 
 def _driver(seen: Functions, column: int) -> str:
@@ -258,20 +243,9 @@ def _functions_of(result: ModalResult) -> Functions:
     return result.functions
 
 
-def _outputs(seen: Functions, *, reference: bool) -> list[int]:
-    """List the floors that have a panel; the coherence of a reference with itself is left out."""
-    return [
-        place
-        for place, floor in enumerate(seen.floors)
-        if reference or seen.driven or len(seen.floors) == 1 or floor not in seen.inputs
-    ]
-
-
-def _panels_of(
-    results: Sequence[ModalResult], height: float, *, reference: bool = True
-) -> tuple[Figure, list[list[Axes]]]:
-    """Arrange the panels; each record begins a new row."""
-    counts = [len(_outputs(_functions_of(result), reference=reference)) for result in results]
+def _panels_of(results: Sequence[ModalResult], height: float) -> tuple[Figure, list[list[Axes]]]:
+    """Arrange the panels, one for each floor; each record begins a new row."""
+    counts = [len(_functions_of(result).floors) for result in results]
     most = max(counts)
     columns = style.even_columns(most, 1 if style.narrow_page() else 4 if most > 9 else 3)
     figure = style.new_figure(style.page_width(), height * sum(-(-count // columns) for count in counts) + 0.7)

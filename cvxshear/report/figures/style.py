@@ -27,7 +27,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
-from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator
+from matplotlib.ticker import AutoLocator, FuncFormatter, LogFormatter, LogLocator
 
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -249,22 +249,11 @@ def power_of_ten(value: float, _: object = None) -> str:
     )
 
 
-NARROW = 1.3
-"""Largest length of an axis in decades with additional labels at two and five times the powers of ten."""
-
-
 def logarithmic(axis: Axis, most: int = 7) -> None:
-    """Set labelled ticks at powers of ten; a short axis has additional labels at two and five times these."""
-
-    def between(value: float, _: object = None) -> str:
-        low, high = axis.get_view_interval()
-        first = value / 10.0 ** np.floor(np.log10(value) + 1e-9)
-        few = low > 0 and high / low < 10.0**NARROW and min(abs(first - 2), abs(first - 5)) < 1e-6
-        return f"{value:g}" if few and 1e-3 <= value < 1e5 else ""
-
+    """Set labelled ticks at powers of ten; an axis of less than a decade has labels between them."""
     axis.set_major_locator(LogLocator(numticks=most))
     axis.set_major_formatter(FuncFormatter(power_of_ten))
-    axis.set_minor_formatter(FuncFormatter(between))
+    axis.set_minor_formatter(LogFormatter())
 
 
 def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
