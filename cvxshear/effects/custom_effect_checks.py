@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -14,6 +14,9 @@ from cvxshear.effects.state import STAGES, Scale, State, heights_of
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, InputError
 from cvxshear.util.typing import Floats
+
+Statements = Iterator[tuple[object, str]]
+"""Conditions, each with the fault that is told if it does not hold."""
 
 QUOTIENT_STEP = 1e-4
 """Step of the difference quotients, in parts of each mass, stiffness and expected size. The error of central
@@ -58,15 +61,10 @@ def refuse_faulty(effect: object, experiment: Experiment | None = None) -> None:
         what = "the class itself: make an instance" if isinstance(effect, type) else f"a {type(effect).__name__}"
         raise InputError(f"an effect must be an instance of a subclass of cvxshear.effects.Effect, not {what}")
     experiment = typical_experiment() if experiment is None else experiment
-    _check_declaration(effect)
     try:
-        bound = effect.bound(experiment)
-        if bound.lacks(experiment):
-            return
-        places = list(bound.places(experiment))
-        _require(all(isinstance(place, Place) for place in places), effect, "places() must list objects of class Place")
-        for place in dict.fromkeys((*places[:1], *places[-1:])):
-            _check_at(LocatedEffect(bound.bound_at(experiment, place), place), experiment)
+        for holds, otherwise in _statements(effect, experiment):
+            if not holds:
+                raise InputError(f"effect {getattr(effect, 'name', type(effect).__name__)}: {otherwise}")
     except FaultyEffectError as error:
         raise InputError(f"effect {error}") from error
     except CvxshearError:
@@ -74,6 +72,18 @@ def refuse_faulty(effect: object, experiment: Experiment | None = None) -> None:
     except Exception as error:
         read_only = "read-only" in str(error) and "; apply() must change copies of the arrays that it is given"
         raise InputError(f"effect {effect.name} raised {type(error).__name__}: {error}{read_only or ''}") from error
+
+
+def _statements(effect: Effect, experiment: Experiment) -> Statements:
+    """Yield what must hold for the effect: its declaration, then its changes at the first and the last place."""
+    yield from _about_declaration(effect)
+    bound = effect.bound(experiment)
+    if bound.lacks(experiment):
+        return
+    places = list(bound.places(experiment))
+    yield all(isinstance(place, Place) for place in places), "places() must list objects of class Place"
+    for place in dict.fromkeys((*places[:1], *places[-1:])):
+        yield from _about_place(LocatedEffect(bound.bound_at(experiment, place), place), experiment)
 
 
 @lru_cache(maxsize=1)
@@ -88,82 +98,62 @@ def typical_experiment() -> Experiment:
     return Experiment.from_dict({"frame": frame, "configuration": tests})
 
 
-def _require(holds: object, effect: Effect, otherwise: str) -> None:
-    """Raise an error that names the effect if a condition does not hold."""
-    if not holds:
-        raise InputError(f"effect {effect.name}: {otherwise}")
-
-
-def _check_declaration(effect: Effect) -> None:
-    """Check name, sentences, stage, place, requirements, probability and size."""
+def _about_declaration(effect: Effect) -> Statements:
+    """State what must hold for name, sentences, stage, place, requirements, probability and size."""
     for key in ("name", "summary", "formula", "source", "stage"):
         value = getattr(effect, key, None)
-        if not (isinstance(value, str) and value.strip()):
-            raise InputError(f"effect {getattr(effect, 'name', type(effect).__name__)}: {key} is {value!r}, no text")
-    _require(effect.stage in STAGES, effect, f"stage = {effect.stage!r} is unknown; the stages are {', '.join(STAGES)}")
+        yield isinstance(value, str) and value.strip(), f"{key} is {value!r}, no text"
+    yield effect.stage in STAGES, f"stage = {effect.stage!r} is unknown; the stages are {', '.join(STAGES)}"
     parts = {field.name for field in dataclasses.fields(Place)}
     for key, known in (("sits_at", parts), ("needs", {"heights", "several states"})):
         value = getattr(effect, key)
         fits = isinstance(value, tuple) and set(value) <= known
-        _require(fits, effect, f"{key} = {value!r} must be a tuple of {', '.join(map(repr, sorted(known)))}")
-    units, of = ("", "floor_mass", "story_stiffness"), effect.usual_in
-    _require(of in units, effect, f"usual_in = {of!r} must be one of {', '.join(map(repr, units))}")
+        yield fits, f"{key} = {value!r} must be a tuple of {', '.join(map(repr, sorted(known)))}"
+    units, unit = ("", "floor_mass", "story_stiffness"), effect.usual_in
+    yield unit in units, f"usual_in = {unit!r} must be one of {', '.join(map(repr, units))}"
     inside = isinstance(effect.probability, int | float) and 0.0 < effect.probability < 1.0
-    _require(inside, effect, f"probability = {effect.probability!r} must lie between 0 and 1")
-    _require(
-        effect.size is None or 0 < effect.size < np.inf, effect, f"size = {effect.size!r} must be a positive number"
-    )
+    yield inside, f"probability = {effect.probability!r} must lie between 0 and 1"
+    yield effect.size is None or 0 < effect.size < np.inf, f"size = {effect.size!r} must be a positive number"
 
 
-def _check_at(placed: LocatedEffect, experiment: Experiment) -> None:
-    """Check the effect at one place: its parameters, their sizes, its limits and its changes of a frame."""
+def _about_place(placed: LocatedEffect, experiment: Experiment) -> Statements:
+    """State what must hold at one place: the parameters, their sizes, the limits, and the changes of a frame."""
     effect, place, n = placed.effect, placed.place, experiment.stories
     items = getattr(effect, "parameters", None)
     fits = isinstance(items, tuple) and all(isinstance(item, Parameter) for item in items)
-    _require(fits, effect, "parameters must be a tuple of objects of the class Parameter")
+    yield fits, "parameters must be a tuple of objects of the class Parameter"
     assert isinstance(items, tuple)
     frame = _typical_frame(experiment)
-    scale = Scale(float(np.mean(frame[:n])), float(np.mean(frame[n:])), heights_of(experiment))
-    sizes = effect.expected_sizes(scale)
-    _require(np.shape(sizes) == (len(items),), effect, f"sizes() has the shape {np.shape(sizes)}, not ({len(items)},)")
+    sizes = effect.expected_sizes(Scale(float(np.mean(frame[:n])), float(np.mean(frame[n:])), heights_of(experiment)))
+    yield np.shape(sizes) == (len(items),), f"sizes() has the shape {np.shape(sizes)}, not ({len(items)},)"
     for item, size in zip(items, sizes, strict=True):
-        _check_parameter(effect, item, float(size))
+        yield from _about_parameter(item, float(size))
     limits, columns = effect.limits(experiment, place), 2 * n + len(items)
     for key, rows in (("G", limits.G), ("A", limits.A)):
-        _require(
-            rows is None or (rows.shape[1] == columns and np.all(np.isfinite(rows))),
-            effect,
-            f"limits(): {key} must have {columns} columns of finite numbers, floor masses, story stiffnesses and own "
-            "parameters",
-        )
+        fits = rows is None or (rows.shape[1] == columns and bool(np.all(np.isfinite(rows))))
+        what = "finite numbers, floor masses, story stiffnesses and own parameters"
+        yield fits, f"limits(): {key} must have {columns} columns of {what}"
     nulls, lower, upper = (np.array([getattr(item, key) for item in items]) for key in ("null", "lower", "upper"))
     uniform = np.isinf(sizes)
     with np.errstate(invalid="ignore"):
         # Half an expected size from null, or the middle of a uniform prior.
         own = np.where(uniform, 0.5 * (lower + upper), np.clip(nulls + 0.5 * sizes, lower, upper))
         steps = QUOTIENT_STEP * np.concatenate([frame, np.where(uniform, upper - lower, sizes)])
-    _check_matrices(placed, experiment, np.concatenate([frame, own]), np.concatenate([frame, nulls]), steps)
+    yield from _about_matrices(placed, experiment, np.concatenate([frame, own]), np.concatenate([frame, nulls]), steps)
 
 
-def _check_parameter(effect: Effect, item: Parameter, size: float) -> None:
-    """Check the bounds, the null and the start value of a parameter, and its expected size."""
-    _require(size > 0, effect, f"the size of {item.name} is {size:g}: it must be positive")
-    _require(
-        item.lower < item.upper, effect, f"{item.name}: lower = {item.lower:g} must be below upper = {item.upper:g}"
-    )
+def _about_parameter(item: Parameter, size: float) -> Statements:
+    """State what must hold for a parameter: its bounds, null and start value, and its expected size."""
+    name, lower, upper = item.name, item.lower, item.upper
+    yield size > 0, f"the size of {name} is {size:g}: it must be positive"
+    yield lower < upper, f"{name}: lower = {lower:g} must be below upper = {upper:g}"
     for key, value in (("null", item.null), ("start", item.start)):
         # With a uniform prior between the bounds, the null value may lie outside the bounds.
-        within = item.lower <= value <= item.upper or (key == "null" and np.isinf(size))
-        _require(
-            np.isfinite(value) and within,
-            effect,
-            f"{item.name}: {key} = {value:g} is not between its bounds {item.lower:g} and {item.upper:g}",
-        )
-    _require(
-        np.isfinite(size) or np.isfinite(item.upper - item.lower),
-        effect,
-        f"sizes() says nothing of {item.name} and its bounds are infinite: give a size or two bounds",
-    )
+        within = lower <= value <= upper or (key == "null" and np.isinf(size))
+        bounds = f"its bounds {lower:g} and {upper:g}"
+        yield np.isfinite(value) and within, f"{name}: {key} = {value:g} is not between {bounds}"
+    bounded = np.isfinite(size) or np.isfinite(upper - lower)
+    yield bounded, f"sizes() says nothing of {name} and its bounds are infinite: give a size or two bounds"
 
 
 def _typical_frame(experiment: Experiment) -> Floats:
@@ -186,8 +176,10 @@ class _Idle(Effect):
         return state
 
 
-def _check_matrices(placed: LocatedEffect, experiment: Experiment, at: Floats, null: Floats, steps: Floats) -> None:
-    """Check the matrices at some parameters and at null, and the derivatives along two random directions."""
+def _about_matrices(
+    placed: LocatedEffect, experiment: Experiment, at: Floats, null: Floats, steps: Floats
+) -> Statements:
+    """State what must hold for matrices, at some parameters and at null, and for their derivatives."""
     effect, n = placed.effect, experiment.stories
     tested = next(each for each in experiment.tested if placed.acts_on(each))
     plain = compose(experiment, tested, [LocatedEffect(_Idle(effect.parameters))], at)
@@ -197,25 +189,23 @@ def _check_matrices(placed: LocatedEffect, experiment: Experiment, at: Floats, n
         if isinstance(array, np.ndarray):
             array.flags.writeable = False
     found = effect.apply(plain, placed.place, values, own)
-    _require(isinstance(found, State), effect, f"apply() returned a {type(found).__name__}, not a State")
+    yield isinstance(found, State), f"apply() returned a {type(found).__name__}, not a State"
     here = compose(experiment, tested, [placed], at)
     motions = len(here.system.K)
     square = (motions, motions)
-    for name, value in _matrices(here):
-        shape = (n, motions) if name == "the observation" else square
-        _require(value.shape == shape, effect, f"{name} has the shape {value.shape} after apply(), not {shape}")
-        _require(value.dtype == np.float64, effect, f"{name} is no array of real numbers after apply()")
-        even = shape != square or name == "the observation" or _apart(value, value.T) <= ROUNDED_PART
-        _require(even, effect, f"{name} is not symmetric after apply()")
-    for name, slopes in (("dM", here.system.dM), ("dK", here.system.dK)):
-        shape3 = (len(at), *square)
-        _require(slopes.shape == shape3, effect, f"{name} has the shape {slopes.shape} after apply(), not {shape3}")
+    slopes = [("dM", here.system.dM, (len(at), *square)), ("dK", here.system.dK, (len(at), *square))]
+    shapes = (square, square, (n, motions))
+    for name, value, shape in [(*item, shape) for item, shape in zip(_matrices(here), shapes, strict=True)] + slopes:
+        yield value.shape == shape, f"{name} has the shape {value.shape} after apply(), not {shape}"
+        yield value.dtype == np.float64, f"{name} is no array of real numbers after apply()"
+    for name, value in _matrices(here)[:2]:
+        yield _apart(value, value.T) <= ROUNDED_PART, f"{name} is not symmetric after apply()"
     if motions == n:
-        for (name, value), (_, before) in zip(
-            _matrices(compose(experiment, tested, [placed], null)), _matrices(plain), strict=True
-        ):
+        at_null = compose(experiment, tested, [placed], null)
+        for (name, value), (_, before) in zip(_matrices(at_null), _matrices(plain), strict=True):
             same = _apart(value, before) <= ROUNDED_PART
-            _require(same, effect, f"{name} is not that of the shear frame at the null values")
+            yield same, f"{name} is not that of the shear frame at the null values"
+    where = placed.place.describe() or "its place"
     rng = np.random.default_rng(20)
     for word, part in (("its own parameters", own), ("masses and stiffnesses", slice(0, 2 * n))):
         direction = np.zeros(len(at))
@@ -228,11 +218,12 @@ def _check_matrices(placed: LocatedEffect, experiment: Experiment, at: Floats, n
             largest = float(np.max(np.abs(quotient)))
             allowed = WRONG_SLOPE * largest + QUOTIENT_STEP * ROUNDED_PART * float(np.max(np.abs(value)))
             gap = float(np.max(np.abs(slope - quotient)))
-            _require(
+            yield (
                 gap <= allowed,
-                effect,
-                f"the derivative of {name} by {word} is wrong at {placed.place.describe() or 'its place'}: it differs "
-                f"from the difference quotient by {100 * gap / max(largest, allowed):.3g} % of its size",
+                (
+                    f"the derivative of {name} by {word} is wrong at {where}: it differs from the difference quotient "
+                    f"by {100 * gap / max(largest, allowed):.3g} % of its size"
+                ),
             )
 
 

@@ -1,8 +1,8 @@
 """Recomputation of the paper's printed figures, and a noise study compared with the Cramer-Rao bound."""
 
-from cvxshear.paper.reproduction import Reproduction, reproduce
+from cvxshear.paper.reproduction import reproduce
 from cvxshear.paper.scatter import NoiseStudy, Scatter, noise_study, paper_setups, six_story_study
-from cvxshear.paper.tables import PaperRow, PaperSection
+from cvxshear.paper.tables import PaperRow, PaperSection, Reproduction
 
 __all__ = [
     "NoiseStudy",

@@ -1,7 +1,6 @@
 """Recomputation of the paper's figures: the three-story frame of Section 5, the steel frame of Section 6."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,24 +15,10 @@ from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
 from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
 from cvxshear.paper.setups import three_story
-from cvxshear.paper.tables import (
-    DIFFERS,
-    MISPRINT,
-    MISPRINTED,
-    PRINTED,
-    ROUNDED,
-    TO_THE_DIGIT,
-    PaperRow,
-    PaperSection,
-    note,
-    rows,
-    value,
-    values,
-)
+from cvxshear.paper.tables import MISPRINT, PRINTED, PaperRow, PaperSection, Reproduction, note, rows, value, values
 from cvxshear.programs.formulations import complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
 from cvxshear.util.quantities import NORMAL_95, SURE
-from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 KILO = 1e3
@@ -41,40 +26,6 @@ KILO = 1e3
 
 PerStructure = Mapping[str, Any]
 """Numbers, or printed figures, of each structure by its name."""
-
-
-@dataclass(frozen=True)
-class Reproduction(InJson):
-    """The paper's figures and ours.
-
-    Parameters
-    ----------
-    sections : tuple of PaperSection
-    backend : str
-    samples : tuple of int
-        Numbers of random samples of Table 3.
-    seed : int
-    """
-
-    sections: tuple[PaperSection, ...]
-    backend: str
-    samples: tuple[int, ...]
-    seed: int
-
-    json_keys = "backend samples seed summary sections"
-
-    @property
-    def summary(self) -> str:
-        """Number of figures that agree, in a sentence or two."""
-        results = [row for section in self.sections if section.counted for row in section.rows]
-        fixed = [row for row in results if row.chance is None and not row.printed.startswith("about")]
-        verdicts = (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
-        counts = {name: sum(row.verdict == name for row in fixed) for name in verdicts}
-        return (
-            f"{len(fixed)} printed results that no chance is involved in: {counts[TO_THE_DIGIT]} are met to the last "
-            f"printed digit, {counts[ROUNDED]} more once computed, as the paper did, from its own rounded figures, "
-            f"{counts[MISPRINTED]} is a misprint, {counts[DIFFERS]} differ."
-        )
 
 
 def reproduce(

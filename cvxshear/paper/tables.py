@@ -143,6 +143,40 @@ class PaperSection(InJson):
     json_keys = "title rows notes"
 
 
+@dataclass(frozen=True)
+class Reproduction(InJson):
+    """The paper's figures and ours.
+
+    Parameters
+    ----------
+    sections : tuple of PaperSection
+    backend : str
+    samples : tuple of int
+        Numbers of random samples of Table 3.
+    seed : int
+    """
+
+    sections: tuple[PaperSection, ...]
+    backend: str
+    samples: tuple[int, ...]
+    seed: int
+
+    json_keys = "backend samples seed summary sections"
+
+    @property
+    def summary(self) -> str:
+        """Number of figures that agree, in a sentence or two."""
+        results = [row for section in self.sections if section.counted for row in section.rows]
+        fixed = [row for row in results if row.chance is None and not row.printed.startswith("about")]
+        verdicts = (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
+        counts = {name: sum(row.verdict == name for row in fixed) for name in verdicts}
+        return (
+            f"{len(fixed)} printed results that no chance is involved in: {counts[TO_THE_DIGIT]} are met to the last "
+            f"printed digit, {counts[ROUNDED]} more once computed, as the paper did, from its own rounded figures, "
+            f"{counts[MISPRINTED]} is a misprint, {counts[DIFFERS]} differ."
+        )
+
+
 def rows(
     where: str, what: str, printed: Sequence[str], found: Sequence[float] | Floats, rounded: Floats | None = None
 ) -> Iterator[PaperRow]:

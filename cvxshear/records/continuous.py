@@ -35,7 +35,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.records.frf import ERA_COLUMNS, ERA_ROWS, RINGING
-from cvxshear.records.realization import Impulse, Source, block_hankel, left_factor
+from cvxshear.records.pole_sweep import Impulse, Source, block_hankel, left_factor
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Bools, Complexes, Floats

@@ -7,24 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from cvxshear.records import frf
+from cvxshear.records import frf, mode_shapes
 from cvxshear.records.deviations import independent_std, jackknife, surrogate
-from cvxshear.records.mode_shapes import (
-    Offsets,
-    collinearity,
-    lost_phase,
-    main_axis,
-    offsets,
-    real_shape,
-    rms_phase,
-    sign_changes,
-    undone,
-)
+from cvxshear.records.mode_shapes import Offsets
 from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
-from cvxshear.records.realization import DampedModes, Impulse, Source
+from cvxshear.records.pole_sweep import Criteria, DampedModes, Impulse, Source
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import ModalResult
-from cvxshear.records.stabilization import Criteria
 from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
@@ -158,10 +147,10 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     products, driven = _products(setting, values, keep)
     turned = None if products is None else frf.participations(products, values.shapes)
     right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
-    clocks = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
-    straight = undone(values.eigenvalues, values.shapes, clocks.seconds)
-    shapes = np.array([main_axis(shape) for shape in straight])
-    real = np.array([real_shape(shape) for shape in straight])
+    clocks = mode_shapes.offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
+    straight = mode_shapes.undone(values.eigenvalues, values.shapes, clocks.seconds)
+    shapes = np.array([mode_shapes.main_axis(shape) for shape in straight])
+    real = np.array([mode_shapes.real_shape(shape) for shape in straight])
     places = ranking.largest(np.abs(real if reference is None else reference.real))
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
@@ -304,7 +293,7 @@ def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
         return 0.0
     weight = np.abs(products) ** 2
     weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
-    return rms_phase(products, weight)
+    return mode_shapes.rms_phase(products, weight)
 
 
 def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
@@ -364,8 +353,8 @@ def assembled(
         mass_normalized=full.scales is not None,
         modes=_numbers(full.real, record, setting.sweep.chosen),
         complex_shapes=full.shapes,
-        phase_collinearity=np.array([collinearity(shape) for shape in full.shapes]),
-        lost_phase=np.array([lost_phase(shape) for shape in full.shapes]),
+        phase_collinearity=np.array([mode_shapes.collinearity(shape) for shape in full.shapes]),
+        lost_phase=np.array([mode_shapes.lost_phase(shape) for shape in full.shapes]),
         clock_offsets={
             name: (float(value), float(error))
             for name, value, error in zip(names, full.clocks.seconds, offset_std, strict=False)
@@ -411,7 +400,7 @@ def _numbers(shapes: Floats, record: Record, chosen: Sequence[PoleCandidate]) ->
     if numbers.all():
         return numbers
     if shapes.shape[1] == record.stories > 1:
-        changes = np.array([sign_changes(shape) for shape in shapes], dtype=np.int64)
+        changes = np.array([mode_shapes.sign_changes(shape) for shape in shapes], dtype=np.int64)
         if np.all(np.diff(changes) > 0):
             return changes + 1
     return np.arange(1, len(shapes) + 1, dtype=np.int64)

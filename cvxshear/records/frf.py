@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.records.realization import Impulse, Source, block_hankel, left_factor
+from cvxshear.records.pole_sweep import Impulse, Source, block_hankel, left_factor
 from cvxshear.records.record import FrfRecord, Run, TimeRecord
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints

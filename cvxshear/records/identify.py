@@ -15,11 +15,10 @@ from cvxshear.records.examination import Examined, examined
 from cvxshear.records.functions import measured_functions
 from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
 from cvxshear.records.placement import findings_of, weighed
+from cvxshear.records.pole_sweep import Criteria, Source
 from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, default_method, scaled, source_of
-from cvxshear.records.realization import Source
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
-from cvxshear.records.stabilization import Criteria
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError

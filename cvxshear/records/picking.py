@@ -10,10 +10,9 @@ from operator import itemgetter
 import numpy as np
 
 from cvxshear.data.pairing import mac
-from cvxshear.records import stabilization
+from cvxshear.records import pole_sweep
 from cvxshear.records.mode_shapes import collinearity, offsets, possible_changes, real_shape, sign_changes, undone
-from cvxshear.records.realization import Poles, Source, realize
-from cvxshear.records.stabilization import Cluster, Criteria
+from cvxshear.records.pole_sweep import Cluster, Criteria, Poles, Source  # fmt: skip
 from cvxshear.util.typing import Bools, Complexes, Floats
 
 MOSTLY_ROTATION = "mostly rotation"
@@ -182,16 +181,16 @@ def sweep_orders(
     Sweep
     """
     factor = source.factor()
-    poles = realize(factor, source.outputs, source.sampling_rate, criteria.orders(choose.count))
-    stable = stabilization.stable_poles(poles, source.sampling_rate, criteria, shift)
+    poles = pole_sweep.realize(factor, source.outputs, source.sampling_rate, criteria.orders(choose.count))
+    stable = pole_sweep.stable_poles(poles, source.sampling_rate, criteria, shift)
     found = []
-    for cluster in stabilization.clusters(poles, stable, criteria):
+    for cluster in pole_sweep.clusters(poles, stable, criteria):
         if len(cluster) < 2:
             continue
-        members = stabilization.undivided(cluster, poles, criteria, shift)
+        members = pole_sweep.undivided(cluster, poles, criteria, shift)
         values = np.array([poles[i].eigenvalues[j] for i, j in members])
-        value, shape = stabilization.center(values, np.array([poles[i].shapes[j] for i, j in members]))
-        share = stabilization.persistence(cluster, poles)
+        value, shape = pole_sweep.center(values, np.array([poles[i].shapes[j] for i, j in members]))
+        share = pole_sweep.persistence(cluster, poles)
         found.append(PoleCandidate(tuple(members), value, shape, share, 0.0, *_lasting(cluster, share, criteria)))
     found.sort(key=lambda item: item.frequency)
     if band is not None:
@@ -229,7 +228,7 @@ def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandid
 
 def _weighed(found: list[PoleCandidate], factor: Floats, sampling_rate: float) -> list[PoleCandidate]:
     lasting = [item for item in found if item.physical]
-    shares = stabilization.energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
+    shares = pole_sweep.energies(factor, [(item.eigenvalue, item.shape) for item in lasting], sampling_rate)
     energy = dict(zip(map(id, lasting), shares.tolist(), strict=True))
     return [dataclasses.replace(item, energy=energy.get(id(item), 0.0)) for item in found]
 
@@ -412,15 +411,15 @@ class Parts:
         if key not in self._found:
             orders = [poles.order for poles in self._whole]
             factor = self.source.factor(keep)
-            self._found[key] = realize(factor, self.source.outputs, self.source.sampling_rate, orders)
+            self._found[key] = pole_sweep.realize(factor, self.source.outputs, self.source.sampling_rate, orders)
         values, shapes = [], []
         for i, j in item.members:
             poles, whole = self._found[key][i], self._whole[i]
-            k = stabilization.nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
+            k = pole_sweep.nearest(poles, complex(whole.eigenvalues[j]), whole.shapes[j])
             if k is not None:
                 values.append(poles.eigenvalues[k])
                 shapes.append(poles.shapes[k])
-        return None if 2 * len(values) < len(item.members) else stabilization.center(np.array(values), np.array(shapes))
+        return None if 2 * len(values) < len(item.members) else pole_sweep.center(np.array(values), np.array(shapes))
 
     def values(self, chosen: Sequence[PoleCandidate], keep: Bools | None) -> Values | None:
         """Find the chosen modes on a part of the data; None where one of them is not found there."""

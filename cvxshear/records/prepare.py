@@ -10,7 +10,7 @@ import scipy
 
 from cvxshear.records import continuous
 from cvxshear.records.frf import FrfSource, ImpulseSource, hit_spectra, hit_times, reach, table_spectra
-from cvxshear.records.realization import Impulse, Source
+from cvxshear.records.pole_sweep import Impulse, Source
 from cvxshear.records.record import Channel, FrfRecord, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, UnsuitableError

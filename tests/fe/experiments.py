@@ -27,7 +27,7 @@ IN_ONE_CONFIGURATION = ("added_mass", "story_change", "state_stiffness", "state_
 
 
 def simulated(
-    effect: str | None,
+    effect: str | Sequence[str] | None,
     *,
     stories: int,
     configurations: int,
@@ -43,15 +43,15 @@ def simulated(
     declare_heights: bool = True,
     declare_total_mass: bool = True,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame with one effect that the shear model lacks, or without an effect.
+    """Test a frame with effects that the shear model lacks, or without an effect.
 
     Parameters
     ----------
-    effect : str or None
-        A name of the catalogue.
+    effect : str, sequence of str, or None
+        Names of the catalogue.
     stories, configurations : int
     rng : numpy.random.Generator
-        Draws floor masses, story stiffnesses, the effect's place if not given, and the noise, in this order.
+        Draws floor masses, story stiffnesses, the effects' places if not given, and the noise, in this order.
     size : float, optional
         The effect's parameter in the catalogue's unit; see `practical_size` for the default.
     floor, story, configuration : int, optional
@@ -70,77 +70,29 @@ def simulated(
     experiment : dict
         For `cvxshear.Experiment.from_dict`.
     truth : dict
-        `floor_mass`, `story_stiffness`, `effect`, `floor`, `to`, `story`, `configuration` (its name), `size`, and
-        `frequencies` and `mode_shapes` with one entry per configuration (all modes, all floors, no noise; with the
-        sensors' gains).
+        `floor_mass`, `story_stiffness`, `effects` (names and places), and `frequencies` and `mode_shapes` with one
+        entry per configuration (all modes, all floors, no noise; with the sensors' gains). For one effect or none, also
+        `effect`, `floor`, `to`, `story`, `configuration` (its name) and `size`.
     """
     frame = _drawn(stories, rng)
-    floor_mass = frame.floor_mass
     added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
-    place = _placed(effect, stories, configurations, rng, floor=floor, story=story, configuration=configuration)
-    if effect is not None and size is None:
-        size = practical_size(effect, frame)
-    there = [] if effect is None else [(effect, size, place)]
+    single = effect is None or isinstance(effect, str)
+    names = [effect] if single else list(effect)
+    there = []
+    for name in names:
+        place = _placed(name, stories, configurations, rng, floor=floor, story=story, configuration=configuration)
+        if name is not None:
+            there.append((name, practical_size(name, frame) if size is None else size, place))
     seen = _all_tested(frame, added, there)
     declared: dict[str, Any] = {"stories": stories, "gravity": GRAVITY}
     if declare_heights:
         declared["story_heights"] = [HEIGHT] * stories
     if declare_total_mass:
-        declared["total_mass"] = float(floor_mass.sum())
+        declared["total_mass"] = float(frame.floor_mass.sum())
     experiment = {
         "frame": declared,
         "configuration": [
             measured(each, rng, name=_name(number), added=extra, noise=noise, floors=measured_floors, modes=modes)
-            for number, (each, extra) in enumerate(zip(seen, added, strict=True), 1)
-        ],
-    }
-    truth = {
-        "effect": effect,
-        **place,
-        "configuration": None if place["configuration"] is None else _name(place["configuration"]),
-        "size": size,
-        "effects": [_put(name, where) for name, _, where in there],
-        "floor_mass": floor_mass,
-        "story_stiffness": frame.story_stiffness,
-        "frequencies": [each.frequencies for each in seen],
-        "mode_shapes": [each.shapes.T for each in seen],
-    }
-    return experiment, truth
-
-
-def simulated_pair(
-    effects: Sequence[str],
-    *,
-    stories: int,
-    configurations: int,
-    rng: np.random.Generator,
-    added_mass: Sequence[Sequence[float]] | None = None,
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Test a frame that has several effects of practical size, with places drawn in sequence.
-
-    See `simulated` for parameters and results; the truth leaves out the keys for a single effect.
-    """
-    frame = _drawn(stories, rng)
-    added = _default_added(stories, configurations) if added_mass is None else np.asarray(added_mass, dtype=float)
-    there = [
-        (
-            name,
-            practical_size(name, frame),
-            _placed(name, stories, configurations, rng, floor=None, story=None, configuration=None),
-        )
-        for name in effects
-    ]
-    seen = _all_tested(frame, added, there)
-    declared = {
-        "stories": stories,
-        "gravity": GRAVITY,
-        "story_heights": [HEIGHT] * stories,
-        "total_mass": float(frame.floor_mass.sum()),
-    }
-    experiment = {
-        "frame": declared,
-        "configuration": [
-            measured(each, rng, name=_name(number), added=extra)
             for number, (each, extra) in enumerate(zip(seen, added, strict=True), 1)
         ],
     }
@@ -151,6 +103,9 @@ def simulated_pair(
         "frequencies": [each.frequencies for each in seen],
         "mode_shapes": [each.shapes.T for each in seen],
     }
+    if single:
+        truth |= {**place, "effect": effect, "size": there[0][1] if there else None}
+        truth["configuration"] = None if place["configuration"] is None else _name(place["configuration"])
     return experiment, truth
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from cvxshear.records.frf import residues
 from cvxshear.records.picking import PoleCandidate, Sweep, strongest
-from cvxshear.records.realization import Poles
-from cvxshear.records.stabilization import Criteria, center, clusters, energies, stable_poles, undivided
+from cvxshear.records.pole_sweep import Criteria, Poles, center, clusters, energies, stable_poles, undivided
 
 
 def candidate(frequency, shape, energy=0.1, place=None, **more):

@@ -22,12 +22,12 @@ from scipy import stats
 
 from cvxshear import Experiment
 from cvxshear.loop.close import search_for_effects
-from tests.fe.experiments import simulated, simulated_pair
+from tests.fe.experiments import simulated
 from tests.studies import drawn
 
 EFFECTS = (
     None, "gravity", "joint_rotation", "axial_columns", "base_rocking", "ground_spring", "added_mass",
-    "mass_coupling", "sensor_gain", "story_change",
+    "mass_coupling", "sensor_gain", "story_change", "wall",
 )  # fmt: skip
 
 HIDDEN = ("gravity", "added_mass", "story_change")
@@ -104,9 +104,8 @@ def experiment_of(trial):
     stories = int(rng.integers(3, trial.tallest + 1))
     added = np.round(rng.uniform(0.0, HEAVIEST, (trial.configurations, stories)) * 2) / 2
     added[0] = 0.0
-    simulate = simulated if len(trial.effects) < 2 else simulated_pair
     what = (trial.effects or (None,))[0] if len(trial.effects) < 2 else trial.effects
-    declared, truth = simulate(
+    declared, truth = simulated(
         what, stories=stories, configurations=trial.configurations, rng=rng, added_mass=added.tolist()
     )
     if trial.noise is not None:
