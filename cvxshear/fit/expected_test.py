@@ -1,13 +1,13 @@
 """A test that was not made: the data that a model expects, and the rows that the test would add to a fit.
 
-The test is written as a configuration that is measured at every floor exactly as the model predicts, so the rows are
-those of the data themselves (`cvxshear.data`): derivatives by the parameters, or differences from another model, in
+The test is written as a configuration that is measured at every floor exactly as the model predicts, so the data
+themselves (`cvxshear.data`) give the rows: derivatives by the parameters, or differences from another model, in
 standard deviations of the test's noise. Sensors at some floors choose among these rows; the free scale of each shape is
 eliminated over the floors that have a sensor.
 
 `plan` adds the rows of a test to the information about a frame. `next_test` compares two fits: their predictions differ
-by d, and the uncertainty of each fit moves its own prediction along columns S, one standard deviation per column. The
-distance of the fits is that of `fit/gaussian.py`.
+by d, and the uncertainty of each fit moves its own prediction along columns S, one standard deviation per column.
+`fit/gaussian.py` has the distance of the fits.
 """
 
 from __future__ import annotations

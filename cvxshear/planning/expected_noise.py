@@ -25,6 +25,7 @@ import numpy as np
 
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD, Configuration
 from cvxshear.model.shear import Modes
+from cvxshear.records.deviations import SENSOR_STD
 from cvxshear.util import checks, ranking
 from cvxshear.util.typing import Floats, Ints
 
@@ -156,7 +157,8 @@ class Recorded(TestNoise):
         force = self._modal_force(found, mass)
         band = SAMPLES_A_PERIOD * float(found.frequencies[which].max()) / 2
         shape_std = [self._entry_std(found, force, int(mode), band) for mode in which]
-        return frequency_std, np.array(shape_std)
+        # Sensors are no better than `modes` says, however long the record is.
+        return frequency_std, np.hypot(shape_std, SENSOR_STD)
 
     @property
     def _unrecorded(self) -> float:

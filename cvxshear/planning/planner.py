@@ -266,7 +266,9 @@ def expected_accuracy(model: AveragedModel, tests: Sequence[Test], choice: Choic
     choice : Choice
     """
     design = model.frames[0].design
-    relative = model.shear_std(tests, choice.chosen)
+    covariance, n = model.shear_covariance(tests, choice.chosen), design.stories
+    relative = np.sqrt(np.diag(covariance))
     std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
-    n = design.stories
-    return ExpectedAccuracy(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:])
+    share = design.floor_mass / design.floor_mass.sum()
+    total = float(np.sqrt(max(share @ covariance[:n, :n] @ share, 0.0)))
+    return ExpectedAccuracy(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:], total)

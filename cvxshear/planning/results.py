@@ -28,9 +28,6 @@ ARBITRARY = 0.01
 MISFIT = 0.02
 """Least relative error of the frame's frequencies that a plan reports: ten times the default noise of frequencies."""
 
-MOST_POINTS = 10
-"""Largest number of points in the curve of accuracy."""
-
 SUFFICES = 0.9
 """Least probability of the right verdict of a sufficient test: nine tests in ten."""
 
@@ -152,6 +149,8 @@ class ExpectedAccuracy(InJson):
         Upper bound on all choices of the same number of floors.
     floor_mass_std, story_stiffness_std : ndarray, shape (N,)
         kg and N/m, of the shear model; nan if undetermined.
+    total_mass_std : float
+        Relative, of the total mass.
     """
 
     floors: Ints
@@ -160,6 +159,7 @@ class ExpectedAccuracy(InJson):
     worst: float
     floor_mass_std: Floats
     story_stiffness_std: Floats
+    total_mass_std: float
 
     json_keys = "sensors=floors objective std"
 
@@ -223,7 +223,7 @@ class Plan(Shown):
         Accuracy with sensors on every floor.
     grid_bound, grid_worst : float or None
         Lower and upper bound on all tests of the grid of added masses, with the chosen sensors; None if the masses
-        were given. The planned masses may lie between the grid's points and be below the lower bound.
+        were given.
     apart : tuple of Chance
         Chance of the right verdict for each effect; empty without effects.
     """
@@ -314,6 +314,19 @@ class Plan(Shown):
         return CRITERIA[self.criterion].summary
 
     @property
+    def typical_std(self) -> tuple[float, float]:
+        """Root mean square of the relative standard deviations of floor masses and of story stiffnesses."""
+        design = self.model.design
+        parts = self.chosen.floor_mass_std / design.floor_mass, self.chosen.story_stiffness_std / design.story_stiffness
+        mass, stiffness = (float(np.sqrt(np.mean(part**2))) for part in parts)
+        return mass, stiffness
+
+    @property
+    def rests_on_total(self) -> bool:
+        """Whether the total mass causes more than half of the variance of a floor mass."""
+        return 2 * self.chosen.total_mass_std**2 > self.typical_std[0] ** 2
+
+    @property
     def floors_arbitrary(self) -> bool:
         """Whether floors were chosen, and every choice of the same number is equally good."""
         return self.chosen.arbitrary and len(self.sensors) < self.model.design.stories
@@ -329,16 +342,18 @@ class Plan(Shown):
         return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness", "effects", "state")}
 
 
-def accuracy_curve(plan: Plan) -> list[tuple[int, float, float]]:
+def accuracy_curve(plan: Plan, most: int = 10) -> list[tuple[int, float, float]]:
     """List numbers of sensors (ascending), the criterion of the best choice found, and its lower bound.
 
     Parameters
     ----------
     plan : Plan
+    most : int, optional
+        Largest number of points.
     """
     by, n = criterion_named(plan.criterion), plan.model.design.stories
     tests = [plan.averaged.expected(masses) for masses in plan.tests]
-    spread = np.unique(np.linspace(1, n, min(n, MOST_POINTS)).round().astype(int))
+    spread = np.unique(np.linspace(1, n, min(n, most)).round().astype(int))
     points = []
     for count in sorted({*spread.tolist(), len(plan.sensors)}):
         found = choose(plan.averaged.sensors(tests, count), count, by, plan.backend)

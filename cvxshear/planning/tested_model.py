@@ -26,18 +26,6 @@ FIRM = 0.1
 depends on the frame: if the stiffnesses have a standard deviation of 30 %, the average expected deviations are 14 %
 larger than at the design values, and twice as large in some stories. The difference grows with the square."""
 
-MOST_PAIRS, FEWEST_PAIRS = 16, 4
-"""Largest and smallest number of pairs of frames around uncertain design values over which a plan is averaged. With 16
-pairs and stiffnesses known to 30 %, expected deviations are on average within 2 % of the mean over 200 frames
-(`python -m tests.studies planning vague`)."""
-
-STORIES_DRAWN = 160
-"""Number of stories in all pairs together. Tall frames get fewer pairs, because each pair takes longer and draws more
-stories."""
-
-PAIRS_SEED = 2024
-"""Seed of the drawn frames; a fixed seed makes plans repeatable."""
-
 UNKNOWN_STDS = 10.0
 """Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
 single sensor, finite standard deviations to compare."""
@@ -297,17 +285,15 @@ class AveragedModel:
         """Return the tests as candidates; each test is measured at these floors."""
         return Candidates.averaged([each.choices(own, floors, number) for each, own in self._by_frame(tests)])
 
-    def shear_std(self, tests: Sequence[Test], floors: Ints) -> Floats:
-        """Return relative standard deviations of masses and stiffnesses without the targets, shape (2N,).
-
-        They are root mean squares over the frames.
-        """
-        variances = []
+    def shear_covariance(self, tests: Sequence[Test], floors: Ints) -> Floats:
+        """Return the relative covariance of masses and stiffnesses without the targets, shape (2N, 2N): a mean."""
+        found = []
         for each, own in self._by_frame(tests):
             shear = dataclasses.replace(each, targets=(), quantities=())
             bare = [dataclasses.replace(test, rows=test.rows[:, : each.certain]) for test in own]
-            variances.append(np.diag(shear.covariance(bare, floors))[: 2 * each.design.stories])
-        return np.asarray(np.sqrt(np.mean(variances, axis=0)))
+            n = 2 * each.design.stories
+            found.append(shear.covariance(bare, floors)[:n, :n])
+        return np.asarray(np.mean(found, axis=0))
 
     def of_targets(self, tests: Sequence[Test], floors: Ints) -> Floats:
         """Compute the information about the targets on each frame, shape (q, e, e)."""
@@ -317,7 +303,9 @@ class AveragedModel:
         return [(each, [test[place] for test in tests]) for place, each in enumerate(self.frames)]
 
 
-def possible(design: Design) -> tuple[Design, ...]:
+def possible(
+    design: Design, fewest: int = 4, most: int = 16, stories: int = 160, seed: int = 2024
+) -> tuple[Design, ...]:
     """Return the frame as designed, then other frames that its design values allow; none if the values are certain.
 
     Masses and stiffnesses are drawn from the prior in pairs symmetric to the design values. Mean and variance of each
@@ -326,6 +314,13 @@ def possible(design: Design) -> tuple[Design, ...]:
     Parameters
     ----------
     design : Design
+    fewest, most : int, optional
+        Number of pairs. With 16 pairs and stiffnesses known to 30 %, expected deviations are on average within 2 % of
+        the mean over 200 frames (`python -m tests.studies planning vague`).
+    stories : int, optional
+        Number of stories in all pairs together: each pair of a tall frame takes longer and draws more stories.
+    seed : int, optional
+        A fixed seed makes plans repeatable.
     """
     free = free_changes(design.fixed())
     known = design.known()[:, : len(design.sizes)] @ free
@@ -334,8 +329,8 @@ def possible(design: Design) -> tuple[Design, ...]:
     root = free @ (axes[:, somewhat] / np.sqrt(information[somewhat]))
     if np.max(np.linalg.norm(root, axis=1), initial=0.0) <= FIRM * (1 + 1e-9):
         return (design,)
-    pairs = int(np.clip(STORIES_DRAWN // design.stories, FEWEST_PAIRS, MOST_PAIRS))
-    z = np.random.default_rng(PAIRS_SEED).standard_normal((pairs, root.shape[1]))
+    pairs = int(np.clip(stories // design.stories, fewest, most))
+    z = np.random.default_rng(seed).standard_normal((pairs, root.shape[1]))
     # The designed frame is one of the sample: without this factor the sample's variance would be too small.
     z *= np.sqrt((2 * pairs + 1) / (2 * np.sum(z**2, axis=0)))
     return (design, *(_moved(design, root @ each) for each in (*z, *-z)))

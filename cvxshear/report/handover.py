@@ -12,7 +12,7 @@ from scipy import io
 from cvxshear.io.spreadsheets import Sheet
 from cvxshear.report.describe import describe
 from cvxshear.response import Reconstruction, RecordPrediction, Response
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError, printable

@@ -2,7 +2,7 @@
 
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response.compare import RecordComparison
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra
 from cvxshear.response.predicted import ModelResponse, RecordPrediction, predict
 from cvxshear.response.reconstruction import Reconstruction, reconstruct

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from cvxshear.records.motion import DrivenRecord
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.state_space import Response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.results import InJson
@@ -183,7 +183,7 @@ class RecordComparison(InJson):
     shifts : tuple of Shift
     measured, predicted : Transfer
     contradiction : str
-        Contradictions that one factor, a sign or an exchange of channels would explain; empty without contradiction.
+        Contradictions that one factor or a sign would explain; empty without contradiction.
     """
 
     floors: Ints
@@ -246,7 +246,7 @@ def compared(
             nrmse=rms_error / rms_measured,
             rms_ratio=rms_predicted / rms_measured,
             peak_ratio=top_predicted / top_measured,
-            frf_error=_around_modes(excitations, measured, predicted, (of_record, of_model), motion, natural),
+            frf_error=errors(of_record, of_model, natural),
             shifts=_shifts(of_record, of_model, natural, measured_modes),
             contradiction=contradiction(measured, predicted, floors),
             measured=of_record,
@@ -275,35 +275,6 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_m
     return tuple(each for each in found if sure and each.size >= AS_MUCH * min(sure))
 
 
-def _around_modes(
-    excitations: Sequence[Floats], measured: Sequence[Floats], predicted: Sequence[Floats],
-    averaged: tuple[Transfer, Transfer], motion: DrivenRecord, natural: Floats,
-) -> Floats:  # fmt: skip
-    """Compute the errors around each mode, from one piece per run if averaged pieces have too few lines."""
-    result = errors(*averaged, natural)
-    lines = np.array([around(averaged[0].frequencies, natural, mode).sum() for mode in range(len(natural))])
-    few = np.flatnonzero(lines < FEWEST_AVERAGED)
-    if not few.size:
-        return result
-    # A single piece has no coherence. This is acceptable, because the response at a resonance exceeds its noise.
-    length = min(len(each) for each in excitations)
-    finer = [
-        transfer([f[:length] for f in excitations], [y[:length] for y in side], motion.sampling_rate, length)
-        for side in (measured, predicted)
-    ]
-    # Some lines of the excitation may be nearly empty. With its power as weight, the error compares response spectra.
-    shaken = np.array([scipy.signal.detrend(f[:length]) * np.hanning(length) for f in excitations])
-    weights = np.sum(np.abs(np.fft.rfft(shaken, axis=1)) ** 2, axis=0)
-    for mode in few:
-        near = around(finer[0].frequencies, natural, int(mode))
-        if near.sum() < 2:
-            continue
-        weight = np.sqrt(weights[near])[:, None]
-        seen, made = (weight * np.abs(each.functions[near]) for each in finer)
-        result[:, mode] = np.sqrt(np.sum((made - seen) ** 2, axis=0) / np.sum(seen**2, axis=0))
-    return result
-
-
 def moved_alike(measured: Floats, predicted: Floats) -> Floats:
     """Compute the correlation of each channel with its prediction over time, shape (n,)."""
     power: Floats = np.sum(measured**2, axis=0) * np.sum(predicted**2, axis=0)
@@ -320,13 +291,12 @@ def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bo
 
 
 def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
-    """Report contradictions that one factor, a sign or an exchange of two channels explains; empty without any."""
+    """Report contradictions that one factor or a sign explains; empty without any."""
     y, p = np.concatenate(measured), np.concatenate(predicted)
     size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
     if not np.all(size_y > 0) or not np.all(size_p > 0):
         return ""
-    alike = (y.T @ p) / len(y) / np.outer(size_y, size_p)
-    own = np.diag(alike)
+    own = moved_alike(y, p)
     said = []
     ratios = size_y / size_p
     factor = float(np.exp(np.mean(np.log(ratios))))
@@ -344,17 +314,6 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
         )
     elif against.size:
         said.append("every floor moved against the prediction: is the excitation's sign reversed?")
-    for i in range(len(floors)):
-        for j in range(i + 1, len(floors)):
-            crossed = alike[i, j] ** 2 + alike[j, i] ** 2
-            sizes = abs(np.log(size_y[i] / size_p[j])) + abs(np.log(size_y[j] / size_p[i]))
-            straight = abs(np.log(ratios[i])) + abs(np.log(ratios[j]))
-            if (
-                min(alike[i, j], alike[j, i]) > LIKE
-                and crossed > own[i] ** 2 + own[j] ** 2 + EXCHANGED
-                and sizes < straight
-            ):
-                said.append(f"floors {floors[i]} and {floors[j]} fit each other's prediction: are they exchanged?")
     return "; ".join(said)
 
 
@@ -375,9 +334,3 @@ larger error, and all factors differ by more."""
 
 LIKE = 0.5
 """Least correlation in time of two motions that belong together; floors of one frame in step have 0.8."""
-
-EXCHANGED = 0.1
-"""Least gain in squared correlation for a reported exchange of two channels; neighboring floors move nearly alike."""
-
-FEWEST_AVERAGED = 5
-"""Least number of lines of the averaged spectra around a mode; with fewer, one piece per run gives the error."""

@@ -1,9 +1,8 @@
-"""Fit the frame to the innovations of a record and select the changed stories by the evidence.
+"""Fit the frame to the innovations of a record and select the changes since the tests by the evidence.
 
 The likelihood of the innovations times a Gaussian prior is maximized by Gauss-Newton. Its steps are programs with
 bounds, first over a short part of the record, then over a long one. The evidence of the linearized likelihood selects
-the stories that changed by themselves and the size of the model's errors of form. The covariance belongs to the mixture
-of all answers.
+the changes and the size of the model's errors of form. The covariance belongs to the mixture of all answers.
 """
 
 from __future__ import annotations
@@ -19,24 +18,23 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_prior import (
     FORM_STDS,
-    GAIN_STDS,
-    MASS_STDS,
-    NO_DASHPOT_STD,
+    GAIN_UNIT,
+    MASS_STD,
     NOISE_STD,
-    SCATTER_STDS,
-    FrameChange,
+    FrameAnswer,
     FramePrior,
     Gaussian,
+    Likelihood,
     Linear,
     possible_answers,
 )
-from cvxshear.response.innovations import Directions, Likelihood, PredictionErrors
-from cvxshear.response.varied_frame import GAIN_UNIT
+from cvxshear.response.innovations import DIFFERENCE, Directions, PredictionErrors
 from cvxshear.util.decorators import cached_property
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.errors import NoModesError
+from cvxshear.util.typing import Floats
 
 FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
 """Samples of the strongest segment of each run in the first and in the last fit. The time of a fit is proportional to
@@ -46,26 +44,11 @@ LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
 """Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
 with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
 
-MOST_FIT_STEPS = 12
-"""Maximum number of Gauss-Newton steps; four to six are usual."""
-
-FITTED, FIRST_FITTED = 0.1, 1.0
-"""Tolerances of the last and the first fit: largest change of a combined residual, in standard deviations of one
-parameter."""
-
-IDLE = 10.0 * NO_DASHPOT_STD
-"""Bound on an absent dashpot, in units of its prior: ten standard deviations."""
+FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, most_steps=12)
+"""Accuracy of the last and of the first fit; four to eight steps are usual."""
 
 MOST_DECISIONS = 3
-"""Maximum number of selections of the changed stories; the second usually repeats the first."""
-
-GROWN_INFLATION = 2.0
-"""Refit with the new inflation of the scores if it exceeds the old one by this factor. A wrong model must not override
-the prior of masses and effects."""
-
-NONLINEAR = 4.0
-"""Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1
-to 2, a clock 5 ms late gives 5, and a yielding story 4 to 50."""
+"""Maximum number of selections of the changes; the second usually repeats the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +61,7 @@ class FittedFrame:
         Unknowns of `PredictionErrors`.
     covariance : ndarray, shape (P, P)
         Averaged over the answers.
-    answers : tuple of FrameChange
+    answers : tuple of FrameAnswer
         Most probable first.
     inflation : float
         Factor on the covariance of the likelihood, for innovations that are not white.
@@ -92,21 +75,36 @@ class FittedFrame:
     prior: FramePrior
     p: Floats
     covariance: Floats
-    answers: tuple[FrameChange, ...]
+    answers: tuple[FrameAnswer, ...]
     inflation: float
     converged: bool
     along: Directions
     log_evidence: float
 
+    def probability(self, kind: str) -> Floats:
+        """Return the probability of each change of a kind (`FrameChange`)."""
+        places = [place for place, each in enumerate(self.prior.changes) if each.kind == kind]
+        return np.array([sum(each.probability for each in self.answers if place in each.changed) for place in places])
+
     @cached_property
     def story_probability(self) -> Floats:
         """Probability that each story changed by itself, shape (N,)."""
-        return self._changed[: self.errors.stories]
+        return self.probability("story")
 
     @cached_property
     def dashpot_probability(self) -> Floats:
         """Probability that each story has a dashpot of its own, shape (N,)."""
-        return self._changed[self.errors.stories : self._first_gain]
+        return self.probability("dashpot")
+
+    @cached_property
+    def mass_probability(self) -> float:
+        """Probability that floor masses changed."""
+        return float(np.sum(self.probability("masses")))
+
+    def doubted(self) -> FittedFrame:
+        """Return the frame with the covariance of a frame of which every story may have changed."""
+        stories = [place for place, each in enumerate(self.prior.changes) if each.kind == "story"]
+        return dataclasses.replace(self, covariance=self.prior.gaussian(stories, FORM_STDS[0]).covariance)
 
     @property
     def dashpots(self) -> tuple[Floats, Floats]:
@@ -116,27 +114,6 @@ class FittedFrame:
     def _unknown(self, at: slice, unit: Floats) -> tuple[Floats, Floats]:
         """Return some unknowns and their standard deviations, in units."""
         return unit * self.p[at], np.abs(unit) * np.sqrt(np.diag(self.covariance)[at])
-
-    @cached_property
-    def gain_probability(self) -> Floats:
-        """Probability that each sensor has a gain error of its own, shape (m,); the excitation's sensor is last."""
-        return self._changed[self._first_gain :]
-
-    @property
-    def _first_gain(self) -> int:
-        return self.errors.stories + len(self.errors.varied.dashpot)
-
-    @cached_property
-    def _changed(self) -> Floats:
-        result = np.zeros(self._first_gain + self.errors.varied.gains)
-        for each in self.answers:
-            result[list(each.changed)] += each.probability
-        return result
-
-    @property
-    def mass_probability(self) -> float:
-        """Probability that floor masses changed."""
-        return sum(each.probability for each in self.answers if each.mass_std > 0)
 
     @property
     def gains(self) -> tuple[Floats, Floats]:
@@ -165,7 +142,7 @@ class FittedFrame:
         """
         if not self.errors.setting.base_measured or self.errors.setting.force_floor:
             return 0.0
-        return MASS_STDS[-1] * float(np.sqrt(self.mass_probability / self.errors.stories))
+        return MASS_STD * float(np.sqrt(self.mass_probability / self.errors.stories))
 
     @property
     def mean_factor(self) -> tuple[float, float]:
@@ -193,16 +170,33 @@ class FittedFrame:
         The values belong to the most probable answer with changed masses; they are zero without such an answer. The
         difference from the identified masses is partly the error of the identification.
         """
-        N = self.errors.stories
-        answer = next((each for each in self.answers if each.mass_std > 0), None)
+        masses = [place for place, each in enumerate(self.prior.changes) if each.kind == "masses"]
+        answer = next((each for each in self.answers if set(masses) & set(each.changed)), None)
         if answer is None:
-            return np.zeros(N), np.zeros(N)
-        prior, variance = self.prior.gaussian(*answer.prior), answer.mass_std**2
-        heavier = np.zeros((len(self.p), self.prior.varied.heavier_floors.shape[1]))
-        heavier[self.errors.frame] = self.prior.varied.heavier_floors
-        G = variance * np.linalg.solve(prior.covariance, heavier).T
-        covariance = variance * (np.eye(N) - G @ heavier) + G @ self.covariance @ G.T
+            return np.zeros(self.errors.stories), np.zeros(self.errors.stories)
+        prior, heavier = self.prior.gaussian(*answer.prior), self.prior.changes[masses[0]].columns
+        G = MASS_STD * np.linalg.solve(prior.covariance, heavier).T
+        covariance = MASS_STD**2 * np.eye(len(G)) - MASS_STD * G @ heavier + G @ self.covariance @ G.T
         return G @ (self.p - prior.mean), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+    @cached_property
+    def modal_std(self) -> tuple[Floats, Floats]:
+        """Relative standard deviations of the frame's frequencies and of its damping ratios, shapes (N,)."""
+        frame = self.errors.frame
+        values, vectors = np.linalg.eigh(self.covariance[frame, frame])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+
+        def described(p: Floats) -> Floats:
+            model = self.errors.model(p)
+            return np.log([model.modes.frequencies, model.ratios])
+
+        centre, change = described(self.p), np.zeros(len(self.p))
+        variance = np.zeros_like(centre)
+        for column in root.T:
+            change[frame] = DIFFERENCE * column
+            variance += ((described(self.p + change) - centre) / DIFFERENCE) ** 2
+        frequencies, ratios = np.sqrt(variance)
+        return frequencies, ratios
 
     @cached_property
     def _factors_covariance(self) -> Floats:
@@ -224,69 +218,47 @@ class _Point:
 
     def __init__(self, posterior: _Posterior, p: Floats) -> None:
         self.posterior, self.p = posterior, p
-        white = posterior.white @ (p - posterior.prior.mean)
-        self.objective = posterior.errors.objective(p) / posterior.inflation + float(white @ white)
+        self.away = posterior.white @ (p - posterior.prior.mean)
+        self.objective = posterior.errors.objective(p) + float(self.away @ self.away)
 
     @cached_property
     def likelihood(self) -> Likelihood:
         return self.posterior.errors.linearised(self.p, self.posterior.along)
 
-    @cached_property
+    @property
     def triangle(self) -> tuple[Floats, Floats]:
-        at, white, root = self.likelihood, self.posterior.white, np.sqrt(self.posterior.inflation)
-        away = white @ (self.p - self.posterior.prior.mean)
-        return np.concatenate([at.U / root, white]), np.concatenate([at.c / root, away])
+        return self.J, self.r
 
     @property
     def r(self) -> Floats:
-        return self.triangle[1]
+        return np.concatenate([self.likelihood.c, self.away])
 
     @property
     def J(self) -> Floats:  # noqa: N802
-        return self.triangle[0]
+        return np.concatenate([self.likelihood.U, self.posterior.white])
 
 
 class _Posterior:
-    """-2 log of the posterior density of the unknowns, for Gauss-Newton.
+    """-2 log of the posterior density of the unknowns, for Gauss-Newton."""
 
-    Parameters
-    ----------
-    inflation : float, optional
-        Factor that divides the log likelihood: the scores of a wrong model scatter more than the likelihood predicts.
-    """
-
-    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian, inflation: float = 1.0) -> None:
-        self.errors, self.along, self.prior, self.inflation = errors, along, prior, inflation
+    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian) -> None:
+        self.errors, self.along, self.prior = errors, along, prior
         self.white = np.linalg.inv(np.linalg.cholesky(prior.covariance))
 
     def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> _Point:
         return _Point(self, theta)
 
-    def maximum(
-        self, p: Floats, backend: Backend, steps: int, form_std: float, near: float = FITTED, idle: Ints | None = None
-    ) -> tuple[_Point, bool]:
-        """Find the most probable point from p on, and whether the search converged within `steps` steps.
-
-        Absent (idle) dashpots stay near zero, as in their prior.
-        """
-        lower, upper = self.errors.lower(form_std), self.errors.upper.copy()
-        if idle is not None:
-            lower[idle], upper[idle] = -IDLE, IDLE
-            p = np.clip(p, lower, upper)
-        bounds = Constraints(lower=lower, upper=upper)
-        domain = Domain([NamedConstraints("bounds", bounds)], np.ones(len(p)), np.full(len(p), np.inf))
-        found = gauss_newton(self, p, domain, backend, Accuracy(near, steps))
+    def maximum(self, p: Floats, backend: Backend, accuracy: Accuracy = FITTED) -> tuple[_Point, bool]:
+        """Find the most probable point from p on, and whether the search converged."""
+        lower, upper = self.errors.bounds(self.prior)
+        bounds = NamedConstraints("bounds", Constraints(lower=lower, upper=upper))
+        domain = Domain([bounds], np.ones(len(p)), np.full(len(p), np.inf))
+        found = gauss_newton(self, np.clip(p, lower, upper), domain, backend, accuracy)
         return found.at, found.converged
 
 
 def fit_frame(
-    errors: PredictionErrors,
-    prior: FramePrior,
-    backend: Backend,
-    start: Floats | None = None,
-    *,
-    free: bool = True,
-    dashpots: bool = True,
+    errors: PredictionErrors, prior: FramePrior, backend: Backend, start: Floats | None = None, *, free: bool = True
 ) -> FittedFrame:
     """Fit the frame to the innovations.
 
@@ -298,60 +270,44 @@ def fit_frame(
         End of an earlier fit; without `start`, a rough fit to a short part comes first.
     free : bool, optional
         Whether the frame is fitted; otherwise only the noise is fitted.
-    dashpots : bool, optional
-        Whether the rough fit has a dashpot in every story.
     """
     p = np.zeros(errors.size) if start is None else start
-    answer = FrameChange((), FORM_STDS[0], SCATTER_STDS[0], MASS_STDS[0], GAIN_STDS[0], 1.0)
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
-        # The frame stays as identified; its uncertainty is part of the bands.
+        # The frame stays as identified; its possible changes since the tests are part of the bands.
         still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
-        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(
-            p, backend, MOST_FIT_STEPS, FORM_STDS[-1], idle=prior.idle_dashpots(())
-        )
-        covariance = prior.gaussian(*answer.prior, same=errors.setting.base_measured).covariance
+        at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend)
+        answer = FrameAnswer((), FORM_STDS[0], 1.0)
+        covariance = prior.gaussian(*answer.prior).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
     if start is None:
-        rough = _Posterior(
-            errors.shortened(FIRST_SAMPLES, p), informative(errors, prior, p, FIRST_INFORMATION), prior.widest
-        )
-        idle = prior.idle_dashpots(range(len(prior.single)) if dashpots else ())
-        p = rough.maximum(p, backend, MOST_FIT_STEPS, FORM_STDS[-1], FIRST_FITTED, idle)[0].p
-    along, inflation = informative(errors, prior, p), 1.0
+        along = informative(errors, prior, p, FIRST_INFORMATION)
+        rough = _Posterior(errors.shortened(FIRST_SAMPLES, p), along, prior.widest)
+        p = rough.maximum(p, backend, FIRST_FITTED)[0].p
+    along = informative(errors, prior, p)
     # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
     # story, and rarely return, because base motion does not determine this scale.
-    rough_likelihood = errors.linearised(p, along)
-    answer = possible_answers(rough_likelihood, prior, p)[0]
-    nearer, _ = Linear(rough_likelihood, p, prior.gaussian(*answer.prior)).posterior()
-    nearer = np.clip(nearer, errors.lower(answer.form_std), errors.upper)
-    p = nearer if errors.stable(nearer) else p
+    likelihood = errors.linearised(p, along)
+    answer = possible_answers(likelihood, prior, p)[0]
+    p = _nearer(errors, likelihood, prior.gaussian(*answer.prior), p)
     for _ in range(MOST_DECISIONS):
-        posterior = _Posterior(errors, along, prior.gaussian(*answer.prior), inflation)
-        idle = prior.idle_dashpots(answer.changed)
-        at, converged = posterior.maximum(p, backend, MOST_FIT_STEPS, answer.form_std, idle=idle)
+        at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend)
         p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
-        if answer.prior == before.prior and at.likelihood.inflation <= GROWN_INFLATION * inflation:
+        if answer.prior == before.prior:
             break
-        inflation = max(inflation, at.likelihood.inflation)
-    first_gain = errors.stories + len(errors.varied.dashpot)
-    asked = answer.mass_std or answer.gain_std > GAIN_STDS[0] or any(each >= first_gain for each in answer.changed)
-    if asked and at.likelihood.inflation > NONLINEAR:
-        # If the record does not fit a linear frame, masses and gains absorb other errors: fit without their changes.
-        return fit_frame(errors, prior.linear_alone, backend, start)
-    found = _mixed(errors, prior, at, answers, converged)
-    if converged or start is not None or not dashpots:
-        return found
-    # Other starts may converge: from the identified frame, or without dashpots in the rough fit.
-    for begin, with_dashpots in ((np.zeros(errors.size), True), (None, False)):
-        other = fit_frame(errors, prior, backend, begin, dashpots=with_dashpots)
-        if other.converged or other.log_evidence > found.log_evidence:
-            found = other
-        if found.converged:
-            break
-    return found
+    return _mixed(errors, prior, at, answers, converged)
+
+
+def _nearer(errors: PredictionErrors, likelihood: Likelihood, prior: Gaussian, p: Floats) -> Floats:
+    """Return the most probable point of a linearized likelihood; p if the frame has no modes there."""
+    nearer = np.clip(Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
+    try:
+        errors.model(nearer)
+    except NoModesError:
+        return p
+    return nearer
 
 
 def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
@@ -362,30 +318,35 @@ def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: f
     return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
-def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, steps: int) -> FittedFrame:
+def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, *, free: bool) -> FittedFrame:
     """Fit the frame again without one sensor, with the same possible answers.
+
+    One Gauss-Newton step is enough: the fit starts from the result with all sensors, and mainly needs the new
+    covariance.
 
     Parameters
     ----------
     gone : int
         Index of the unknown of the sensor's noise.
-    steps : int
-        Maximum number of steps; with zero steps the frame stays unchanged.
+    free : bool
+        Whether the frame is fitted; otherwise it stays unchanged.
     """
-    prior = dataclasses.replace(frame.prior, others=frame.prior.others - 1)
+    changes = [dataclasses.replace(each, columns=np.delete(each.columns, gone, axis=0)) for each in frame.prior.changes]
+    prior = dataclasses.replace(frame.prior, others=frame.prior.others - 1, changes=tuple(changes))
     start = np.delete(frame.p, gone)
-    if not steps:
+    if not free:
         covariance = np.delete(np.delete(frame.covariance, gone, axis=0), gone, axis=1)
         return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along, frame.log_evidence)
     along = frame.along.without(gone)
     best = frame.answers[0]
-    posterior = _Posterior(errors, along, prior.gaussian(*best.prior), frame.inflation)
-    at, converged = posterior.maximum(start, backend, steps, best.form_std, idle=prior.idle_dashpots(best.changed))
+    at, converged = _Posterior(errors, along, prior.gaussian(*best.prior)).maximum(
+        start, backend, dataclasses.replace(FITTED, most_steps=1)
+    )
     return _mixed(errors, prior, at, frame.answers, converged)
 
 
 def _mixed(
-    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[FrameChange], converged: bool
+    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[FrameAnswer], converged: bool
 ) -> FittedFrame:
     """Return the frame with the covariance of the mixture of the answers."""
     total = sum(each.probability for each in answers)
@@ -398,11 +359,12 @@ def _mixed(
     return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)
 
 
-def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[FrameChange]) -> float:
+def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[FrameAnswer]) -> float:
     """Compute the log probability of the record over all answers: the best answer's, divided by its probability."""
     best = answers[0]
     linear = Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
-    own = linear.evidence(np.zeros((len(at.p), 0))).plain + float(prior.log_odds[list(best.changed)].sum())
+    (own,) = linear.evidences((), [()])
+    own += sum(prior.changes[each].log_odds for each in best.changed)
     # The triangle has the part that depends on the unknowns; the rest of -2 log likelihood is constant.
     rest = at.posterior.errors.objective(at.p) - float(at.likelihood.c @ at.likelihood.c)
     return own - float(np.log(best.probability)) - 0.5 * rest

@@ -15,15 +15,26 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.records.motion import DrivenRun
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
-from cvxshear.response.frame_prior import FramePrior
-from cvxshear.response.innovations import FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
+from cvxshear.response.frame_prior import FramePrior, VariedFrame
+from cvxshear.response.innovations import DIFFERENCE, FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
 from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
-from cvxshear.response.smoother import Observed, Piece, Smoothed, settled_states, smooth
-from cvxshear.response.state_space import Dynamics, Filter, Noise, Response, Setting, dynamics, response
+from cvxshear.response.state_space import (
+    Dynamics,
+    Filter,
+    Noise,
+    Observed,
+    Piece,
+    Response,
+    Setting,
+    Smoothed,
+    dynamics,
+    response,
+    settled_states,
+    smooth,
+)
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
@@ -43,17 +54,8 @@ MOVED_ALIKE = 1e-3
 PROBED_SAMPLES = 1000
 """Number of samples of the strongest motion that compare the directions of the frame's uncertainty."""
 
-NEAR_STD = 1e-3
-"""Step of the derivatives of the frame's matrices, in standard deviations."""
-
 MOST_DIRECTIONS = 8
-CARRIED_SHARE = 0.995
-"""Largest number of propagated directions of the frame's uncertainty, and the share of the variance that suffices for
-fewer directions. A factor accounts for the rest of the variance."""
-
-
-MOST_SHORTENED = 20
-"""Maximum number of reductions of a step to a frame without modes, each to a quarter: 1e-12 of the step remains."""
+"""Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +72,6 @@ class ReconstructedRun:
     measured : ndarray, shape (samples, m)
         m/s2; nan for missing samples.
     excitation : ndarray, shape (samples,)
-    missed : ndarray, shape (N,)
-        Rms over time of the story forces that the model missed, relative to the rms story force.
     """
 
     name: str
@@ -81,7 +81,6 @@ class ReconstructedRun:
     base_std: Floats | None
     measured: Floats
     excitation: Floats
-    missed: Floats
 
 
 Sides = tuple[DampedModel, DampedModel, float]
@@ -230,15 +229,8 @@ class FrameMotion:
             found.append(smooth(model, Observed(run.drive, run.measured, envelope, scale), asked))
         return found
 
-    def runs(self, fitted: FittedFrame, wider: float, rough: float) -> list[ReconstructedRun]:
-        """Return every run's motion; widen all deviations by a factor, and add a relative part to some.
-
-        Parameters
-        ----------
-        rough : float
-            Relative standard deviation of drifts, floor displacements and forces that neither the record nor the tests
-            determine.
-        """
+    def runs(self, fitted: FittedFrame, wider: float) -> list[ReconstructedRun]:
+        """Return every run's motion; widen all deviations by a factor."""
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
         rows = fitted.errors.dynamics(fitted.p).outputs
@@ -253,11 +245,9 @@ class FrameMotion:
             np.sqrt(std, out=std)
             std *= wider
             moved = rows.of(found.states, run.drive)
-            acceleration, displacement, drift, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
-            own = std[:, n : 3 * n]
-            np.hypot(own, rough * np.hstack([displacement, drift]), out=own)
+            acceleration, displacement, _, force = (moved[:, k * n : (k + 1) * n] for k in range(4))
             forces = slice(3 * n, 4 * n + (model.heights is not None))
-            std[:, forces] = np.hypot(std[:, forces], np.hypot(fitted.scale_std, rough) * moved[:, forces])
+            std[:, forces] = np.hypot(std[:, forces], fitted.scale_std * moved[:, forces])
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
             motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")
@@ -267,10 +257,7 @@ class FrameMotion:
                 stds["story_drift_ratio"] = stds["story_drift"] / model.heights
                 stds["overturning_moment"] = std[:, 4 * n]
             base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
-            missed = np.sqrt(np.mean(found.states[:, 2 * n : 3 * n] ** 2, axis=0))
-            result.append(
-                ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation, missed)
-            )
+            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
         return result
 
     def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Floats:
@@ -307,15 +294,11 @@ class FrameMotion:
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        near = (_with_modes(partial(model_at, row), NEAR_STD) for row in np.eye(len(own)))
+        near = (_with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(len(own)))
         slopes = np.array([(moved(dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near])
         flat = slopes.reshape(len(own), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
-        order = ranking.order(strength)
-        carried = np.cumsum(np.maximum(strength[order], 0.0))
-        if carried[-1] <= 0:
-            return FrameDirections((), np.ones(len(scale)))
-        chosen = order[: min(int(np.searchsorted(carried, CARRIED_SHARE * carried[-1])) + 1, most)]
+        chosen = ranking.order(strength)[:most]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
         pairs = (_with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
         sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
@@ -324,12 +307,11 @@ class FrameMotion:
 
 def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
     """Build frames at this distance, or nearer until they have modes; return the distance, too."""
-    for _ in range(MOST_SHORTENED):
+    while True:
         try:
             return at(size), size
         except NoModesError:
             size *= 0.25
-    return at(size), size
 
 
 def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:

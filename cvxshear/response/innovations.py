@@ -21,10 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
+from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
 from cvxshear.response.state_space import ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
-from cvxshear.response.varied_frame import GAIN_UNIT, VariedFrame
-from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats
 
 FIRST_SENSOR = 0.02
@@ -32,50 +31,24 @@ FIRST_FORCE = 0.02
 """Starting values of the fit and centers of the priors: sensor noise, relative to a channel's rms, and missed story
 forces, relative to the rms story force."""
 
+FURTHEST_STDS = 10.0
+"""Bound on each unknown, in standard deviations of its prior."""
+
 MOST_INPUT_NOISE = 0.03
-"""Bound on the noise of the excitation's sensor, relative to its rms. With a larger bound, this noise absorbs the
-effect of a yielding story. Without the bound, the motion of a fixed frame is less exact."""
+"""Bound on the noise of the excitation's sensor, relative to its rms; the lower bound is as far from the start. Without
+the upper one, this noise absorbs the effect of a yielding story, and the record passes for a linear frame's. Without
+the lower one, the level of a noise that is not there takes twenty steps to settle."""
 
-FURTHEST = np.log(10.0)
-"""Bound on the logarithm of factors on stiffness and damping; a story ten times softer is another frame."""
-
-FURTHEST_DASHPOT = 20.0
-"""Bound on a dashpot, in units of the dashpot that gives a mode its measured ratio; this bound nearly locks a story."""
-
-FURTHEST_STDS = 20.0
-"""Bound on masses and effects, in standard deviations. An incomplete model can state too small deviations."""
-
-FURTHEST_GAIN = np.log(2.0)
-"""Bound on the logarithm of a sensor's gain: a larger error is a wrong unit or amplifier."""
-
-FURTHEST_MASS = 0.25
-"""Bound on the change of a floor's mass since the tests, five times its larger standard deviation."""
-
-FURTHEST_FORM = 0.5
-"""Bound on the errors of the model's form: beyond 1 the frame could have no modes."""
-
-FURTHEST_NOISE = np.log(30.0)
-"""Bound on the logarithm of a sensor's noise around its start; real sensors have more noise than 0.1 % of a
-building's motion."""
-
-LEAST_MISSED, MISSED_BY_FORM, MOST_MISSED = 2e-4, 2e-3, 0.1
-"""Bounds on the missed story forces, relative to the rms story force. The largest bounds the model errors that a
-reconstruction allows. The middle one is the minimum for a model with a wrong form: sensors at a third of the floors
-cannot separate smaller missed forces from noise, and the bands become too narrow. The least applies to a frame without
-errors of form."""
-
-MISSED_A_FORM = 0.2
-"""Missed force, relative to the rms story force, for an error of form of one (`FORM_STDS`). An error of 1 % gives the
-middle bound."""
+LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
+"""Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
+smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
+reconstruction allows: beyond it, the innovations show that the record is not that of a linear frame."""
 
 DIFFERENCE = 1e-5
 """Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5."""
 
 MOVED_AT_ONCE = 512
 """Samples for which derivatives of the state are in memory at once: some twenty megabytes for twenty stories."""
-
-SCORE_PERIODS = 1.0
-"""Length of the blocks in which scores are summed, in fundamental periods: the correlation time of model errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,22 +114,6 @@ class Directions:
         ))  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Likelihood:
-    """The linearized likelihood at one point: -2 log L = |U d + c|^2 + constant for a step d.
-
-    Parameters
-    ----------
-    U, c : ndarray, shapes (r, P) and (r,)
-    inflation : float
-        Scatter of the summed scores, relative to white innovations; at least 1.
-    """
-
-    U: Floats
-    c: Floats
-    inflation: float
-
-
 class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
@@ -173,28 +130,19 @@ class PredictionErrors:
         self.varied, self.setting, self.stretches, self.noise = varied, setting, stretches, noise
         self.stories = len(varied.story_stiffness)
         self.frame = slice(0, sum(varied.sizes))
-        force = self.frame.stop + len(setting.floors)
-        self.size = force + 2
-        self.upper = np.full(self.size, FURTHEST_NOISE)
-        self.upper[self.frame] = np.repeat([FURTHEST, FURTHEST, FURTHEST_STDS, FURTHEST_FORM], varied.sizes)
-        self.upper[varied.dashpots] = FURTHEST_DASHPOT
-        heavier = FURTHEST_MASS * np.linalg.norm(varied.heavier_floors, axis=1)
-        N, D, W, _ = varied.sizes
-        masses = slice(N + D, N + D + W)
-        self.upper[masses] = np.maximum(self.upper[masses], heavier[masses])
-        self.upper[varied.sensor_gains] = FURTHEST_GAIN / GAIN_UNIT
-        self.upper[force] = np.log(MOST_MISSED / noise.force)
-        if setting.base_measured:
-            self.upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
-        self._force = force
+        self.size = self.frame.stop + len(setting.floors) + 2
 
-    def lower(self, form_std: float) -> Floats:
-        """Return lower bounds of the unknowns, shape (P,), for errors of form with this standard deviation."""
-        least = -self.upper
-        least[self.varied.dashpots] = 0.0
-        missed = min(max(LEAST_MISSED, MISSED_A_FORM * form_std), MISSED_BY_FORM)
-        least[self._force] = np.log(missed / self.noise.force)
-        return least
+    def bounds(self, prior: Gaussian) -> tuple[Floats, Floats]:
+        """Return lower and upper bounds of the unknowns, shape (P,)."""
+        far = FURTHEST_STDS * np.sqrt(np.diag(prior.covariance))
+        lower, upper = -far, far
+        lower[self.varied.dashpots] = np.maximum(lower[self.varied.dashpots], -FURTHEST_STDS * NO_DASHPOT_STD)
+        force = self.size - 2
+        lower[force], upper[force] = np.log(np.array([LEAST_MISSED, MOST_MISSED]) / self.noise.force)
+        if self.setting.base_measured:
+            upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
+            lower[force + 1] = -upper[force + 1]
+        return lower, upper
 
     @property
     def samples(self) -> int:
@@ -245,14 +193,6 @@ class PredictionErrors:
     def model(self, p: Floats) -> DampedModel:
         """Return the frame at these unknowns."""
         return self.varied.model(p[self.frame])
-
-    def stable(self, p: Floats) -> bool:
-        """Return whether the frame at these unknowns has modes."""
-        try:
-            self.model(p)
-        except NoModesError:
-            return False
-        return True
 
     def noise_at(self, p: Floats) -> Noise:
         """Return the noise at these unknowns."""
@@ -324,8 +264,11 @@ class PredictionErrors:
         return parts
 
     def _inflation(self, parts: Sequence[_Rows], rows: int) -> float:
-        """Compute the scatter of the summed scores of the first directions, relative to white innovations."""
-        samples = max(1, round(SCORE_PERIODS * self.varied.period / self.setting.step))
+        """Compute the scatter of the summed scores of the first directions, relative to white innovations.
+
+        Scores are summed over one period of the frame, the correlation time of errors of the model.
+        """
+        samples = max(1, round(self.varied.period / self.setting.step))
         spread, curvature = np.zeros(rows), np.zeros(rows)
         for part in parts:
             length = part.sensors * samples
@@ -380,7 +323,7 @@ def _rows_of(here: Filter, runs: Sequence[Segment], rates: dict[str, Floats]) ->
             free = _free(here, run, whitening)
             both = np.linalg.solve(np.eye(free.shape[1]) + free.T @ free, free.T @ np.column_stack([J, white]))
             J, white = J - free @ both[:, :-1], white - free @ both[:, -1]
-            begun.append(both)
+            begun.append(np.asarray(both, dtype=np.float64))
         parts.append(_Rows(J, white, m))
         mean += white.reshape(-1, m).T @ white.reshape(-1, m)
     root = np.sqrt(samples / 2)

@@ -14,7 +14,7 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
 from cvxshear.response.recording import recording_of
 from cvxshear.response.sensor_checks import as_predicted

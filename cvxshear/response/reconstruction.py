@@ -1,15 +1,17 @@
 """Reconstruction: the motion of every floor, with standard deviations, from the floors with sensors.
 
-`frame_fit` fits the frame to the innovations of the filter. `smoother` computes the motion, and `frame_motion` the
-standard deviations. `sensor_checks` predicts each sensor from all others, which checks the deviations.
+`frame_fit` fits the frame to the innovations of the filter. `state_space` computes the motion, and `frame_motion` the
+standard deviations. `sensor_checks` predicts each sensor from all others, which checks the deviations. A record that is
+not of a linear frame falls back to the motion of the identified frame.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import special
@@ -18,57 +20,33 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
-from cvxshear.response.damped import DampedModel
-from cvxshear.response.frame_fit import NONLINEAR, FittedFrame
+from cvxshear.response.damping import HIGH, DampedModel
+from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
 from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
-from cvxshear.response.smoother import Smoothed
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
-from cvxshear.response.state_space import Response
+from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property, usual_arithmetic
-from cvxshear.util.quantities import listed, numbered, percent, ranged
+from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
+from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent, ranged
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Json
-
-NAMED_CHANGE = 0.95
-"""Minimum probability of a reported change; the loop uses the same level for effects."""
 
 SIGN_KNOWN = 1.645
 """Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
 
-WIDER = 1.3
-"""Maximum ratio of the left-out sensors' errors to their deviations without a warning: the scatter of twenty
-independent samples."""
-
 GAIN_OFF = 3.0, 0.005
 """Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
 
-MISSED_MOST = 1.5
-"""Minimum ratio of the missed force between two sensors to the largest elsewhere for these stories to be reported; a
-yielding story gave 1.5 to 2.5 in simulated frames."""
+NONLINEAR = 4.0
+"""Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
+5 ms late gives 5, and a yielding story 4 to 50."""
 
-SOUND_SCORES = 2.0
-"""Maximum inflation of the scores for a reported mass change. Linear frames have 1 to 2; undeclared dampers give 3 and
-more and resemble mass changes."""
-
-LARGEST_ODDS = 1000.0
-"""Largest odds that are printed as a number; model errors make larger odds meaningless."""
-
-UNSETTLED = "the fit of the frame did not settle, so no number is sure, and drifts are rough"
-"""Warning that is the first of the findings."""
-
-QUIET_ENOUGH = 0.25
-"""Maximum strength of the quietest part of a record, relative to its rms, for a reliable straight line. In a record
-without a quieter part, the line changes peaks by up to four standard deviations."""
-
-ROUGH_DRIFT = 0.1
-"""Relative standard deviation of drifts if the record does not fit a linear frame, the fit does not converge, or the
-tests do not determine the frame. The drift of a yielding story is 3 to 17 % too low, and of its neighbors up to 9 % too
-high (``tests.studies.reconstruction``)."""
+FURTHEST_FACTOR = 3.0
+"""Largest factor between the fitted and the identified stiffness of a story that is not changed by itself."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,9 +66,12 @@ class Reconstruction(Shown):
     frame : FittedFrame
         The frame in this record.
     frame_fitted : bool
-        Whether the frame was fitted to the record: not if the base motion was not measured or `fit` was False.
+        Whether the frame is the one fitted to the record: not if the base motion was not measured, if `fit` was False,
+        or in a fallback.
     model : DampedModel
         Matrices of the frame in this record.
+    fallback : str
+        Reason why the motion is the identified frame's although a fit was asked for; empty if the fitted frame stands.
     runs : tuple of ReconstructedRun
     peaks : Peaks
     predicted_peaks : Peaks or None
@@ -111,6 +92,7 @@ class Reconstruction(Shown):
     frame: FittedFrame
     frame_fitted: bool
     model: DampedModel
+    fallback: str
     runs: tuple[ReconstructedRun, ...]
     peaks: Peaks
     predicted_peaks: Peaks | None
@@ -138,27 +120,21 @@ class Reconstruction(Shown):
 
     @property
     def changed(self) -> tuple[int, ...]:
-        """Stories (from 1) that changed by themselves with a probability of at least `NAMED_CHANGE`.
+        """Stories (from 1) that changed by themselves with a probability of at least `SURE`.
 
         The sign of the change must be known. If the modes contradict the model, the change must also exceed twice the
-        model's shape error. The tuple is empty if the fit did not converge.
+        model's shape error.
         """
         if self.change_probability is None or not self.names_changes:
             return ()
         change, std = self.frame.against_others
         large = np.abs(change) > np.maximum(2.0 * self.fitted.lacking, SIGN_KNOWN * std)
-        return tuple(int(j) + 1 for j in np.flatnonzero((self.change_probability >= NAMED_CHANGE) & large))
-
-    @property
-    def nonlinear(self) -> bool:
-        """Whether the record does not fit a linear frame with sound sensors."""
-        return self.frame.inflation > NONLINEAR
+        return tuple(int(j) + 1 for j in np.flatnonzero((self.change_probability >= SURE) & large))
 
     @property
     def names_changes(self) -> bool:
-        """Whether changes since the tests are reported: record and tests must fit the model of a linear frame."""
-        fits = self.frame_fitted and self.frame.converged and not self.nonlinear and not self.undetermined
-        return fits and self.widening <= WIDER
+        """Whether changes since the tests are reported: the fitted frame stands, and the tests determine the frame."""
+        return self.frame_fitted and not self.undetermined
 
     @property
     def undetermined(self) -> bool:
@@ -171,43 +147,48 @@ class Reconstruction(Shown):
         return tuple(each.floor for each in self.whiteness if each.coloured)
 
     @property
-    def sound(self) -> bool:
-        """Whether the model passes its checks: a linear frame, small errors of left-out sensors, white innovations."""
-        return self.names_changes and not self.coloured
+    def provisional(self) -> bool:
+        """Whether the model misses a part of the motion, or needs changes of three kinds at once to explain it."""
+        kinds = (self.changed, self.dampers, self.gains_off, self.masses_changed)
+        return bool(self.coloured) or sum(map(bool, kinds)) >= len(kinds) - 1
+
+    @property
+    def sensor_drifts(self) -> list[tuple[int, int, float]]:
+        """Peak drift between neighboring sensors: lower floor (0 is a measured base), upper floor, drift in m.
+
+        The drift needs no model of the frame: it is the difference of two accelerations, integrated twice. Frequencies
+        below a fifth of the frame's first one are left out, because integration turns noise there into drift.
+        """
+        base = self.recording.input == "base"
+        floors = [*([0] if base else []), *self.recording.floors.tolist()]
+        peaks = np.zeros(len(floors) - 1)
+        for run in self.runs:
+            time = np.arange(len(run.measured))
+            columns = [np.interp(time, time[there := np.isfinite(each)], each[there]) for each in run.measured.T]
+            drift = np.diff(np.column_stack([*([run.excitation] if base else []), *columns]), axis=1)
+            frequencies = np.fft.rfftfreq(len(drift), self.recording.step)
+            kept = frequencies >= self.model.modes.frequencies[0] / 5
+            square = np.where(kept, -((2 * np.pi * frequencies) ** 2), np.inf)
+            moved = np.fft.irfft(np.fft.rfft(drift, axis=0) / square[:, None], len(drift), axis=0)
+            peaks = np.maximum(peaks, np.max(np.abs(moved), axis=0))
+        return [(*pair, float(peak)) for pair, peak in zip(pairwise(floors), peaks, strict=True)]
 
     @property
     def dampers(self) -> tuple[int, ...]:
-        """Stories (from 1) that have a damper of their own, with a probability of at least `NAMED_CHANGE`.
+        """Stories (from 1) that have a damper of their own, with a probability of at least `SURE`.
 
         The damper must also exceed `SIGN_KNOWN` standard deviations.
         """
         if not self.names_changes:
             return ()
         damper, std = self.frame.dashpots
-        there = (self.frame.dashpot_probability >= NAMED_CHANGE) & (damper > SIGN_KNOWN * std)
+        there = (self.frame.dashpot_probability >= SURE) & (damper > SIGN_KNOWN * std)
         return tuple(int(j) + 1 for j in np.flatnonzero(there))
-
-    @property
-    def missed_most(self) -> tuple[int, ...]:
-        """Stories (from 1) between two floors with sensors, with the largest deviations from a linear frame.
-
-        Empty if the record fits a linear frame, or if no stories exceed the others clearly.
-        """
-        edges = np.concatenate([[0], self.recording.floors])
-        stories = np.split(np.arange(1, len(self.model.M) + 1), edges[1:])
-        if not self.nonlinear or not self.frame_fitted:
-            return ()
-        missed = np.max([run.missed for run in self.runs], axis=0)
-        between = [each for each in stories if each.size]
-        sizes = [float(np.max(missed[each - 1])) for each in between]
-        most = ranking.first_largest(sizes)
-        others = max(np.delete(sizes, most), default=0.0)
-        return tuple(between[most].tolist()) if len(sizes) > 1 and sizes[most] > MISSED_MOST * others else ()
 
     @property
     def masses_changed(self) -> bool:
         """Whether a mass change is reported."""
-        return self.sound and self.frame.inflation <= SOUND_SCORES and self.frame.mass_probability >= NAMED_CHANGE
+        return self.names_changes and not self.coloured and self.frame.mass_probability >= SURE
 
     @property
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
@@ -218,7 +199,7 @@ class Reconstruction(Shown):
         return tuple(
             (name, float(value), float(std))
             for name, value, std in zip(names, *self.frame.gains, strict=True)
-            if self.frame_fitted and not self.undetermined and abs(value) > max(deviations * std, least)
+            if self.names_changes and abs(value) > max(deviations * std, least)
         )
 
     @property
@@ -259,14 +240,15 @@ class Reconstruction(Shown):
                     "dashpot_probability": none if sound is None else sound.dashpot_probability,
                     "dashpot": np.where(damps, frame.dashpots[0], np.nan),
                     "dashpot_std": np.where(damps, frame.dashpots[1], np.nan),
-                    "missed_most": self.missed_most,
                     "mass_change_probability": sound and sound.mass_probability,
                     "mass_change": masses[0],
                     "mass_change_std": masses[1],
                     "gain_error": frame.gains[0],
                     "gain_error_std": frame.gains[1],
                     "frequencies": self.model.modes.frequencies,
+                    "frequencies_std": self.model.modes.frequencies * frame.modal_std[0],
                     "damping_ratios": self.model.ratios,
+                    "damping_ratios_std": self.model.ratios * frame.modal_std[1],
                     "converged": frame.converged,
                     "inflation": frame.inflation,
                 },
@@ -274,6 +256,10 @@ class Reconstruction(Shown):
                 "peaks": self.peaks,
                 "predicted_peaks": self.predicted_peaks,
                 "limits": limits,
+                "fallback": self.fallback or None,
+                "sensor_drifts": [
+                    {"from": lower, "to": upper, "drift": drift} for lower, upper, drift in self.sensor_drifts
+                ],
                 "floor_spectra": {**self.spectra.to_dict(), "acceleration_std": self.spectra_std},
                 "remarks": (*self.warnings, *self.remarks),
             }
@@ -281,30 +267,29 @@ class Reconstruction(Shown):
         return super().to_dict() | more
 
 
-def reading_remark(excitation: str, straight: float, band_limited: float, *, sound: bool) -> str:
-    """Report the assumed excitation between the samples, and the evidence for it if the model is sound."""
-    taken, other = "band-limited", "straight lines"
-    if straight >= band_limited:
-        taken, other = other, taken
-    odds = abs(straight - band_limited)
-    shown = f"above {LARGEST_ODDS:g}" if odds > np.log(LARGEST_ODDS) else f"{np.exp(odds):.0f} to 1"
-    speaks = f"that makes what the floors did more probable than {other} would (odds {shown})"
-    if not sound:
-        speaks = f"so the model fits the floors better, but it fails a check, and {other} may be as right"
-    elif odds < np.log(10):
-        speaks = f"the floors hardly tell that from {other}; a record at a higher rate would"
-    return f"between its samples the {excitation} is taken as {taken}: {speaks}"
+def _reading_remark(excitation: str, straight: float, band_limited: float) -> str:
+    """Report the assumed excitation between the samples: the one with the larger log evidence."""
+    taken, other = (
+        ("straight lines", "band-limited") if straight >= band_limited else ("band-limited", "straight lines")
+    )
+    return f"between its samples the {excitation} is taken as {taken}: the floors fit that better than {other}"
 
 
 def _warnings(found: Reconstruction) -> list[str]:
     """List reasons for larger errors than the stated deviations."""
     said = []
+    if found.fallback:
+        said.append(
+            f"{found.fallback}: the motion is that of the identified frame, and its bands allow for changes since the "
+            "tests. Limits, the largest drift and changes of the frame cannot be told; drifts between neighboring "
+            "sensors need no model"
+        )
     if found.undetermined:
         names = "; ".join(listed(names) for names in found.fitted.undetermined[:1])
         said.append(
             f"the tests do not determine the frame: many have these modes (not determined: {names}). What changed "
-            f"since cannot be told then, and drifts are rough: {percent(ROUGH_DRIFT, 0)} of each is in its deviation. "
-            "Modes at more floors, or declared floor masses, would tell"
+            "since cannot be told then, and drifts are rough. Modes at more floors, or declared floor masses, would "
+            "tell"
         )
     if found.fitted.lacking:
         said.append(
@@ -312,31 +297,15 @@ def _warnings(found: Reconstruction) -> list[str]:
             f"shapes off by up to {percent(found.fitted.lacking, 1)}): the bands were widened for it; look for what it "
             "lacks with cvxshear loop"
         )
-    if found.frame_fitted and not found.frame.converged:
-        said.append(UNSETTLED)
     said += [
         f"{name} reads {percent(abs(value), 1)} ± {percent(std, 1)} too {'much' if value > 0 else 'little'}: the "
         "record contradicts the frame and its other sensors otherwise; that is taken out of the motion"
         for name, value, std in found.gains_off
     ]
-    wider = widening(found.checks)
-    if wider > WIDER:
+    if found.widening > NORMAL_95:
         said.append(
-            f"sensors that were left out missed by {wider:.1f} times their stated deviation: the model lacks "
+            f"sensors that were left out missed by {found.widening:.1f} times their stated deviation: the model lacks "
             "something, and all bands are as much wider for it"
-        )
-    if found.nonlinear:
-        said.append(
-            "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
-            f"{found.frame.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so "
-            f"does a channel whose clock is late; a story of which a third yields drifted up to a sixth more than is "
-            f"said, and {percent(ROUGH_DRIFT, 0)} of each drift is in its deviation, but one that yields as a "
-            "whole drifted further: where a limit was not passed for sure, it is not said"
-        )
-    if found.missed_most:
-        said.append(
-            f"what no linear frame explains is largest in {numbered('story', found.missed_most)}, between floors with "
-            "sensors: a story that yields is most likely there (provisional: one record, one model)"
         )
     return said
 
@@ -349,14 +318,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
     ]
     pairs = zip(recorded.runs, found.recording.runs, strict=True)
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
-    of_lines = line_remarks(line, "a channel's rms")
-    quietest = max(float(each.min()) for each in found.recording.envelopes(found.frame.errors.varied.period))
-    if of_lines and quietest > QUIET_ENOUGH:
-        of_lines.append(
-            "the record is cut out of the motion, and what is cut off leaves a straight line, too: a peak is known no "
-            "better than --no-detrend moves it"
-        )
-    said += of_lines
+    said += line_remarks(line, "a channel's rms")
     if found.recording.input == "base" and found.fitted.mass_known and found.frame.scale_std == 0:
         said.append(
             "base motion does not tell how heavy the frame is: were all floors heavier than in the tests by one part, "
@@ -379,12 +341,10 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
     if found.coloured:
-        inflated = np.sqrt(found.frame.inflation)
-        more = f", and the deviations of the frame are {inflated:.2g} times those of white innovations"
         said.append(
             f"the innovations of floor {ranged(found.coloured)} are not white: the model misses a "
-            f"part of the motion there{more if inflated > WIDER else ''}; a channel whose clock is late (cvxshear "
-            "modes says which), a story that yields or another kind of damping (--damping) does that"
+            "part of the motion there; a channel whose clock is late (cvxshear modes says which), a story that yields "
+            "or another kind of damping (--damping) does that"
         )
     return said
 
@@ -451,75 +411,113 @@ def reconstruct(
     if detrend:
         recording = recording.without_base_line()
     readings = readings_of(identified, recording)
-    done, parts = itertools.count(1), 2 + len(readings) + (len(recording.floors) if leave_out else 0)
+    done, parts = itertools.count(1), 2 + (len(recording.floors) if leave_out else 0)
 
     def advance() -> None:
         if progress is not None:
             progress(next(done), parts)
 
-    def fits() -> Iterator[_Fit]:
-        for each in readings:
-            reading = each
-            if detrend:
-                shown = shown_by(identified, predicted_responses(identified, reading), reading)
-                reading = reading.less(reading.lines(shown))
-            work, fitted, smoothed = FrameMotion.around(frame, reading, solver, free=fit).fitted(detrend=detrend)
-            # The states of a long record need much memory; `runs` computes them again with their deviations.
-            yield work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
-            advance()
-
-    (work, fitted, smoothed), evidences = _most_probable(fits())
-    predicted = predicted_responses(identified, work.recording)
+    work, fitted, smoothed, evidences, fallback = _motion(frame, readings, identified, fit=fit, detrend=detrend)
     advance()
+    predicted = predicted_responses(identified, work.recording)
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
         checks.append(checked(work, fitted, smoothed, channel, predicted))
         advance()
-    nonlinear = fitted.inflation > NONLINEAR
-    rough = nonlinear or bool(frame.fitted.undetermined) or (work.free and not fitted.converged)
-    runs = work.runs(fitted, widening(checks), ROUGH_DRIFT if rough else 0.0)
+    runs = work.runs(fitted, widening(checks))
     peaks = peaks_of((run.response, run.std) for run in runs)
-    passed = None if experiment.limits is None else _passed(experiment.limits, peaks, predicted, nonlinear=nonlinear)
+    limits = experiment.limits
     found = Reconstruction(
-        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, tuple(runs),
-        peaks,
-        None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
-        whiteness(work, smoothed), experiment.limits, passed, (),
+        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, fallback,
+        tuple(runs), peaks, None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
+        whiteness(work, smoothed), limits, None if limits is None else _passed(limits, peaks, told=not fallback), (),
     )  # fmt: skip
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
     if len(evidences) > 1:
-        said.append(reading_remark(DRIVING[recording.input], *evidences, sound=found.sound))
+        said.append(_reading_remark(DRIVING[recording.input], *evidences))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 
-def _passed(limits: Limits, peaks: Peaks, predicted: Sequence[Response] | None, *, nonlinear: bool) -> Floats | None:
+def _passed(limits: Limits, peaks: Peaks, *, told: bool) -> Floats | None:
     """Compute the probability that each drift ratio passed each limit, shape (L, N); None without story heights.
 
-    If the frame is nonlinear, the drift of a yielding story is unknown. Then only certain exceedances are reported, and
-    only if the identified frame would have exceeded the limit, too.
+    In a fallback it is nan: the drift of a story that yields is unknown.
     """
     name = "story_drift_ratio"
     if name not in peaks.values:
         return None
-    drift, std = limits.story_drift[:, None], np.maximum(peaks.std[name], 1e-300)
-    passed = np.asarray(special.ndtr((peaks.values[name] - drift) / std), dtype=np.float64)
-    if not nonlinear:
-        return passed
-    alone = np.inf if predicted is None else peaks_of((each, {}) for each in predicted).values[name]
-    return np.where((passed >= NAMED_CHANGE) & (alone > drift), passed, np.nan)
+    away = peaks.values[name] - limits.story_drift[:, None]
+    passed: Floats = special.ndtr(away / np.maximum(peaks.std[name], 1e-300))
+    return passed if told else np.full_like(passed, np.nan)
 
 
 _Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]
 """The setup of the motion, the frame, and its motion with only the first states."""
 
 
-def _most_probable(fits: Iterator[_Fit]) -> tuple[_Fit, list[float]]:
-    """Return the most probable fit, and the log evidence of each; only one fit is kept, to save memory."""
-    best = next(fits)
-    evidences = [best[1].log_evidence]
-    for other in fits:
-        evidences.append(other[1].log_evidence)
-        if evidences[-1] > best[1].log_evidence:
-            best = other
+def _motion(
+    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, fit: bool, detrend: bool
+) -> tuple[FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
+    """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
+
+    The motion is the fitted frame's. If the record is not that of a linear frame, or the fit does not settle, or it
+    ends at an implausible frame, the motion is the identified frame's.
+
+    Raises
+    ------
+    UnsuitableError
+        If there is no motion of the identified frame, either.
+    """
+    fallback = ""
+    if fit:
+        try:
+            best, evidences = _most_probable(frame, readings, identified, free=True, detrend=detrend)
+            fallback = _implausible(best[1]) if best[0].free else ""
+        except (np.linalg.LinAlgError, NoModesError, NoSolutionError):
+            fallback = "the fit of the frame failed"
+        if not fallback:
+            return *best, evidences, ""
+    try:
+        best, evidences = _most_probable(frame, readings, identified, free=False, detrend=detrend)
+    except (np.linalg.LinAlgError, NoModesError) as error:
+        raise UnsuitableError(f"{readings[0].name}: no motion of this frame comes near the record ({error})") from error
+    work, fitted, smoothed = best
+    return work, fitted.doubted() if fallback else fitted, smoothed, evidences, fallback
+
+
+def _implausible(fitted: FittedFrame) -> str:
+    """Return why a fitted frame does not stand; an empty text if it does."""
+    if not fitted.converged:
+        return "the fit of the frame did not settle"
+    if fitted.inflation > NONLINEAR:
+        return (
+            "the record is not that of a linear frame with sound sensors (the scores of the stiffnesses scatter "
+            f"{fitted.inflation:.0f} times as much): a story that yields or changes meanwhile does that, and so does a "
+            "channel whose clock is late"
+        )
+    frequency, ratio = fitted.model.modes.frequencies[0], fitted.model.ratios[0]
+    far = np.abs(np.log(fitted.factors)) > np.log(FURTHEST_FACTOR)
+    if ratio > HIGH or np.any(far & (fitted.story_probability < SURE)):
+        return f"the fitted frame is implausible (mode 1 at {frequency:.3g} Hz with {percent(ratio, 1)} of damping)"
+    return ""
+
+
+def _most_probable(
+    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, free: bool, detrend: bool
+) -> tuple[_Fit, list[float]]:
+    """Return the most probable fit, and the log evidence of each reading; only one fit is kept, to save memory."""
+    best: _Fit | None = None
+    evidences = []
+    for each in readings:
+        reading = each
+        if detrend:
+            shown = shown_by(identified, predicted_responses(identified, reading), reading)
+            reading = reading.less(reading.lines(shown))
+        work, fitted, smoothed = FrameMotion.around(frame, reading, frame.backend, free=free).fitted(detrend=detrend)
+        evidences.append(fitted.log_evidence)
+        if best is None or fitted.log_evidence > best[1].log_evidence:
+            # The states of a long record need much memory; `runs` computes them again with their deviations.
+            best = work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
+    assert best is not None, "there is one reading at least"
     return best, evidences

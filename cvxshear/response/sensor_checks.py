@@ -11,20 +11,14 @@ from scipy import special
 
 from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
-from cvxshear.response.damped import DampedModel
+from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Segment
-from cvxshear.response.recording import Recording, rms
-from cvxshear.response.sensor_faults import earlier
-from cvxshear.response.smoother import SPIKE, Smoothed
-from cvxshear.response.state_space import Response
+from cvxshear.response.recording import Recording, earlier, rms
+from cvxshear.response.state_space import SPIKE, Response, Smoothed
 from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Floats
-
-CHECK_STEPS = 1
-"""Gauss-Newton steps of the frame without one sensor. The fit starts from the result with all sensors, and mainly needs
-the new covariance."""
 
 CHECKED_DIRECTIONS = 4
 """Number of directions propagated to a floor without its sensor."""
@@ -179,7 +173,7 @@ def checked(
     ]  # fmt: skip
     errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
     at = fitted.errors.frame.stop + channel
-    again = refitted(fitted, errors, at, work.backend, CHECK_STEPS if work.free else 0)
+    again = refitted(fitted, errors, at, work.backend, free=work.free)
     directions, noise = other.directions(again, CHECKED_DIRECTIONS), errors.noise_at(again.p)
     outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1

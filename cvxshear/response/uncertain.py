@@ -21,12 +21,19 @@ from cvxshear.effects import State, compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
 from cvxshear.model.shear import Modes, modes, stiffness_matrix
-from cvxshear.response.damped import DampedModel
-from cvxshear.response.dashpots import LEAST_RATIO, Dashpots, Ratios, damping_ratios, rayleigh, story_dashpots
+from cvxshear.response.damping import (
+    LEAST_RATIO,
+    DampedModel,
+    Dashpots,
+    Ratios,
+    damping_ratios,
+    rayleigh,
+    story_dashpots,
+)
 from cvxshear.response.sources import Fitted
 from cvxshear.util import checks, ranking
 from cvxshear.util.errors import UnsuitableError
-from cvxshear.util.quantities import percent, ranged
+from cvxshear.util.quantities import NORMAL_95, percent, ranged
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
 
@@ -286,7 +293,7 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
 def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str]:
     """Report the measured ratios that this kind of damping cannot reproduce; name a kind that can."""
     std = frame.ratios.std * np.maximum(frame.ratios.values, LEAST_RATIO)
-    far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > MISSED * std)
+    far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > NORMAL_95 * std)
     modes = [int(mode) + 1 for mode in far if np.isfinite(measured[mode])]
     if not modes:
         return []
@@ -298,9 +305,6 @@ def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str
         f"{percent(float(measured[worst - 1]), 2)}); modal damping can"
     ]
 
-
-MISSED = 2.0
-"""Least error of a missed damping ratio, in standard deviations; chance exceeds it in one case of twenty."""
 
 WORDS = {"story": "dashpots between the floors", "rayleigh": "Rayleigh damping"}
 """Kinds of damping that may not reproduce the measured ratios."""

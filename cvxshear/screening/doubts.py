@@ -75,9 +75,6 @@ BEST_LABORATORY_STD = 1e-6
 LARGEST_STD = {"frequency_std": 0.05, "mode_shape_std": 0.3}
 """Largest relative standard deviations of measurements; larger ones may be in percent."""
 
-FEWEST_ROUNDED = 4
-"""Least count of numbers with the same last decimal place; without rounding, one set in ten thousand has this."""
-
 FACTORS = ((2 * np.pi, "2 pi, as of rad/s"), (60.0, "60, as of cycles a minute"), (1000.0, "1000, as of mHz"))
 """Factors between units of frequency, with the unit that each would mean."""
 
@@ -199,7 +196,7 @@ def rounding(experiment: Experiment) -> Iterator[FileFinding]:
             step = next(
                 (10.0**-digits for digits in range(4) if np.allclose(values, np.round(values, digits), 0, 1e-9)), 0
             )
-            coarse = step / np.sqrt(12.0) > np.median(std) if len(values) >= FEWEST_ROUNDED else False
+            coarse = step / np.sqrt(12.0) > np.median(std) if len(values) > NUMBERS_OF_A_COPY else False
             if getattr(each, key) is not None and coarse:
                 of = "frequencies" if key == "frequency_std" else "shapes"
                 yield doubt("deviations/rounded", each.name, of=of, step=step, key=key)

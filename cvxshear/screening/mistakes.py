@@ -2,8 +2,8 @@
 
 A hypothesis changes one thing: a sign, a sensor's place or unit, an order, a mode's number, a floor mass, the floor of
 a load, a frequency. The nearest shear frame is fitted to the data as given and as changed. A change that can be made at
-K places has the prior odds q / K against the data as given, q the share of files with a mistake of its kind. With the
-evidence of each fit these are probabilities (`util/odds.py`). A mistake is named if the data as given are improbable,
+K places has the prior odds q / K against the data as given, q the share of files with a mistake of its kind. The
+evidence of each fit makes them probabilities (`util/odds.py`). A mistake is named if the data as given are improbable,
 with all changes that are needed to make the mistake certain.
 """
 
@@ -41,7 +41,7 @@ from cvxshear.screening.repairs import KINDS
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import SURE, quantity, significant
+from cvxshear.util.quantities import SURE, counted, quantity, significant
 from cvxshear.util.typing import Floats
 
 SLIP = 0.5
@@ -55,9 +55,6 @@ AS_DECLARED_STD = 0.003
 
 SHORTLIST = 6
 """Number of changes, the best by a rough fit, that are fitted to the end."""
-
-SHOWN_MODES = 3
-"""Modes of impossible signs that a finding lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +151,7 @@ def mistakes(configuration: Configuration) -> list[FileFinding]:
     if not broken:
         return []
     change = "no single change mends it: look for more than one mistake" if tried else "look for a mistake"
-    found = "; ".join(broken[:SHOWN_MODES]) + ("; and so on" if len(broken) > SHOWN_MODES else "")
+    found = broken[0] + (f"; likewise {counted(len(broken) - 1, 'other mode')}" if len(broken) > 1 else "")
     change += " in mode_shapes and modes, or leave out a mode that is of no shear frame: torsion, a swing on a floor"
     return [FileFinding("signs", configuration.name, found, change, refuses=True)]
 

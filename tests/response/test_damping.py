@@ -10,7 +10,7 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.model.shear import modes
 from cvxshear.response import Fitted, damping_of
-from cvxshear.response.dashpots import Ratios, _left_open, _pole_ratios, _statement, story_dashpots
+from cvxshear.response.damping import Ratios, story_dashpots
 from cvxshear.response.uncertain import UncertainFrame, propagated
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
@@ -197,42 +197,3 @@ def test_ratios_of_some_modes_and_what_a_kind_cannot_give():
     table["configuration"][0]["damping_ratios"] = [float("nan")] * 3
     with pytest.raises(InputError, match="must have a number for one mode at least"):
         cvxshear.Experiment.from_dict(table)
-
-
-def test_ratios_of_poles_and_their_slopes_are_those_of_the_pencil():
-    mass, stiffness, dashpots = damped_frame(4)
-    M, C, K = matrices(mass, stiffness, dashpots)
-    real, seen = modes(M, K), np.array([0, 2, 3])
-    ratios, slopes = _pole_ratios(real, dashpots, seen)
-    np.testing.assert_allclose(ratios, pole_ratios(M, C, K)[seen])
-    for column, step in zip(slopes.T, 1e-4 * np.diag(dashpots), strict=True):
-        there, back = (pole_ratios(*matrices(mass, stiffness, dashpots + way * step)) for way in (1, -1))
-        np.testing.assert_allclose(column, (there - back)[seen] / (2 * step.sum()), rtol=1e-5, atol=1e-12)
-    none, slopes = _pole_ratios(real, np.zeros(4), seen)
-    np.testing.assert_array_equal(none, 0.0)
-    for column, step in zip(slopes.T, 1e-4 * np.diag(dashpots), strict=True):
-        np.testing.assert_allclose(column, pole_ratios(*matrices(mass, stiffness, step))[seen] / step.sum(), rtol=1e-4)
-
-
-def test_what_is_assumed_of_dashpots_is_that_modes_do_not_couple_and_stories_are_alike():
-    """Couplings are uniform up to the root of both ratios; the std of dashpot/stiffness is 10 times a typical value."""
-    mass, stiffness, dashpots = damped_frame(3)
-    M, C, K = matrices(mass, stiffness, dashpots)
-    real, zeta = modes(M, K), np.array([0.02, 0.03])
-    found = _statement(real, np.array([0, 2]), zeta, stiffness) @ dashpots
-    omega = np.sqrt(real.eigenvalues)
-    coupling = real.shapes[0] @ C @ real.shapes[2] / (2 * np.sqrt(omega[0] * omega[2]))
-    assert found[0] == pytest.approx(coupling / np.sqrt(0.02 * 0.03 / 3))
-    share = dashpots / stiffness
-    np.testing.assert_allclose(found[1:], (share - share.mean()) / (10 * 2 * 0.025 / omega[0]))
-
-
-def test_dashpots_are_open_along_what_no_row_sees():
-    rows = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1e3, 0.0], [2.0, 2.0, 5.0, 0.0]])
-    said, determined = _left_open(rows)
-    assert sorted(said) == ["the dashpot of 4", "the dashpots of stories 1, 2"]
-    assert determined.tolist() == [False, False, True, False]
-    assert _left_open(np.eye(3))[0] == ()
-    # One row with three unknowns leaves two open combinations. Each is named by its entries above 0.1 of the largest.
-    said, determined = _left_open(np.array([[1.0, 1.0, 0.0]]))
-    assert (sorted(said), determined.tolist()) == (["the dashpot of 3", "the dashpots of stories 1, 2"], [False] * 3)

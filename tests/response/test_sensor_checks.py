@@ -11,12 +11,10 @@ from scipy import ndimage, stats
 from cvxshear.records.data_frames import FEWEST_SAMPLES
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
-from cvxshear.response import sensor_faults
-from cvxshear.response.recording import RecordedRun, Recording, recording_of, sensor_line
+from cvxshear.response.recording import RecordedRun, Recording, SensorRecord, earlier, recording_of, sensor_line
 from cvxshear.response.sensor_checks import whiteness, widening
-from cvxshear.response.sensor_faults import SensorRecord, earlier
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.errors import InputError, NoSolutionError
+from cvxshear.util.errors import InputError
 
 
 def test_whiteness_is_ljung_and_boxs_statistic_over_all_runs():
@@ -145,7 +143,7 @@ def told(kind, message, **numbers):
 def test_what_is_found_for_sure_is_taken_out_and_all_of_it_is_said():
     record = sensors(remarks=("before",))
     pieces = [(0, slice(0, 600)), (1, slice(0, 300))]
-    found = record._less(
+    found = record.corrected(
         [
             told("dead channel", "a is dead", channel="a"),
             told("sign", "b is reversed", channel="b + c", corrected=True),
@@ -169,7 +167,7 @@ def test_what_is_found_for_sure_is_taken_out_and_all_of_it_is_said():
 
 @pytest.mark.parametrize(("seconds", "taken"), [(0.0026, True), (0.0024, False), (-0.0026, True)])
 def test_a_delay_of_a_quarter_of_a_sample_is_taken_out(seconds, taken):
-    found = sensors()._less([told("clock offset", "d is late; taken out", channel="d", seconds=seconds)], [])
+    found = sensors().corrected([told("clock offset", "d is late; taken out", channel="d", seconds=seconds)], [])
     assert found.late.tolist() == [[0.0, 0.0], [0.0, 0.0], [seconds * taken, 0.0]]
     assert found.late_remarks == ("", "", "d is late; taken out" if taken else "")
     assert found.remarks[0].endswith("; taken out" if taken else "so short a delay may be chance and is left in")
@@ -183,7 +181,7 @@ def test_clocks_that_drift_do_so_over_all_runs_and_a_late_input_is_early_sensors
     drift = told("clock drift", "a drifts", channel="a", seconds=0.01, drift=0.002)
     late = told("clock offset", "the ground is late", channel="input", seconds=0.02, corrected=True)
     not_sure = told("clock drift", "perhaps", channel="b", seconds=0.5, drift=1.0, corrected=False)
-    found = record._less([drift, late, not_sure], [])
+    found = record.corrected([drift, late, not_sure], [])
     np.testing.assert_allclose(found.late, [[-0.01, 0.002], [-0.02, 0.0], [-0.02, 0.0]])
     assert found.late_remarks == ("a drifts; taken out", *["the ground is late; taken out"] * 2)
     assert found.remarks[2] == "perhaps"
@@ -220,7 +218,7 @@ def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
     channels = Channel("a", 1), Channel("b", 2)
 
     def pieces(driven, excitation):
-        found = SensorRecord(channels, (values, values[:5]), (excitation, excitation[:5]), 100.0, driven)._pieces()
+        found = SensorRecord(channels, (values, values[:5]), (excitation, excitation[:5]), 100.0, driven).pieces()
         return [(place, part.start, part.stop) for place, part in found]
 
     expected = [(0, 0, FEWEST_SAMPLES), (0, FEWEST_SAMPLES + 1, 2 * FEWEST_SAMPLES + 5),
@@ -229,32 +227,6 @@ def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
     still = np.where(np.arange(samples) < FEWEST_SAMPLES, 0.0, 1.0)
     assert pieces("base", still) == expected[1:]
     assert pieces("none", still) == expected
-
-
-@pytest.mark.parametrize("pieces", [[(0, slice(0, 600))], [(0, slice(10, 200)), (1, slice(0, 300))]])
-@pytest.mark.parametrize("driven", ["base", "none"])
-def test_sensors_are_looked_at_as_records_are_piece_by_piece(monkeypatch, pieces, driven):
-    seen = []
-
-    def looked(record, **options):
-        seen.append((record, options))
-        if len(seen) == 2:
-            raise NoSolutionError("okid", "nothing")
-        kinds = ("sign", "spikes", "complex mode", "clock offset")
-        return SimpleNamespace(findings=[told(kind, kind) for kind in kinds])
-
-    monkeypatch.setattr(sensor_faults, "identify_modes", looked)
-    monkeypatch.setattr(sensor_faults, "examined", lambda record: SimpleNamespace(findings=[told("unit", "u")]))
-    record = dataclasses.replace(sensors(), input=driven)
-    assert [each.kind for each in record._findings(pieces, 2)] == ["sign", "spikes", "clock offset"]
-    assert [each.kind for each in record._findings(pieces, 5)] == ["unit"]
-    (first, options), (second, _) = seen
-    assert (first.stories, second.stories, options) == (3, 5, {"accept_swapped": True})
-    assert [run.name for run in first.runs] == (["the record"] if len(pieces) == 1 else ["run 1", "run 2"])
-    for run, (place, piece) in zip(first.runs, pieces, strict=True):
-        np.testing.assert_array_equal(run.responses, record.measured[place][piece])
-        assert (run.excitation is None) is (driven == "none")
-        assert run.excitation is None or np.all(run.excitation == 1.0 + place)
 
 
 def test_every_channel_counts_as_much_for_the_envelope_however_large_it_is():
@@ -268,13 +240,13 @@ def test_every_channel_counts_as_much_for_the_envelope_however_large_it_is():
     assert (found[half // 2], found[half + half // 2]) == (0.5, 1.0)
 
 
-def test_a_run_is_parted_at_its_longest_gaps():
-    """At most eight sufficiently long gaps divide a run; each part has a constant set of recorded channels."""
+def test_a_run_is_parted_at_its_long_gaps():
+    """Each part has a constant set of recorded channels."""
     measured = np.ones((200, 2))
-    gaps = [(5 + 20 * k, 5 + 20 * k + 3 + k, k % 2) for k in range(9)]
-    for first, last, column in [*gaps, (190, 200, 0)]:
+    gaps = [(5 + 20 * k, 5 + 20 * k + 3 + k, k % 2) for k in range(9)] + [(190, 200, 0)]
+    for first, last, column in gaps:
         measured[first:last, column] = np.nan
-    for least, left_out in ((7, [*gaps[4:], (190, 200, 0)]), (1, [*gaps[2:], (190, 200, 0)]), (12, [])):
+    for least, left_out in ((7, gaps[4:]), (1, gaps), (12, [])):
         recorded = np.ones((200, 2), dtype=bool)
         for first, last, column in left_out:
             recorded[first:last, column] = False

@@ -23,7 +23,7 @@ from cvxshear.report.describe import (
 from cvxshear.report.describe.headline import MODELS
 from cvxshear.response import IdentifiedDamping, Peaks, Reconstruction, RecordComparison, RecordPrediction
 from cvxshear.response.peaks import RESPONSES
-from cvxshear.response.reconstruction import SIGN_KNOWN, UNSETTLED
+from cvxshear.response.reconstruction import SIGN_KNOWN
 from cvxshear.util import ranking
 from cvxshear.util.quantities import (
     AUTOMATIC,
@@ -203,12 +203,11 @@ def _drift_ratios(found: Peaks) -> Iterator[Table]:
 @describe.register
 def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Document:
     checks = (Section("checks", "Each sensor from the others", (left_out(result),)),) if result.checks else ()
-    # The headline already contains the warning about a fit that did not settle.
-    warnings = [Sentence(each, "warning") for each in result.warnings if each != UNSETTLED]
+    warnings = [Sentence(each, "warning") for each in result.warnings]
     sections = (
         Section("findings", "", (*warnings, Sentence(_reconstructed(result)))),
         *checks,
-        Section("motion", "What the stories did", (stories(result), *peaks(result.peaks))),
+        Section("motion", "What the stories did", (*_sensor_drifts(result), stories(result), *peaks(result.peaks))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
         Section("evidence", "Sensors", (whiteness(result),)),
         Section("remarks", "What to bear in mind", (Points("remarks", result.remarks),)),
@@ -240,21 +239,26 @@ def _reconstructed(result: Reconstruction) -> str:
 
 def _findings(result: Reconstruction) -> Iterator[str]:
     """Yield the findings for an owner: the largest drift, the exceeded limits, and changes of the building."""
-    if result.frame_fitted and not result.frame.converged:
-        yield UNSETTLED
-    largest = _largest_drift(result.peaks).replace("drifts", "drifted")
-    if result.nonlinear:
-        yield "the frame did not answer as a linear one, or a sensor is at fault: drifts are rough"
-        largest = f"as far as a linear frame tells, {largest}; a story that yields went further"
+    if result.fallback:
+        lower, upper, drift = max(result.sensor_drifts, key=lambda each: each[2])
+        where = "the base" if lower == 0 else f"floor {lower}"
+        yield result.fallback.partition(" (")[0]
+        size = significant(1e3 * drift, 3)
+        yield f"between {where} and floor {upper} the frame drifted by {size} mm, from two sensors"
+        yield "drifts of single stories are rough, and limits, the largest drift and changes cannot be told"
+        return
     if result.undetermined:
         yield "the tests do not determine the frame: drifts are rough, and what changed since cannot be told"
-    yield largest
+    yield _largest_drift(result.peaks).replace("drifts", "drifted")
     if result.names_changes and result.coloured:
         yield (
             f"drifts are provisional: the model of {result.fitted.experiment.name} misses a part of how "
             f"{numbered('floor', result.coloured)} moved, so it is not quite the building in this record"
         )
+    elif result.provisional:
+        yield "drifts are provisional: the record needs changes of three kinds at once"
     yield from _limits(result)
+    yield from _whole_frame(result)
     if result.changed:
         for story in result.changed:
             change, deviation = (float(each[story - 1]) for each in result.frame.against_others)
@@ -263,14 +267,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
             probable = chance(float(result.frame.story_probability[story - 1]))
             yield f"story {story} was {size} {word} than identified, against the others ({probable} probable)"
     elif result.names_changes:
-        mean, deviation = result.frame.mean_factor
-        word = "softer" if mean < 1 else "stiffer"
-        size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
-        known = abs(mean - 1) > SIGN_KNOWN * deviation and not result.coloured
-        average = f"; on average the stories were {size} {word} than identified" if known else ""
-        yield f"no single story changed{average}"
-    elif result.frame_fitted and not result.undetermined:
-        yield "what changed since the tests cannot be told"
+        yield "no single story changed"
     for story in result.dampers:
         damper, deviation = (float(each[story - 1]) for each in result.frame.dashpots)
         how_large = f" of {with_std(damper, deviation, 'N s/m')}" if result.fitted.mass_known else ""
@@ -285,6 +282,31 @@ def _findings(result: Reconstruction) -> Iterator[str]:
         probable = chance(result.frame.mass_probability)
         where = f": {', '.join(sizes)}" if sizes else "; which of them is open"
         yield f"the floors do not weigh what they did in the tests ({probable} probable){where}"
+
+
+def _whole_frame(result: Reconstruction) -> Iterator[str]:
+    """Yield the change of the lowest frequency and the common change of the stories, if their signs are known."""
+    if not result.names_changes or result.coloured:
+        return
+    before = float(result.frame.errors.varied.centre.model.modes.frequencies[0])
+    now, relative = float(result.model.modes.frequencies[0]), float(result.frame.modal_std[0][0])
+    if abs(np.log(now / before)) > SIGN_KNOWN * relative:
+        yield f"f1 was {with_std(now, relative * now, 'Hz', factor=1.0)}, {significant(before, 4)} Hz in the tests"
+    mean, deviation = result.frame.mean_factor
+    if abs(mean - 1) > SIGN_KNOWN * deviation:
+        size = with_std(100 * abs(mean - 1), 100 * deviation, "%", factor=1.0)
+        yield f"on average the stories were {size} {'softer' if mean < 1 else 'stiffer'} than identified"
+
+
+def _sensor_drifts(result: Reconstruction) -> Iterator[Table]:
+    """Tabulate the drifts between neighboring sensors in a fallback, the top first."""
+    if result.fallback and result.sensor_drifts:
+        lower, upper, drifts = zip(*result.sensor_drifts, strict=True)
+        yield table("sensor-drifts", "peak drift between neighboring sensors, from their records alone", {
+            "from": ["base" if floor == 0 else str(floor) for floor in lower],
+            "to floor": [str(floor) for floor in upper],
+            "peak drift, mm": [significant(1e3 * drift, 3) for drift in drifts],
+        }, top_first=True)  # fmt: skip
 
 
 def _limits(result: Reconstruction) -> Iterator[str]:
@@ -342,12 +364,14 @@ def stories(result: Reconstruction) -> Table:
 def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
     before = result.frame.errors.varied.centre.model
     shown = slice(min(len(result.model.M), PAGE_COLUMNS))
-    yield table("reconstructed-modes", "modes of the frame", {
+    values = [each[shown] for each in (result.model.modes.frequencies, result.model.ratios)]
+    stds = [(own * each[shown]).tolist() for own, each in zip(values, result.frame.modal_std, strict=True)]
+    yield table("reconstructed-modes", "modes of the frame ± standard deviation", {
         "mode": [str(mode) for mode in range(1, shown.stop + 1)],
         "identified, Hz": map(significant, before.modes.frequencies[shown].tolist()),
-        "in this record, Hz": map(significant, result.model.modes.frequencies[shown].tolist()),
+        "in this record, Hz": map(partial(with_std, factor=1.0), values[0].tolist(), stds[0]),
         "damping identified": map(percent, before.ratios[shown].tolist()),
-        "damping in this record": map(percent, result.model.ratios[shown].tolist()),
+        "damping in this record, %": map(partial(with_std, factor=0.01), values[1].tolist(), stds[1]),
     })  # fmt: skip
     noise = result.frame.errors.noise_at(result.frame.p)
     yield Sentence(

@@ -41,7 +41,7 @@ def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
     design = result.model.design
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
-        Section("choice", "", (Sentence(sure(result)), *cautions(result), Sentence(noise))),
+        Section("choice", "", (Sentence(typical(result)), Sentence(sure(result)), *cautions(result), Sentence(noise))),
         Section("tests", "The tests", (expected_modes(result), added_masses(result, units), *grid(result))),
     ]
     if result.apart:
@@ -69,6 +69,15 @@ def plan_headline(result: Plan) -> str:
     everywhere = len(result.sensors) == result.model.design.stories
     where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
     return f"Measure {where} in {counted(len(result.tests), 'test')}, for {result.goal}."
+
+
+def typical(result: Plan) -> str:
+    """State the typical deviation of a floor and of a story, and the cheapest thing that would lower it."""
+    mass, stiffness = ("open" if np.isnan(std) else percent(std) for std in result.typical_std)
+    said = f"Expected (root mean square): a floor mass to {mass}, a story stiffness to {stiffness}."
+    if result.rests_on_total:
+        said += " Most of it is the total mass, which modes do not determine: weigh the frame."
+    return said
 
 
 def sure(result: Plan) -> str:

@@ -1,6 +1,6 @@
-"""Damping ratios of all modes, and the story dashpots or Rayleigh factors with these ratios.
+"""Frame with damping: its matrices and complex modes, and the damping that gives the measured ratios.
 
-Both are solutions of least-squares programs that every backend can solve.
+Story dashpots and Rayleigh factors are solutions of least-squares programs that every backend can solve.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from cvxshear.backends import Backend
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
+from cvxshear.fit.uncertainty import Uncertainty
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.model.shear import Modes, stiffness_matrix
+from cvxshear.model.shear import Modes, modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained, refuse_contradictions, softened, statements
 from cvxshear.programs.pair_rows import pair_products
-from cvxshear.response.damped import coupled, modal_damping
-from cvxshear.util import ranking
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 DEFAULT_STD = 0.2
 """Relative standard deviation of a measured damping ratio without a declared one: the scatter of repeated tests."""
@@ -35,6 +35,93 @@ ASSUMED_STD = 0.5
 
 HIGH = 0.2
 """Least damping ratio that is questioned as a value in percent; frames with dampers have lower ratios."""
+
+
+@dataclass(frozen=True, eq=False)
+class DampedPoles:
+    """Poles of a damped frame, one of each conjugate pair: (s^2 M + s C + K) psi = 0.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (p,)
+        s, rad/s; ascending in size. Overdamped modes have two real poles each.
+    shapes : ndarray of complex, shape (N, p)
+        psi, one column per pole.
+    scales : ndarray of complex, shape (p,)
+        a = psi' (2 s M + C) psi.
+    """
+
+    values: Complexes
+    shapes: Complexes
+    scales: Complexes
+
+
+def modal_damping(real: Modes, C: Floats) -> Floats:
+    """Compute Gamma = Phi' C Phi, shape (N, N): diagonal with 2 zeta omega if the modes are uncoupled."""
+    return real.shapes @ C @ real.shapes.T
+
+
+def coupled(real: Modes, gamma: Floats) -> DampedPoles:
+    """Compute the poles of modes that damping couples.
+
+    The state is (omega q, q') of the modal coordinates q. Its undamped part is skew and evenly scaled.
+    """
+    n = len(gamma)
+    omega = np.sqrt(real.eigenvalues)
+    system = np.zeros((2 * n, 2 * n))
+    system[:n, n:] = np.diag(omega)
+    system[n:, :n] = -np.diag(omega)
+    system[n:, n:] = -gamma
+    values, states = np.linalg.eig(system)
+    values, states = values.astype(np.complex128), states.astype(np.complex128)
+    kept = np.flatnonzero(values.imag >= 0)
+    kept = kept[np.argsort(np.abs(values[kept]), kind="stable")]
+    s: Complexes = np.asarray(values[kept], dtype=np.complex128)
+    q = states[:n, kept] / omega[:, None]
+    scales = 2 * s * np.sum(q * q, axis=0) + np.sum(q * (gamma @ q), axis=0)
+    return DampedPoles(s, np.asarray(real.shapes.T @ q, dtype=np.complex128), scales)
+
+
+@dataclass(frozen=True, eq=False)
+class DampedModel:
+    """Mass, damping and stiffness matrices of one state of the frame.
+
+    Parameters
+    ----------
+    M, C, K : ndarray, shape (N, N)
+        kg, N s/m, N/m.
+    gain : ndarray, shape (N,)
+        Value that a sensor on each floor shows for a value of 1.
+    heights : ndarray, shape (N,), optional
+        Story heights, m.
+    mass_known : bool, optional
+        Whether the mass scale is known; without it, forces have no scale.
+    input_gain : float, optional
+        Ratio of the real excitation to the value that its sensor shows.
+    """
+
+    M: Floats
+    C: Floats
+    K: Floats
+    gain: Floats
+    heights: Floats | None = None
+    mass_known: bool = True
+    input_gain: float = 1.0
+
+    @cached_property
+    def modes(self) -> Modes:
+        """Undamped modes."""
+        return modes(self.M, self.K)
+
+    @cached_property
+    def ratios(self) -> Floats:
+        """Damping ratio of each mode, shape (N,): -Re s / |s| of its pole, or from Phi' C Phi if one is overdamped."""
+        gamma = modal_damping(self.modes, self.C)
+        s = coupled(self.modes, gamma).values
+        if len(s) == len(self.M) and np.all(s.imag > 0):
+            return -s.real / np.abs(s)
+        ratios: Floats = np.diag(gamma) / (2 * np.sqrt(self.modes.eigenvalues))
+        return ratios
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,19 +204,8 @@ affects combinations that neither the ratios nor the priors determine."""
 LEAST_RATIO = 1e-3
 """Least damping ratio that sets the accuracy: a smaller ratio has the same absolute standard deviation."""
 
-DASHPOT_STEPS = 100
 SETTLED_DASHPOTS = 1e-5
-"""Maximum number of Gauss-Newton steps, and largest change of a ratio, in its standard deviation, at convergence."""
-
-LEFT_OPEN = 1e-6
-"""Largest relative singular value of the data, with each dashpot in units of its own effect, for an undetermined
-combination of dashpots."""
-
-UNTOUCHED = 1e-4
-"""Largest share of a story in the undetermined combinations for a determined dashpot of this story."""
-
-NAMED_SHARE = 0.1
-"""Least entry of a story in a combination, relative to the largest entry, for the story to be named."""
+"""Largest change of a ratio, in its standard deviation, at convergence."""
 
 ZERO = 1e-9
 """Largest dashpot that counts as zero, relative to the largest dashpot: the accuracy of the solvers."""
@@ -200,12 +276,9 @@ def story_dashpots(
         # The first solution uses the real modes, for any distance; the following steps improve the ratios.
         c = backend.solve(constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
     domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
-    found = gauss_newton(fit, c, domain, backend, Accuracy(SETTLED_DASHPOTS, DASHPOT_STEPS), fit.residuals(c))
+    found = gauss_newton(fit, c, domain, backend, Accuracy(SETTLED_DASHPOTS), fit.residuals(c))
     if not found.converged:
-        raise NoSolutionError(
-            backend.name,
-            f"the story dashpots did not settle in {DASHPOT_STEPS} steps; use modal damping in their place",
-        )
+        raise NoSolutionError(backend.name, "the story dashpots did not settle; use modal damping in their place")
     return fit.found(found.theta, fit.program(found.theta))
 
 
@@ -255,11 +328,19 @@ class _Fit:
 
     def found(self, c: Floats, program: LeastSquares) -> Dashpots:
         """Return the final dashpots, and the combinations that the program's data do not determine."""
-        measured, assumed = len(self.seen), len(self.statement)
-        exact = [prior.constraints(len(c)).A for prior in self.priors]
-        rows = [program.R[:measured], program.R[measured + assumed :], *(A for A in exact if A is not None)]
+        n, measured, assumed = len(c), len(self.seen), len(self.statement)
+        data = np.concatenate([program.R[:measured], program.R[measured + assumed :]])
+        none = np.zeros((0, n))
+        exact = [prior.constraints(n).A for prior in self.priors]
+        equalities = np.concatenate([none, *(A for A in exact if A is not None)])
+        names = tuple(str(story) for story in range(1, n + 1))
+        told = Uncertainty(data, equalities, none, none, np.full(n, np.inf), np.zeros(n), names)
+        words = (
+            f"the dashpots of stories {', '.join(each)}" if len(each) > 1 else f"the dashpot of {each[0]}"
+            for each in told.null_directions
+        )
         c = np.where(c > ZERO * c.max(), c, 0.0)
-        return Dashpots(c, *_left_open(np.concatenate(rows)))
+        return Dashpots(c, tuple(words), told.determined)
 
 
 def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
@@ -296,22 +377,6 @@ def _pole_ratios(real: Modes, c: Floats, seen: Ints) -> tuple[Floats, Floats]:
     size = np.abs(s)[:, None]
     toward = np.real(np.conj(s)[:, None] * ds)
     return -s.real / np.abs(s), -ds.real / size + s.real[:, None] * toward / size**3
-
-
-def _left_open(data: Floats) -> tuple[tuple[str, ...], Bools]:
-    """Name the combinations of dashpots that the rows do not determine; return the determined stories, too."""
-    length = np.linalg.norm(data, axis=0)
-    unit = 1.0 / np.where(length > 0, length, 1.0)
-    _, values, right = np.linalg.svd(data * unit, full_matrices=True)
-    rank = int(np.sum(values > LEFT_OPEN * values[0]))
-    null = right[rank:]
-    part = np.linalg.norm(null, axis=0) if len(null) else np.zeros(data.shape[1])
-    words = []
-    for direction in np.abs(null):
-        order = ranking.order(direction)
-        names = [str(k + 1) for k in order if direction[k] > NAMED_SHARE * direction[order[0]]]
-        words.append(f"the dashpots of stories {', '.join(names)}" if len(names) > 1 else f"the dashpot of {names[0]}")
-    return tuple(words), part < UNTOUCHED
 
 
 def rayleigh(real: Modes, ratios: Ratios, backend: Backend) -> Floats:

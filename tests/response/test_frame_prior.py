@@ -1,4 +1,4 @@
-"""Test a frame's variation in a record: matrices by their modes, and its prior from independent normal numbers."""
+"""Test a frame in a record, its prior and the evidence of changes, against explicit normal distributions."""
 
 import itertools
 from dataclasses import replace
@@ -12,69 +12,104 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.measurement.declaration import ExpectedEffect
-from cvxshear.response import DampedModel, Fitted, varied_frame
-from cvxshear.response import frame_prior as module
-from cvxshear.response.frame_prior import FramePrior, ModalRows
+from cvxshear.response import DampedModel, Fitted
+from cvxshear.response.frame_prior import (
+    FORM_STDS,
+    LEAST_WEIGHT,
+    FrameChange,
+    FramePrior,
+    Gaussian,
+    Likelihood,
+    Linear,
+    ModalRows,
+    VariedFrame,
+    possible_answers,
+)
 from cvxshear.response.state_space import Filter, Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import Damped, UncertainFrame
-from cvxshear.response.varied_frame import VariedFrame
 from tests.frames import chain
 from tests.response.common import damped_frame, declared, matrices, pole_ratios
 
-SIZES = (3, 3, 3, 4)
-"""Numbers of stories, damping factors (last a dashpot), directions of masses and effects (last a gain), form errors."""
+CHANGES = (
+    FrameChange("story", 0, 0.5 * np.eye(5)[:, :1], -2.5),
+    FrameChange("story", 1, 0.5 * np.eye(5)[:, 1:2], -2.5),
+    FrameChange("gain", 0, 0.8 * np.eye(5)[:, 4:], -3.0),
+    FrameChange("masses", 0, np.random.default_rng(1).standard_normal((5, 2)), -2.0),
+)
+"""Possible changes of a frame with five unknowns."""
 
 
-@pytest.mark.parametrize("changed", [(), (1,), (0, 2), (1, 3), (1, 4)])
-@pytest.mark.parametrize("same", [False, True])
-@pytest.mark.parametrize("mass_std", [0.0, 0.05])
-def test_the_prior_is_conditioned_on_the_modes_like_any_normal_numbers(changed, same, mass_std):
-    """All unknowns are sums of independent normal numbers w; the modes measure some with errors of one."""
-    rng = np.random.default_rng(3)
-    root = 0.01 * rng.standard_normal((3, 3))
-    own, share = np.array([0.3, 0.2]), np.array([0.02, 0.05, np.inf])
-    measured = ModalRows(20.0 * rng.standard_normal((7, 10)), rng.standard_normal(7))
-    measured.J[:, 5] = 0.0
-    heavier = rng.standard_normal((13, 3))
-    varied = SimpleNamespace(
-        own_std=own, sizes=SIZES, nuisance_share=share, heavier_floors=heavier, sensor_gains=slice(8, 9),
-        dashpots=slice(5, 6),
-    )  # fmt: skip
-    prior = FramePrior(varied, 2, root @ root.T, 0.4, 0.05, 0.1, 0.02, measured)
-    form_std, scatter = 0.03, 0.003
-    found = prior.gaussian(changed, form_std, scatter, mass_std, 0.01, same=same)
-
-    # Gains count in percent: 1 % for each, and 5 % more for a wrong one.
-    off = 5.0 if 4 in changed and not same else 0.0
-    nuisances = np.array([*np.sqrt(1.0 + form_std**2 / share[:2] ** 2 / 2), np.hypot(1.0, off)])
-    shift = 0.0 if same else 1.0
-    story = [
-        root, shift * 0.15 * np.ones((3, 1)), shift * scatter * np.eye(3),
-        shift * 0.4 * np.eye(3)[:, [story for story in changed if story < 3]],
-    ]  # fmt: skip
-    # Each ratio varies by itself and with all others; a dashpot can be present.
-    damping = [np.diag(np.hypot(own, shift * 0.3)), shift * 0.5 * np.ones((2, 1))]
-    dashpot = np.array([[np.hypot(1e-3, shift * (1.0 if 3 in changed else 0.0))]])
-    rest = np.diag([*nuisances, *np.full(4, form_std)])
-    unknowns = linalg.block_diag(np.hstack(story), np.hstack(damping), dashpot, rest, np.eye(2))
-    tested = linalg.block_diag(root, rest)
-    width = unknowns.shape[1] - 3 - 7 - 2
-    numbers = np.hstack([tested[:, :3], np.zeros((10, width)), tested[:, 3:], np.zeros((10, 2))])
-    seen = measured.J @ numbers
-    posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
-    np.testing.assert_allclose(found.mean, unknowns @ posterior @ seen.T @ measured.data, atol=1e-12)
-    covariance = unknowns @ posterior @ unknowns.T
-    covariance[:13, :13] += (0.0 if same else mass_std**2) * heavier @ heavier.T
-    np.testing.assert_allclose(found.covariance, covariance, atol=1e-12)
-    density = stats.multivariate_normal.logpdf(measured.data, np.zeros(7), np.eye(7) + seen @ seen.T)
-    assert found.evidence == pytest.approx(density + 3.5 * np.log(2 * np.pi), rel=1e-9)
+def drawn(seed, inflation=1.7):
+    """Draw a likelihood of five unknowns and its linearization point."""
+    rng = np.random.default_rng(seed)
+    return Likelihood(3.0 * rng.standard_normal((6, 5)), rng.standard_normal(6), inflation), rng.standard_normal(5)
 
 
-@pytest.mark.parametrize("sizes", [module.FORM_STDS, module.SCATTER_STDS])
-def test_sizes_that_are_compared_leave_no_gap_wider_than_half_a_decade(sizes):
-    """Any size between two neighbors differs from one by at most a factor of 1.8."""
-    steps = np.divide(sizes[1:], sizes[:-1])
-    assert np.all((steps > 3 - 1e-9) & (steps < 10 / 3 + 1e-9))
+def gaussian(changed, form_std):
+    """Return a prior whose mean, covariance and evidence depend on the deviation of the form."""
+    spread = np.diag([0.1, 0.2, 0.1, 0.5, 0.5]) ** 2 + 0.3 * form_std + form_std**2 * np.eye(5)
+    spread += sum(CHANGES[each].columns @ CHANGES[each].columns.T for each in changed)
+    return Gaussian(np.array([0.1, -0.1, 0.0, 0.2, form_std]), spread, -30.0 * form_std)
+
+
+def log_density(at, p, prior):
+    """Return the log density of the normal data U x + c about zero, with variance `inflation`, at the true x."""
+    seen = at.U @ (p - prior.mean) - at.c
+    spread = at.U @ prior.covariance @ at.U.T + at.inflation * np.eye(len(seen))
+    return stats.multivariate_normal.logpdf(seen, np.zeros(len(seen)), spread)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evidence_and_posterior_are_those_of_a_normal_distribution(seed):
+    (at, p), prior = drawn(seed), gaussian((), 0.03)
+    linear = Linear(at, p, prior)
+    sets = [(), (0, 2), (1, 3)]
+    alone, *freed = linear.evidences(CHANGES, sets)
+    for found, chosen in zip(freed, sets[1:], strict=True):
+        expected = log_density(at, p, gaussian(chosen, 0.03)) - log_density(at, p, prior)
+        assert found - alone == pytest.approx(expected)
+    other = gaussian((), 0.1)
+    (found,) = Linear(at, p, other).evidences(CHANGES, [()])
+    assert found - alone == pytest.approx(log_density(at, p, other) - log_density(at, p, prior) - 30.0 * (0.1 - 0.03))
+    mean, covariance = linear.posterior()
+    expected = np.linalg.inv(np.linalg.inv(prior.covariance) + at.U.T @ at.U / at.inflation)
+    np.testing.assert_allclose(covariance, expected, atol=1e-10)
+    seen = at.U @ (p - prior.mean) - at.c
+    np.testing.assert_allclose(mean, prior.mean + expected @ at.U.T @ seen / at.inflation, atol=1e-9)
+
+
+def test_a_dashpot_has_no_evidence_where_it_would_be_negative():
+    """Two directly measured unknowns, one of each sign."""
+    linear = Linear(Likelihood(np.eye(2), np.array([-2.0, 2.0]), 1.0), np.zeros(2),
+                    Gaussian(np.zeros(2), 0.01 * np.eye(2), 0.0))  # fmt: skip
+    sets = [(), (0,), (1,), (0, 1)]
+    either, positive = (
+        linear.evidences([FrameChange(kind, place, np.eye(2)[:, [place]], 0.0) for place in range(2)], sets)
+        for kind in ("story", "dashpot")
+    )
+    assert np.isfinite(positive).tolist() == [True, True, False, False]
+    assert positive[:2] == either[:2]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_answers_have_the_probabilities_of_all_sets_of_changes_and_of_all_widths(seed):
+    """All error widths are equally probable."""
+    at, p = drawn(seed)
+    found = possible_answers(at, SimpleNamespace(changes=CHANGES, gaussian=gaussian), p)
+    logs = {
+        (changed, width): log_density(at, p, gaussian(changed, width)) - 30.0 * width
+        + sum(CHANGES[each].log_odds for each in changed)
+        for size in range(4)
+        for changed in itertools.combinations(range(len(CHANGES)), size)
+        for width in FORM_STDS
+    }  # fmt: skip
+    best = max(logs.values())
+    kept = {key: np.exp(value - best) for key, value in logs.items() if value > best + np.log(LEAST_WEIGHT)}
+    total = sum(kept.values())
+    assert len(found) == len(kept) > 4
+    for each in found:
+        assert each.probability == pytest.approx(kept[each.prior] / total)
+    assert [each.probability for each in found] == sorted((each.probability for each in found), reverse=True)
 
 
 def centre(kind):
@@ -191,67 +226,6 @@ def test_a_heavier_floor_leaves_the_stories_as_they_are():
     np.testing.assert_allclose(found.K, K, rtol=1e-3)
 
 
-def test_errors_of_the_form_couple_the_modes_they_name():
-    """Mass-normalized modes have the errors e_ij omega_i omega_j; modes beyond the measured ones have larger errors."""
-    mass, stiffness, dashpots = damped_frame(8)
-    M, C, K = matrices(mass, stiffness, dashpots)
-    form = varied_frame._form(DampedModel(M, C, K, np.ones(8)), 6)
-    squares, shapes = linalg.eigh(K, M)
-    between = shapes.T @ form @ shapes / np.sqrt(np.outer(squares, squares))
-    expected = []
-    for i, j in [*((mode, mode) for mode in range(8)), *itertools.combinations(range(6), 2)]:
-        entry = np.zeros((8, 8))
-        entry[i, j] = entry[j, i] = max(1, i + 2 - 6)
-        expected.append(entry)
-    np.testing.assert_allclose(np.abs(between), expected, atol=1e-9)
-
-
-def test_the_share_of_a_direction_is_what_it_changes_of_masses_and_of_eigenvalues():
-    M, K = centre("modal")[0].model.M, centre("modal")[0].model.K
-    dM, dK = np.array([0.03 * M, 0.0 * M]), np.array([0.04 * K, 1e-9 * K])
-    frame = varied("modal", dM=dM, dK=dK, dgain=np.zeros((2, 3)))
-    np.testing.assert_allclose(frame.nuisance_share, [0.05, 1e-4])
-
-
-def test_the_first_samples_are_those_of_a_period():
-    frame = varied("modal")
-    M, K = frame.centre.model.M, frame.centre.model.K
-    period = 2 * np.pi / np.sqrt(linalg.eigvalsh(K, M)[0])
-    assert frame.first_samples(period / 40.2) == 40
-    assert frame.first_samples(2 * period) == 2
-
-
-@pytest.mark.parametrize("noise", ["additive", "multiplicative"])
-@pytest.mark.parametrize("said", [True, False])
-def test_modes_are_told_from_their_frequencies_and_from_shapes_at_their_best_scale(noise, said):
-    mass, stiffness, _ = damped_frame(4)
-    M, K = chain(mass, stiffness)
-    squares, shapes = linalg.eigh(K, M)
-    gain = np.array([1.0, 1.1, 1.0, 0.9])
-    rng = np.random.default_rng(2)
-    configuration = declared(mass, stiffness, [0.01] * 4, rng=rng)["configuration"][0]
-    seen = np.array(configuration["mode_shapes"])
-    seen[1, :] = np.nan
-    seen[2, [0, 3]] = np.nan
-    test = SimpleNamespace(
-        frequencies=np.array(configuration["frequencies"]), modes=np.arange(1, 5), measured_floors=np.arange(1, 5),
-        mode_shapes=seen, mode_shape_noise=noise,
-        frequency_std=0.003 if said else None, mode_shape_std=np.array([0.01, 0.02, 0.03, 0.04]) if said else None,
-    )  # fmt: skip
-    found = module._standardized(test, DampedModel(M - np.eye(4), 0 * K, K, gain), np.ones(4))
-    expected = list(np.log(2 * np.pi * test.frequencies / np.sqrt(squares)) / (0.003 if said else 0.005))
-    for mode in (0, 2, 3):
-        there = np.isfinite(seen[mode])
-        row = seen[mode, there]
-        std = (test.mode_shape_std[mode] if said else 0.02) * (
-            np.abs(row) if noise == "multiplicative" else np.abs(row).max()
-        )
-        entry = (shapes[:, mode] * gain)[there] / std
-        scale = np.linalg.lstsq(entry[:, None], row / std, rcond=None)[0]
-        expected += list(row / std - scale * entry)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
-
-
 @pytest.fixture(scope="module")
 def uncertain():
     mass, stiffness, dashpots = damped_frame(3)
@@ -281,26 +255,54 @@ def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
         np.testing.assert_allclose(rows.data[:3] - rows.J[:3, place] * step, left, atol=2e-3)
 
 
-def test_the_prior_has_what_the_file_expects_of_a_story(uncertain):
-    frame = VariedFrame.around(uncertain)
-    found = FramePrior.around(uncertain, frame, 4)
+def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncertain):
+    """The unknowns are numbers w times columns; the modes measure some of them with errors of one."""
+    frame = VariedFrame.around(uncertain, [1, 3], excited=True)
+    prior = FramePrior.around(uncertain, frame, 4)
+    (N, D, W, X), size = frame.sizes, sum(frame.sizes)
+    form_std, changed = 0.03, (1, 3, 6)
+    assert [prior.changes[each].kind for each in changed] == ["story", "dashpot", "gain"]
+    root = np.linalg.cholesky(prior.identified)
+    nuisances = np.full(W, 0.1)
+    modal = np.isfinite(frame.nuisance_share)
+    nuisances[modal] = np.sqrt(1.0 + (form_std / frame.nuisance_share[modal]) ** 2 / modal.sum())
+    tests = linalg.block_diag(root, np.diag([*nuisances, *np.full(X, form_std)]))
+    seen = prior.measured.J @ tests
+    posterior = np.linalg.inv(np.eye(len(seen.T)) + seen.T @ seen)
+    in_tests = np.zeros((size + 4, len(tests)))
+    in_tests[:N, :N], in_tests[N + D : size, N:] = root, tests[N:, N:]
+    # Each ratio varies by itself and with all others; the stories do so, too, and may have a factor of their own.
+    own = np.zeros((size + 4, size + 4))
+    own[:N, :N] = 0.15**2 + 0.003**2 * np.eye(N)
+    own[N : N + N, N : N + N] = 0.5**2 + np.diag(frame.own_std**2 + 0.3**2)
+    own[N + N : N + D, N + N : N + D] = 1e-6 * np.eye(N)
+    own[size:, size:] = np.eye(4)
+    own[1, 1] += 0.25**2
+    own[N + N, N + N] += 1.0
+    own[size - X - 3, size - X - 3] += 5.0**2
+    found = prior.gaussian(changed, form_std)
+    np.testing.assert_allclose(found.covariance, in_tests @ posterior @ in_tests.T + own, atol=1e-9)
+    np.testing.assert_allclose(found.mean, in_tests @ posterior @ seen.T @ prior.measured.data, atol=1e-9)
+    density = stats.multivariate_normal.logpdf(
+        prior.measured.data, np.zeros(len(seen)), np.eye(len(seen)) + seen @ seen.T
+    )
+    assert found.evidence == pytest.approx(density + 0.5 * len(seen) * np.log(2 * np.pi), rel=1e-9)
+
+
+@pytest.mark.parametrize("said", [None, {"name": "story_change", "size": 0.3, "probability": 0.2}])
+def test_the_prior_has_what_the_catalogue_or_the_file_expects_of_a_story(uncertain, said):
     usual = cvxshear.effects.named(["story_change"])[0]
-    assert found.change_std == pytest.approx(float(usual.sizes(None)[0]))
-    assert (1.0 - found.probability) ** 3 == pytest.approx(1.0 - usual.probability)
-    # The frame has modal damping with declared ratios of 10 % deviation.
-    np.testing.assert_allclose(found.varied.own_std, np.full(3, 0.1))
-    assert (found.varied, found.others) == (frame, 4)
+    size, probability = float(usual.sizes(None)[0]), usual.probability
+    if said is not None:
+        size, probability = said["size"], said["probability"]
+        one = ExpectedEffect("story_change", size=0.9, probability=0.1, story=2)
+        experiment = replace(uncertain.fitted.experiment, expected=(one, ExpectedEffect(**said)))
+        uncertain = replace(uncertain, fitted=replace(uncertain.fitted, experiment=experiment))
+    found = FramePrior.around(uncertain, VariedFrame.around(uncertain), 4)
+    stories = [each for each in found.changes if each.kind == "story"]
+    assert [each.place for each in stories] == [0, 1, 2]
+    for each in stories:
+        assert np.linalg.norm(each.columns) == pytest.approx(size)
+        assert (1.0 - 1.0 / (1.0 + np.exp(-each.log_odds))) ** 3 == pytest.approx(1.0 - probability)
     # The masses are known. The stiffnesses have at least the deviations of the fit.
     assert np.all(np.sqrt(np.diag(found.identified)) < 0.05)
-
-
-def test_a_file_may_expect_something_else_of_every_story(uncertain):
-    said = {"name": "story_change", "size": 0.3, "probability": 0.2}
-    experiment = replace(
-        uncertain.fitted.experiment,
-        expected=(ExpectedEffect("story_change", size=0.9, probability=0.1, story=2), ExpectedEffect(**said)),
-    )
-    frame = replace(uncertain, fitted=replace(uncertain.fitted, experiment=experiment))
-    found = FramePrior.around(frame, VariedFrame.around(frame), 4)
-    assert found.change_std == 0.3
-    assert (1.0 - found.probability) ** 3 == pytest.approx(0.8)
