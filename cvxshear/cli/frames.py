@@ -68,7 +68,7 @@ def identify(
     file
         A measurement file (TOML), or 'paper' for the built-in example.
     method
-        efficient (where none is named), two-stage, one-shot, berman or qi.
+        efficient (the default), two-stage, one-shot, berman or qi.
     initial_mass
         Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself.
     tolerance
@@ -128,7 +128,7 @@ def loop(
     sources
         A measurement file (TOML), 'paper' for the built-in example, or record files and patterns of them.
     effects
-        Which effects to look for, commas between; all where not given. 'list' prints them, with the kinds of data and
+        Which effects to look for, commas between; default: all. 'list' prints them, with the kinds of data and
         the verdicts.
     assume
         Effects that are in the model from the start, such as gravity.
@@ -254,11 +254,11 @@ class Motion:
     file
         What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.
     damping
-        modal, story or rayleigh; what FILE declares where not given.
+        modal, story or rayleigh; default: the kind that FILE declares.
     configuration
-        Which test or state; the one with the record's added mass where not given.
+        Which test or state; default: the one with the record's added mass.
     assume : NAME,...
-        Effects that are in the model from the start.
+        Effects in the model from the start.
     detrend
         Take the straight line through each recorded acceleration off.
     """

@@ -50,9 +50,9 @@ def new(
     more
         More files of the record that --record begins, or patterns such as 'hit*.csv'.
     output
-        Write it here; printed where not given.
+        Write it here; default: print it.
     stories
-        How many stories the frame has; 3 where not given.
+        How many stories the frame has; default: 3.
     """
     from cvxshear.io.modes import called
     from cvxshear.io.templates import record_template, template, template_from
@@ -134,9 +134,9 @@ def modes(
     uff
         Write the modes as a universal file here.
     method
-        era, subspace or ssi; what suits the record where none is named.
+        era, subspace or ssi; default: the one that suits the record.
     count
-        How many modes; as many as stories where not given.
+        How many modes; default: the number of stories.
     pick : 3.68,11.1,...
         Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.
     accept_swapped

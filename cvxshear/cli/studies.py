@@ -66,9 +66,9 @@ def plan(
     file
         Design values (a frame and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.
     sensors
-        How many floors can be measured; all where not given.
+        How many floors can be measured; default: all.
     tests
-        How many tests, or 'declared' for those of FILE as if they were still to come.
+        How many tests, or 'declared' for the tests of FILE.
     added_mass
         kg that each floor can carry: one number, or one a floor with commas between.
     added_mass_total
@@ -76,11 +76,9 @@ def plan(
     modes
         How many of the lowest modes will be identified, or which: 1,2,4.
     frequency_std
-        Expected relative standard deviation of frequencies; where neither this nor the next is given that of FILE's
-        tests, and 0.002 where they state none.
+        Expected relative standard deviation of frequencies; default: the value in FILE's tests, or 0.002.
     mode_shape_std
-        Of shape entries, the largest being 1; where neither is given that of the tests as well, and 0.01 where they
-        state none.
+        Expected standard deviation of shape entries over the largest; default: the value in FILE's tests, or 0.01.
     duration
         Seconds recorded in each test, from which the noise follows instead.
     excitation
@@ -100,7 +98,7 @@ def plan(
     loop
         Plan for the frame with the effects that the loop finds in FILE.
     configuration
-        Test or state of FILE that is to be tested; its first configuration where not given.
+        Test or state of FILE to be tested; default: the first configuration.
     output
         Write a measurement file to fill in.
     """
@@ -231,11 +229,11 @@ def backends(
     Parameters
     ----------
     file
-        A measurement file (TOML), or 'paper'; without one: what is installed.
+        A measurement file (TOML), or 'paper'; default: list the installed backends.
     names
-        Which backends, commas between; all that are installed where not given.
+        Names of backends, separated by commas; default: all installed ones.
     repeats
-        Solves of each program of which the fastest counts.
+        How often each program is solved; the shortest time counts.
     tolerance
         Accuracy asked of the solvers, in place of their settings here.
     """

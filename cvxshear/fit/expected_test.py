@@ -6,8 +6,8 @@ standard deviations of the test's noise. Sensors at some floors choose among the
 eliminated over the floors that have a sensor.
 
 `plan` adds the rows of a test to the information about a frame. `next_test` compares two fits: their predictions differ
-by d, and the uncertainty of each fit moves its own prediction along columns S, one standard deviation per column. `fit/gaussian.py`
-has the distance of the fits.
+by d, and the uncertainty of each fit moves its own prediction along columns S, one standard deviation per column.
+`fit/gaussian.py` has the distance of the fits.
 """
 
 from __future__ import annotations

@@ -231,7 +231,7 @@ def test_what_gravity_takes_from_the_stories_of_each_state(paper):
         assert float(left) == pytest.approx((stiffness - load) / 1e3, rel=1e-4)
         value, std = map(float, change.split(" ± "))
         assert value == pytest.approx(-100 * load / stiffness, rel=2e-3)
-        # The load is proportional to gamma, whose deviation is that of the effect.
+        # The load is proportional to gamma, so both have one relative deviation.
         assert std / abs(value) == pytest.approx(paper.effects[0].std["gamma"] / 1.2, rel=0.5)
 
 
