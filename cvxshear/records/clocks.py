@@ -286,10 +286,11 @@ class Phases:
             late, slope = late + float(shares @ mean), slope + more
         half = max(float(np.abs(around).max()), 1e-9)
         slope_std = float(np.hypot(np.sqrt(scatter / information), STEADY / self.segments.rate / half))
-        # Student's likelihood of the slope with that of none, and a uniform prior.
+        # Student's likelihood of the slope with that of none, and a uniform prior. A slope that the data do not tell
+        # keeps its prior probability.
         gain = 0.5 * (freedom + 1) * np.log1p((slope / slope_std) ** 2 / freedom)
-        density = slope_std * np.sqrt(2 * np.pi) / (2 * FASTEST_DRIFT)
-        priors = np.log([1.0 - FAULTY, FAULTY * density])
+        share = min(slope_std * np.sqrt(2 * np.pi) / (2 * FASTEST_DRIFT), 1.0)
+        priors = np.log([1.0 - FAULTY, FAULTY * share])
         return ClockFault(
             middle=late,
             std=float(np.sqrt(scatter / of_bands.sum() + shares @ (mean - shares @ mean) ** 2)),

@@ -217,14 +217,14 @@ def _of_frame(frame: IdentifiedFrame, units: Units, word: str) -> Iterator[Colum
         ("story_stiffness", frame.story_stiffness, frame.story_stiffness_std, "N/m", units.of_stiffness),
     ):
         factor, shown = unit_of(values.tolist())
+        at_bound = frame.stopped(quantity)
         texts = [
-            f"{significant(value / factor, 2)} (at a bound)" if at_bound else text
-            for value, text, at_bound in zip(
-                values.tolist(), _column(values, std, factor), frame.stopped(quantity), strict=True
-            )
+            f"{significant(value / factor, 2)} (at a bound)" if stopped else text
+            for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
         ]
+        own = np.where(at_bound, np.nan, std)
         head, name = f"{word}{quantity.partition('_')[2]}, {shown}", f"{word.replace(' ', '_')}{quantity}"
-        yield Column(head, tuple(texts), name=name, values=tuple(values.tolist()), std=tuple(std.tolist()), unit=unit)
+        yield Column(head, tuple(texts), name=name, values=tuple(values.tolist()), std=tuple(own.tolist()), unit=unit)
 
 
 def frames_table(result: Identification) -> Table:
