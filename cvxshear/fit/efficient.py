@@ -369,9 +369,9 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
     UnsuitableError
         If the fit would take more than `MEMORY`.
     """
-    refuse_contradicting(experiment)
     misfit = Misfit(experiment, effects)
     _refuse_large(misfit)
+    refuse_contradicting(experiment)
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
     failure: CvxshearError | None = None
