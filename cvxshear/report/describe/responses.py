@@ -40,6 +40,9 @@ from cvxshear.util.quantities import (
     with_std,
 )
 
+SHOWN_MISSED = 0.0005
+"""Smallest relative error of a record that is reported: it is written as 0.1 %."""
+
 
 @describe.register
 def _damping(result: IdentifiedDamping, units: Units = AUTOMATIC) -> Document:
@@ -185,6 +188,9 @@ def _peak_parts(result: RecordPrediction) -> Iterator[Sentence | Table]:
         return
     floors = numbered("floor", result.after.comparison.floors.tolist())
     where = f"the accelerations of {floors} in this record were missed"
+    if result.missed < SHOWN_MISSED:
+        yield Sentence(f"the deviations hold what the frame leaves uncertain; {where} by no more than that")
+        return
     wide = " (for peaks too much, since the motions fall out of step)" if result.after.comparison.shifts else ""
     yield Sentence(
         f"the deviations hold what the frame leaves uncertain and {percent(result.missed, 1)} of each peak, by which "
