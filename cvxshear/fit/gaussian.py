@@ -46,6 +46,10 @@ INTEGRAL_REACH, POINTS = 12.0, 401
 """Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and number of its
 points. The tails of Student's t need a longer reach than a Gaussian."""
 
+SECOND_MODE = 5.0
+"""Largest log probability above the optimum. A higher point shows that the optimum is only a lower second mode, which
+lies between a large effect and its null value if the data are weak."""
+
 
 @dataclass(frozen=True)
 class UnknownSize:
@@ -289,6 +293,9 @@ def log_tailed_interval(
     w = float(unit_slope[0]) / size
     curvature = max(1.0 / std**2 - w**2, 0.0)
     logs = -0.5 * (r**2 - here[0] ** 2) - (slope - here[0] * w) * t - 0.5 * curvature * t**2
+    if float(np.max(logs)) > SECOND_MODE:
+        # The fit is not at the posterior's maximum along this line, so Laplace's Gaussian is the only usable form.
+        return float(log_interval(lower, upper, slope, std))
     logs += np.log(np.cosh(y)) - 0.5 * np.log(2 * np.pi)
     highest = float(np.max(logs))
     return highest + float(np.log(integrate.trapezoid(np.exp(logs - highest), y)))

@@ -31,6 +31,9 @@ MOST_TAKEN = 12
 """Largest number of effects added in one sequence. More are not credible, and fits of sets of twenty or more reach
 their limit of steps without convergence."""
 
+WIDE = 4.0
+"""Factor on an effect's size for its first prediction."""
+
 EXACT = 1e-5
 """Rounding: share of an effect's derivatives outside the span of the others that counts as zero."""
 
@@ -143,11 +146,12 @@ class Linearised:
     def _likely_sizes(self, placed: LocatedEffect) -> Floats:
         """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
 
-        A common size gets its most probable value.
+        Student's prior is widened by `WIDE`, so that the prediction does not shrink a large effect. A common size gets
+        its most probable value.
         """
         stds = self.expectation.of(placed)
         if not placed.effect.common_size:
-            return stds
+            return stds if np.isinf(placed.effect.tail) else WIDE * stds
         gains, sizes = self._gains_by_size(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
         found: Floats = stds * np.exp(sizes[np.argmax(gains)])
         return found

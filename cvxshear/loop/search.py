@@ -49,7 +49,7 @@ MOST_FURTHER = 10
 RESCALING = 3
 """Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded."""
 
-MOST_STARTS = 12
+MOST_STARTS = 20
 """Largest number of fits from given starting points, the best after one step."""
 
 MOST_SETS = 300

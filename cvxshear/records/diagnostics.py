@@ -275,6 +275,8 @@ TYPICAL_CHANGE = 0.01
 """Relative change of such frequencies between strong and weak motion; the mini table's are 0.6 to 2.4 %."""
 SMALLEST_CHANGE = 1e-3
 """Relative change of a frequency that says nothing: four degrees of temperature have this effect on a steel frame."""
+SIGNIFICANT = 3.0
+"""Least change of a frequency, in standard deviations: chance exceeds it for one mode in 370."""
 FEWEST_BLOCKS = 8
 """Least number of blocks: half of them, four, still determine the modes and their scatter."""
 
@@ -297,7 +299,10 @@ def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Fi
         return
     energies = setting.source.energies
     strong = energies > np.median(energies)
-    for place in np.flatnonzero((likely[1] > likely[0]) & (np.abs(changes) > SMALLEST_CHANGE)).tolist():
+    # Halves of a record differ by twice the scatter of the whole. What does not exceed that is left to the scatter.
+    least = SIGNIFICANT * 2.0 * result.frequency_std if blocks else 0.0
+    known = (likely[1] > likely[0]) & (np.abs(changes) > np.maximum(least, SMALLEST_CHANGE))
+    for place in np.flatnonzero(known).tolist():
         numbers = {"mode": int(result.modes[place]), "change": float(changes[place]), "std": float(std[place])}
         frequencies = np.exp([first[place], second[place]])
         if blocks:
