@@ -205,9 +205,9 @@ class Cvxpy(CalledSolver):
         import cvxpy  # noqa: PLC0415 - takes a second to import
 
         stated, z = problem.stated(self.scale).to_cvxpy()
-        if stated.constraints and not problem.singular:
-            # C is the identity: without the constant |q|^2, cvxpy needs no further unknowns for z - q. SCS needs them
-            # where there is no constraint.
+        if len(problem.f) and not problem.singular:
+            # C is the identity: without the constant |q|^2, cvxpy needs no further unknowns for z - q. Where there are
+            # equalities alone, or nothing, SCS answers better with them.
             objective = cvxpy.sum_squares(z) - 2.0 * self.scale * problem.q @ z  # type: ignore[attr-defined]  # untyped
             stated = cvxpy.Problem(cvxpy.Minimize(objective), stated.constraints)
         began = time.perf_counter()
