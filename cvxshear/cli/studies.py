@@ -9,11 +9,11 @@ import typer
 
 from cvxshear.cli.options import (
     BackendName,
-    FigureOptions,
     File,
     JsonOut,
     Quiet,
     ResultOptions,
+    TableOptions,
     TomlOut,
     UnitsOption,
     input_files,
@@ -55,7 +55,7 @@ def plan(
     output: TomlOut = None,
     units: UnitsOption = None,
     *,
-    outputs: ResultOptions,
+    outputs: TableOptions,
 ) -> None:
     """Choose the floors to measure and the masses to add, before a test.
 
@@ -185,7 +185,7 @@ def noise(
     methods: str = "two-stage,one-shot,efficient",
     jobs: int = 1,
     *,
-    outputs: FigureOptions,
+    outputs: ResultOptions,
 ) -> None:
     """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
 

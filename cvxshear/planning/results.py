@@ -13,8 +13,7 @@ from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.io.toml import write_measurement
 from cvxshear.loop.posterior import ADDED
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.planning.choice import choose
-from cvxshear.planning.criteria import CRITERIA, criterion_named
+from cvxshear.planning.criteria import CRITERIA
 from cvxshear.planning.design import MeasuredFrequency
 from cvxshear.planning.tested_model import AveragedModel, Target, TestModel
 from cvxshear.util.odds import weigh
@@ -340,25 +339,6 @@ class Plan(Shown):
     def frame(self) -> dict[str, object]:
         """Frame of the plan."""
         return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness", "effects", "state")}
-
-
-def accuracy_curve(plan: Plan, most: int = 10) -> list[tuple[int, float, float]]:
-    """List numbers of sensors (ascending), the criterion of the best choice found, and its lower bound.
-
-    Parameters
-    ----------
-    plan : Plan
-    most : int, optional
-        Largest number of points.
-    """
-    by, n = criterion_named(plan.criterion), plan.model.design.stories
-    tests = [plan.averaged.expected(masses) for masses in plan.tests]
-    spread = np.unique(np.linspace(1, n, min(n, most)).round().astype(int))
-    points = []
-    for count in sorted({*spread.tolist(), len(plan.sensors)}):
-        found = choose(plan.averaged.sensors(tests, count), count, by, plan.backend)
-        points.append((count, found.value, found.bound))
-    return points
 
 
 def predicted(plan: Plan) -> Experiment:

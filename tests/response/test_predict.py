@@ -16,7 +16,7 @@ from cvxshear.io.toml import write_measurement
 from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.describe import describe
-from cvxshear.report.handover import series
+from cvxshear.report.describe.responses import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import compared, peak
 from cvxshear.response.peaks import peaks_of

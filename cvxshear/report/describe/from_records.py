@@ -5,7 +5,19 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cvxshear.records import ModalResult
-from cvxshear.report.describe import Block, Document, Facts, Section, Sentence, Table, describe, exact, line, table
+from cvxshear.report.describe import (
+    PAGE_COLUMNS,
+    Block,
+    Document,
+    Facts,
+    Section,
+    Sentence,
+    Table,
+    describe,
+    exact,
+    line,
+    table,
+)
 from cvxshear.screening import FileFinding, Screening
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, numbered, percent, with_std, with_stds
@@ -28,7 +40,7 @@ def _modes(result: ModalResult, units: Units = AUTOMATIC) -> Document:
     parts: list[Block] = [
         Sentence(f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty}."),
         _table(result),
-        _shapes(result),
+        *_shapes(result).folded(PAGE_COLUMNS),
         *(Sentence(f"{finding.kind}: {finding.message}", "warning") for finding in result.findings),
     ]
     sections = (Section("modes", "Modes", tuple(parts)),)

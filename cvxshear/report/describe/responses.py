@@ -1,9 +1,13 @@
-"""Describe a predicted response and its measurement, and the motion of all floors reconstructed from some sensors."""
+"""Describe predicted and reconstructed responses, and write their time series."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from functools import partial
+from io import BytesIO, StringIO
+from pathlib import Path
 
 import numpy as np
+from scipy import io
 
 from cvxshear.report.describe import (
     PAGE_COLUMNS,
@@ -21,8 +25,8 @@ from cvxshear.report.describe import (
     table_of_rows,
 )
 from cvxshear.report.describe.headline import MODELS
-from cvxshear.response import IdentifiedDamping, Peaks, Reconstruction, RecordComparison, RecordPrediction
-from cvxshear.response.peaks import RESPONSES
+from cvxshear.response import IdentifiedDamping, Peaks, Reconstruction, RecordComparison, RecordPrediction, Response
+from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.reconstruction import SIGN_KNOWN
 from cvxshear.util import ranking
 from cvxshear.util.quantities import (
@@ -39,6 +43,8 @@ from cvxshear.util.quantities import (
     significant,
     with_std,
 )
+from cvxshear.util.typing import Floats
+from cvxshear.util.writing import ending_of, write_file
 
 SHOWN_MISSED = 0.0005
 """Smallest relative error of a record that is reported: it is written as 0.1 %."""
@@ -399,3 +405,91 @@ def whiteness(result: Reconstruction) -> Table:
         "spikes": [str(each.spikes) for each in result.whiteness],
         "missing": [str(each.missing) for each in result.whiteness],
     }, top_first=True)  # fmt: skip
+
+
+COLUMN_NAMES = {name: quantity.word.replace(" ", "_") for name, quantity in RESPONSES.items()}
+"""Names of the columns by quantity; the columns of floor or story 1 end in `_1`."""
+
+SERIES_UNITS = {"time": "s"} | {COLUMN_NAMES[name]: each.unit.replace("²", "2") for name, each in RESPONSES.items()}
+"""Units of the columns; the header of a CSV file shows them in brackets. A drift ratio has no unit."""
+
+Moved = RecordPrediction | Reconstruction
+
+
+def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
+    """List each run's excitation (m/s2 or N), its response, and the known standard deviations by quantity."""
+    if isinstance(result, Reconstruction):
+        return [(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
+    return [
+        (run.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
+        for run, response, std in zip(result.motion.runs, result.after.responses, result.std, strict=True)
+    ]
+
+
+def series(result: Moved) -> dict[str, Floats]:
+    """Collect every quantity at every floor or story, one column each.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (samples,)
+        `run` (from 1, several one after the other), `time` (s, from the start of each), `excitation` (m/s2 or N), then
+        the applicable columns of `COLUMN_NAMES`, each followed by its known standard deviations (`drift_std_1`).
+    """
+    runs = []
+    for place, (excitation, response, std) in enumerate(_runs(result), 1):
+        columns = {"run": np.full(len(excitation), float(place)), "time": response.time, "excitation": excitation}
+        for quantity, values in histories(response).items():
+            if values is not None:
+                columns |= _columns(COLUMN_NAMES[quantity], values)
+                if quantity in std:
+                    columns |= _columns(f"{COLUMN_NAMES[quantity]}_std", std[quantity])
+        runs.append(columns)
+    return {name: np.concatenate([columns[name] for columns in runs]) for name in runs[0]}
+
+
+def _columns(name: str, values: Floats) -> dict[str, Floats]:
+    if values.ndim == 1:
+        return {name: values}
+    return {f"{name}_{place + 1}": values[:, place] for place in range(values.shape[1])}
+
+
+def write_series(path: str | Path, result: Moved) -> None:
+    """Write the time series of a prediction or a reconstruction.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ending in .csv, .mat or .npz; a device receives CSV.
+    result : RecordPrediction or Reconstruction
+
+    Raises
+    ------
+    InputError
+        If the ending is unknown, or the file cannot be written.
+    """
+    write_file(path, SERIES_WRITERS[ending_of(path, SERIES_WRITERS, "time series are written as")](result))
+
+
+def _csv(result: Moved) -> bytes:
+    columns, out = series(result), StringIO()
+    record = result.recording if isinstance(result, Reconstruction) else result.motion
+    units = SERIES_UNITS | {"excitation": "N" if record.input == "force" else "m/s2"}
+    heads = [f"{name} ({unit})" if (unit := units.get(re.sub(r"_std|_\d+", "", name))) else name for name in columns]
+    np.savetxt(
+        out, np.column_stack(list(columns.values())), delimiter=",", header=",".join(heads), comments="", fmt="%.9g"
+    )
+    return out.getvalue().encode()
+
+
+def _npz(result: Moved) -> bytes:
+    np.savez_compressed(out := BytesIO(), **series(result))  # type: ignore[arg-type]  # numpy takes any names
+    return out.getvalue()
+
+
+def _mat(result: Moved) -> bytes:
+    io.savemat(out := BytesIO(), series(result), oned_as="column")  # type: ignore[arg-type]  # a stream will do
+    return out.getvalue()
+
+
+SERIES_WRITERS: dict[str, Callable[[Moved], bytes]] = {"csv": _csv, "mat": _mat, "npz": _npz}
+"""Writers of time series by the ending of the file."""

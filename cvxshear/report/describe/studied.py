@@ -283,7 +283,23 @@ def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> Document:
     levels = [list(alike) for _, alike in groupby(result.scatters, key=lambda each: each.setup)]
     tables = tuple(noise_level(alike, place) for place, alike in enumerate(levels, 1))
     levels_section = Section("levels", "Scatter", (*tables, Sentence(note(result))))
-    return Document("noise study", _study_headline(result), (levels_section,))
+    return Document("noise study", _study_headline(result), (levels_section,), (scatter_data(result),))
+
+
+def scatter_data(result: NoiseStudy) -> Table:
+    """Tabulate the relative scatter of every mass and stiffness by setup and method, for programs."""
+    rows = [
+        (each.setup.name, each.method, f"{quantity} {number}")
+        for each in result.scatters
+        for quantity in UNITS_OF_FRAME
+        for number in range(1, each.setup.stories + 1)
+    ]
+    columns = [
+        exact(name, cells) for name, cells in zip(("setup", "method", "unknown"), zip(*rows, strict=True), strict=True)
+    ]
+    figures = ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio")
+    columns += [exact(name, np.concatenate([getattr(each, name) for each in result.scatters])) for name in figures]
+    return Table("scatter", "Scatter", tuple(columns))
 
 
 def _study_headline(result: NoiseStudy) -> str:
