@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cvxshear.cli import options
 from cvxshear.cli.modes_and_check import measured, records_in_json, tables_of
-from cvxshear.cli.options import (
-    LIST,
-    BackendName,
-    File,
-    Files,
-    ReportOut,
-    ResultOptions,
-    SeriesOut,
-    UnitsOption,
-    Writer,
-    input_files,
-)
 from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show
 from cvxshear.report import terminal
 from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
@@ -43,14 +32,14 @@ UNCERTAIN = 3
 
 
 def identify(
-    file: File,
+    file: options.File,
     method: str | None = None,
-    backend: BackendName = "auto",
+    backend: options.BackendName = "auto",
     initial_mass: str | None = None,
     tolerance: float = 1e-6,
-    units: UnitsOption = None,
+    units: options.UnitsOption = None,
     *,
-    outputs: ResultOptions,
+    outputs: options.ResultOptions,
 ) -> None:
     """Identify floor masses and story stiffnesses.
 
@@ -91,16 +80,16 @@ def identify(
 
 
 def loop(
-    sources: Files,
+    sources: options.Files,
     effects: str | None = None,
     assume: str | None = None,
-    backend: BackendName = "auto",
+    backend: options.BackendName = "auto",
     jobs: int = 1,
-    report: ReportOut = None,
+    report: options.ReportOut = None,
     strict: bool = False,
-    units: UnitsOption = None,
+    units: options.UnitsOption = None,
     *,
-    outputs: ResultOptions,
+    outputs: options.ResultOptions,
 ) -> None:
     """Find the physical effect that the shear model lacks, and report the error before and after.
 
@@ -124,7 +113,7 @@ def loop(
     from cvxshear.response import damping_of, models_of_loop
     from cvxshear.screening import close_loop
 
-    if effects == LIST:
+    if effects == options.LIST:
         from cvxshear.effects import catalogue
 
         rows = ((effect.name, effect.summary) for effect in catalogue())
@@ -203,17 +192,17 @@ class Motion:
         Take the straight line through each recorded acceleration off.
     """
 
-    file: File
-    record: Annotated[str, typer.Option("--record", callback=input_files)]
-    backend: BackendName = "auto"
+    file: options.File
+    record: Annotated[str, typer.Option("--record", callback=options.input_files)]
+    backend: options.BackendName = "auto"
     damping: str | None = None
     configuration: str | None = None
     assume: str | None = None
     detrend: bool = True
-    series: SeriesOut = None
-    report: ReportOut = None
+    series: options.SeriesOut = None
+    report: options.ReportOut = None
 
-    def written(self, result: RecordPrediction | Reconstruction) -> Iterator[Writer]:
+    def written(self, result: RecordPrediction | Reconstruction) -> Iterator[options.Writer]:
         """Yield the functions that write the requested time series and report of a result."""
         from cvxshear.report.describe.responses import write_series
 
@@ -257,7 +246,7 @@ def _write_page(path: str, result: RecordPrediction | Reconstruction) -> None:
     write_file(path, render_response(result, as_typed()))
 
 
-def predict(*, motion: Motion, outputs: ResultOptions) -> None:
+def predict(*, motion: Motion, outputs: options.ResultOptions) -> None:
     """Predict how every floor answers to a record, beside what was measured.
 
     Example: cvxshear predict frame.toml --record earthquake.toml
@@ -277,7 +266,7 @@ def predict(*, motion: Motion, outputs: ResultOptions) -> None:
     _deliver_motion(result, doubts, outputs.out, *files_of(result), *motion.written(result))
 
 
-def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: ResultOptions) -> None:
+def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, outputs: options.ResultOptions) -> None:
     """Find how every floor moved, from the floors that carry sensors: drifts, forces, and whether a story changed.
 
     Example: cvxshear reconstruct frame.toml --record earthquake.toml --report drifts.html
@@ -303,7 +292,10 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
 
 
 def _deliver_motion(
-    result: RecordPrediction | Reconstruction, doubts: Sequence[FileFinding] | None, out: str | None, *files: Writer
+    result: RecordPrediction | Reconstruction,
+    doubts: Sequence[FileFinding] | None,
+    out: str | None,
+    *files: options.Writer,
 ) -> None:
     from cvxshear.screening import in_json
 

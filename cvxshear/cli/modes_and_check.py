@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.options import LIST, File, JsonOut, ReportOut, ResultOptions, TomlOut, input_files, writes
+from cvxshear.cli import options
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def new(
     more: Annotated[list[str] | None, typer.Argument(metavar="DATA...")] = None,
-    output: TomlOut = None,
+    output: options.TomlOut = None,
     stories: int | None = None,
     modes: Annotated[
         str | None,
@@ -85,7 +85,7 @@ MISTAKE_STATUS, DOUBT_STATUS = 2, 3
 """Exit statuses of `check`: 2 for a mistake, which the other commands refuse; 3 with --strict for a doubt."""
 
 
-def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
+def check(file: options.File, out: options.JsonOut = None, strict: bool = False) -> None:
     """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
 
     Example: cvxshear check paper
@@ -107,17 +107,17 @@ def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
 
 
 def modes(
-    records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=input_files)],
-    output: TomlOut = None,
-    uff: Annotated[str | None, writes("--uff", metavar="UFF", endings=(".uff", ".unv", ".u55"))] = None,
+    records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=options.input_files)],
+    output: options.TomlOut = None,
+    uff: Annotated[str | None, options.writes("--uff", metavar="UFF", endings=(".uff", ".unv", ".u55"))] = None,
     method: str | None = None,
     count: int | None = None,
     pick: str | None = None,
     accept_swapped: bool = False,
     jobs: int = 1,
-    report: ReportOut = None,
+    report: options.ReportOut = None,
     *,
-    outputs: ResultOptions,
+    outputs: options.ResultOptions,
 ) -> None:
     """Identify natural frequencies, damping and mode shapes from records.
 
@@ -153,17 +153,19 @@ def modes(
     files_of = outputs.prepared(ModalResult)
     if report is not None:
         from cvxshear.report.html import render_modes
-    options = {
-        "functions": bool(outputs.figure) or report is not None,
-        "method": method,
-        "count": count,
-        "accept_swapped": accept_swapped,
-        "pick": None if pick == LIST else numbers(pick, "--pick"),
-    }
     if uff is not None and len(sources) > 1:
         raise InputError("--uff holds the modes of one record; identify the records one by one for it")
     with progress("identifying modes", outputs.quiet) as advance:
-        found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
+        found = identify_modes_many(
+            sources,
+            jobs=jobs,
+            progress=advance,
+            functions=bool(outputs.figure) or report is not None,
+            method=method,
+            count=count,
+            accept_swapped=accept_swapped,
+            pick=None if pick == options.LIST else numbers(pick, "--pick"),
+        )
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors)
     tests = _kept(found)
@@ -180,7 +182,7 @@ def modes(
         deliver(
             _said(sources, found),
             outputs.out,
-            lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == LIST else tables_of(tests),
+            lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == options.LIST else tables_of(tests),
             *files,
         )
     if errors:

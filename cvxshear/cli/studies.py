@@ -7,17 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.options import (
-    BackendName,
-    File,
-    JsonOut,
-    Quiet,
-    ResultOptions,
-    TableOptions,
-    TomlOut,
-    UnitsOption,
-    input_files,
-)
+from cvxshear.cli import options
 from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
 from cvxshear.report import terminal
@@ -34,7 +24,7 @@ Samples = Annotated[int, typer.Option(min=2)]
 
 
 def plan(
-    file: File,
+    file: options.File,
     sensors: int | None = None,
     tests: str = "1",
     added_mass: str | None = None,
@@ -52,10 +42,10 @@ def plan(
     fresh: bool = False,
     loop: bool = False,
     configuration: str | None = None,
-    output: TomlOut = None,
-    units: UnitsOption = None,
+    output: options.TomlOut = None,
+    units: options.UnitsOption = None,
     *,
-    outputs: TableOptions,
+    outputs: options.TableOptions,
 ) -> None:
     """Choose the floors to measure and the masses to add, before a test.
 
@@ -155,11 +145,11 @@ def _one_or_many(found: list[Any] | None) -> Any:
 
 
 def reproduce(
-    backend: BackendName = "auto",
+    backend: options.BackendName = "auto",
     samples: Samples = 10_000,
     seed: int = 2023,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    quiet: options.Quiet = False,
+    out: options.JsonOut = None,
 ) -> None:
     """Print the paper's figures beside recomputed ones, with the difference.
 
@@ -185,7 +175,7 @@ def noise(
     methods: str = "two-stage,one-shot,efficient",
     jobs: int = 1,
     *,
-    outputs: ResultOptions,
+    outputs: options.ResultOptions,
 ) -> None:
     """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
 
@@ -215,12 +205,12 @@ def noise(
 
 
 def backends(
-    file: Annotated[str | None, typer.Argument(callback=input_files)] = None,
+    file: Annotated[str | None, typer.Argument(callback=options.input_files)] = None,
     names: str | None = None,
     repeats: int = 3,
     tolerance: float | None = None,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    quiet: options.Quiet = False,
+    out: options.JsonOut = None,
 ) -> None:
     """List the backends; with a file, solve its programs with every one and compare them to the closed form.
 

@@ -13,7 +13,7 @@ from cvxshear.backends import Comparison
 from cvxshear.fit.identification import compare_backends
 from cvxshear.loop import LoopResult
 from cvxshear.records import ModalResult
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.report.describe.headline import headline, verdict_of
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.errors import printable

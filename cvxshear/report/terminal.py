@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from cvxshear.io.spreadsheets import Sheet
-from cvxshear.report.describe import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
+from cvxshear.report.blocks import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
 from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.quantities import AUTOMATIC, Units, column_name
 from cvxshear.util.results import data_frame

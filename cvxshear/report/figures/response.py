@@ -8,17 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.report.figures import style
-from cvxshear.report.figures.style import (
-    AFTER,
-    BEFORE,
-    GREY,
-    MEASURED,
-    MOST_PANELS,
-    PAGE_WIDTH,
-    figure,
-    new_figure,
-    panels,
-)
+from cvxshear.report.figures.style import figure
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.peaks import RESPONSES
@@ -35,7 +25,7 @@ PROFILES = ("floor_acceleration", "story_drift", "story_shear")
 
 def _spread(places: Ints, largest: int) -> Ints:
     """Choose floors or stories to draw, the top first: spread over the height, and including the largest peak."""
-    chosen = places[np.unique(np.linspace(0, len(places) - 1, min(MOST_PANELS, len(places))).round().astype(int))]
+    chosen = places[np.unique(np.linspace(0, len(places) - 1, min(style.MOST_PANELS, len(places))).round().astype(int))]
     if largest not in chosen:
         nearest = int(np.argmin(np.abs(chosen - largest)))
         chosen = np.sort(np.concatenate([np.delete(chosen, nearest), [largest]]))
@@ -82,12 +72,12 @@ def response_histories(result: RecordPrediction) -> Figure:
     run, window = _strongest(sizes, model.modes.frequencies[0], result.motion.sampling_rate)
     driven = result.motion.runs[run]
     time = result.after.responses[run].time[window]
-    figure = new_figure(PAGE_WIDTH, 1.35 * len(floors) + 0.9)
-    for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
+    figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(floors) + 0.9)
+    for axes, floor in zip(style.panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
         own = np.array([floor])
         if driven.responses is not None and floor in result.motion.floors:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
-            axes.plot(time, driven.responses[window, column], color=MEASURED, lw=1.8, label="measured")
+            axes.plot(time, driven.responses[window, column], color=style.MEASURED, lw=1.8, label="measured")
         after = seen(model, result.after.responses[run], own)[window, 0]
         band = NORMAL_95 * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
@@ -109,8 +99,8 @@ def _strongest(sizes: list[Floats], first_mode: float, rate: float) -> tuple[int
 def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) -> None:
     """Draw a history with its 95 % band, if known."""
     if np.isfinite(half).all():
-        axes.fill_between(time, value - half, value + half, color=AFTER, alpha=0.25, lw=0, label="95 % band")
-    axes.plot(time, value, color=AFTER, lw=1.0, **look)
+        axes.fill_between(time, value - half, value + half, color=style.AFTER, alpha=0.25, lw=0, label="95 % band")
+    axes.plot(time, value, color=style.AFTER, lw=1.0, **look)
     axes.grid(visible=True, axis="y")
 
 
@@ -126,8 +116,8 @@ def response_peaks(result: RecordPrediction) -> Figure:
     """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars."""
     shown = [each for each in PROFILES if each in result.peaks.values]
     n = len(result.after.damped.model.M)
-    figure = new_figure(PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
-    every = panels(figure, len(shown), len(shown), sharey=True)
+    figure = style.new_figure(style.PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
+    every = style.panels(figure, len(shown), len(shown), sharey=True)
     for axes, name in zip(every, shown, strict=True):
         values, std, unit = result.peaks.values[name], result.peaks.std[name], RESPONSES[name].unit
         factor, label = (1e-3, "mm") if unit == "m" else scaled(values.tolist(), unit)
@@ -148,8 +138,8 @@ def _profile(axes: Axes, values: Floats, std: Floats) -> None:
     floors = np.arange(1, len(values) + 1)
     known = np.isfinite(std).all()
     axes.errorbar(
-        values, floors, xerr=NORMAL_95 * std if known else None, color=AFTER, marker="s", ls="-", lw=1.0, capsize=2.5,
-        label="predicted, 95 %" if known else "predicted",
+        values, floors, xerr=NORMAL_95 * std if known else None, color=style.AFTER, marker="s", ls="-", lw=1.0,
+        capsize=2.5, label="predicted, 95 %" if known else "predicted",
     )  # fmt: skip
 
 
@@ -157,7 +147,7 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
     runs = [driven.responses for driven in result.motion.runs if driven.responses is not None]
     if runs:
         top = np.max([np.max(np.abs(each), axis=0) for each in runs], axis=0)
-        axes.plot(top, result.motion.floors, color=MEASURED, marker="o", mfc="white", ls="none", label="measured")
+        axes.plot(top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured")
 
 
 @figure(
@@ -181,22 +171,28 @@ def story_drifts(result: Reconstruction) -> Figure:
     heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
     levels = np.concatenate([[0.0], np.cumsum(heights)])
     middle = 0.5 * (levels[1:] + levels[:-1])
-    figure = new_figure(PAGE_WIDTH, style.LINE * (2 * min(len(peaks), 24) + 8))
+    figure = style.new_figure(style.PAGE_WIDTH, style.LINE * (2 * min(len(peaks), 24) + 8))
     axes = figure.subplots()
     for level in levels:
-        axes.axhline(level, color=GREY, lw=0.8, zorder=0)
-    axes.errorbar(peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=AFTER, ms=4, capsize=2, label="reconstructed")
+        axes.axhline(level, color=style.GREY, lw=0.8, zorder=0)
+    axes.errorbar(
+        peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed"
+    )
     if result.predicted_peaks is not None:
-        axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=BEFORE, ms=5, label="predicted")
+        axes.plot(
+            factor * result.predicted_peaks.values[name], middle, "x", color=style.BEFORE, ms=5, label="predicted"
+        )
     for story in result.changed:
         at = peaks[story - 1], middle[story - 1]
         axes.annotate(_change(result, story), at, (0, 4), textcoords="offset points", fontsize=7)
     sensors = levels[np.asarray(result.recording.floors)]
-    axes.plot(np.zeros(len(sensors)), sensors, ls="none", marker=">", color=MEASURED, clip_on=False, label="sensor")
+    axes.plot(
+        np.zeros(len(sensors)), sensors, ls="none", marker=">", color=style.MEASURED, clip_on=False, label="sensor"
+    )
     if result.limits is not None and result.passed is not None:
         for word, limit in zip(result.limits.names, result.limits.story_drift, strict=True):
             if 100 * limit < 2 * float(np.max(peaks + NORMAL_95 * std)):
-                axes.axvline(100 * limit, color=GREY, ls=":", lw=1)
+                axes.axvline(100 * limit, color=style.GREY, ls=":", lw=1)
                 axes.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
     axes.set_xlim(left=0)
     axes.set_xlabel(f"peak drift, {unit}")
@@ -223,8 +219,8 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
     stories = _drawn_stories(result)
-    figure = new_figure(PAGE_WIDTH, 1.35 * len(stories) + 0.9)
-    for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
+    figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(stories) + 0.9)
+    for axes, story in zip(style.panels(figure, len(stories), 1, sharex=True), stories, strict=True):
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * NORMAL_95 * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set(title=f"story {story}", ylabel="mm")
