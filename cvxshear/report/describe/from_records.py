@@ -25,13 +25,10 @@ def method_in_words(result: ModalResult) -> str:
 
 @blocks.describe.register
 def _modes(result: ModalResult, units: Units = AUTOMATIC) -> blocks.Document:
-    parts: list[blocks.Block] = [
-        blocks.Sentence(f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty}."),
-        _table(result),
-        *_shapes(result).folded(blocks.PAGE_COLUMNS),
-        *(blocks.Sentence(f"{finding.kind}: {finding.message}", "warning") for finding in result.findings),
-    ]
-    sections = (blocks.Section("modes", "Modes", tuple(parts)),)
+    how = f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty}."
+    findings = (blocks.Sentence(f"{each.kind}: {each.message}", "warning") for each in result.findings)
+    shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
+    sections = (blocks.section("modes", "Modes", how, _table(result), *shapes, *findings),)
     return blocks.Document(result.name, f"{result.name}: {_modes_headline(result)}", sections, (modes_data(result),))
 
 
@@ -119,15 +116,12 @@ def _shapes(result: ModalResult) -> blocks.Table:
 
 @blocks.describe.register
 def _screening(result: Screening, units: Units = AUTOMATIC) -> blocks.Document:
-    accepted: list[blocks.Block] = (
-        [blocks.Sentence(f"accepted beforehand: {', '.join(result.accepted)}")] if result.accepted else []
-    )
-    parts = [*accepted, *(part for item in result.findings for part in _finding(item))]
+    accepted = [f"accepted beforehand: {', '.join(result.accepted)}"] if result.accepted else []
+    parts = [part for item in result.findings for part in _finding(item)]
     for said in result.record:
         parts += [blocks.Sentence(f"RECORD: {said.kind}", "warning"), blocks.Facts((("  found", said.message),))]
-    return blocks.Document(
-        result.name, f"{result.name}: {_screening_headline(result)}", (blocks.Section("findings", "", tuple(parts)),)
-    )
+    findings = blocks.section("findings", "", *accepted, *parts)
+    return blocks.Document(result.name, f"{result.name}: {_screening_headline(result)}", (findings,))
 
 
 def _screening_headline(result: Screening) -> str:
@@ -148,4 +142,4 @@ def _finding(item: FileFinding) -> Iterator[blocks.Block]:
 def doubts_section(found: Sequence[FileFinding]) -> blocks.Section:
     """List the warnings of a computed result, one line each."""
     said = (f"WARNING: {item.found}; {item.change} ({item.how_to_accept} silences this)" for item in found)
-    return blocks.Section("doubts", "", tuple(blocks.Sentence(each, "warning") for each in said))
+    return blocks.section("doubts", "", *(blocks.Sentence(each, "warning") for each in said))

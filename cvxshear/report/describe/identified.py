@@ -7,14 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
-from cvxshear.fit.results import (
-    UNITS_OF_FRAME,
-    Identification,
-    IdentifiedFrame,
-    Prediction,
-    Quality,
-    SingleIdentification,
-)
+from cvxshear.fit import results
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs.certificate import ActiveConstraint
 from cvxshear.report import blocks
@@ -117,7 +110,7 @@ def measured_modes(experiment: Experiment, units: quantities.Units = quantities.
     parts: list[blocks.Block] = []
     for place, each in enumerate(experiment.configurations, 1):
         parts += _modes(each, place, units)
-    return blocks.Section("modes", "Measured modes", tuple(parts), detail=True, below=True, appendix=True)
+    return blocks.section("modes", "Measured modes", *parts, detail=True, below=True, appendix=True)
 
 
 def _modes(each: Configuration, place: int, units: quantities.Units) -> Iterator[blocks.Block]:
@@ -169,11 +162,11 @@ def in_words(names: Iterable[str]) -> str:
 
 
 def frame_table(
-    frame: IdentifiedFrame,
+    frame: results.IdentifiedFrame,
     title: str,
     units: quantities.Units,
     key: str = "identified",
-    averaged: IdentifiedFrame | None = None,
+    averaged: results.IdentifiedFrame | None = None,
 ) -> blocks.Table:
     """Tabulate floor masses, their sum and story stiffnesses, the top first, with optional averages over models."""
     columns, foot = [blocks.places(len(frame.floor_mass), "floor / story", "floor")], ["sum"]
@@ -185,7 +178,7 @@ def frame_table(
     return blocks.Table(key, title, tuple(columns), foot=tuple(foot), top_first=True)
 
 
-def _of_frame(frame: IdentifiedFrame, units: quantities.Units, word: str) -> Iterator[blocks.Column]:
+def _of_frame(frame: results.IdentifiedFrame, units: quantities.Units, word: str) -> Iterator[blocks.Column]:
     """Write the masses and stiffnesses of a frame; values at a bound have no standard deviation."""
     for quantity, values, std, unit, unit_of in (
         ("floor_mass", frame.floor_mass, frame.floor_mass_std, "kg", units.of_mass),
@@ -204,7 +197,7 @@ def _of_frame(frame: IdentifiedFrame, units: quantities.Units, word: str) -> Ite
         )
 
 
-def frames_table(result: Identification) -> blocks.Table:
+def frames_table(result: results.Identification) -> blocks.Table:
     """Tabulate the frames of all parts for programs, each part by the name of its configuration."""
     tables = [frame_table(part.frame, "", quantities.AUTOMATIC) for part in result.parts]
     names = [part.name for part in result.parts for _ in part.frame.floor_mass]
@@ -226,7 +219,7 @@ def frames_table(result: Identification) -> blocks.Table:
     return blocks.Table("frame", "Identified frame", tuple(columns))
 
 
-def frequencies_table(experiment: Experiment, predictions: Iterable[Prediction]) -> blocks.Table:
+def frequencies_table(experiment: Experiment, predictions: Iterable[results.Prediction]) -> blocks.Table:
     """Tabulate every measured frequency beside that of the model, for programs."""
     rows = []
     for item in predictions:
@@ -292,7 +285,7 @@ RULED_OUT = 1e-3
 """Smallest p-value of chi-square for a plausible model; 1 minus this value is the largest for a plausible noise."""
 
 
-def generous_noise(fit: Quality) -> Iterator[str]:
+def generous_noise(fit: results.Quality) -> Iterator[str]:
     """Warn if the residual is much smaller than the stated noise predicts.
 
     Parameters
@@ -309,13 +302,13 @@ def generous_noise(fit: Quality) -> Iterator[str]:
     )
 
 
-def _chi_square(fit: Quality) -> str:
+def _chi_square(fit: results.Quality) -> str:
     freedom = f"{quantities.counted(fit.dof, 'degree')} of freedom"
     return f"chi-square {quantities.significant(fit.chi2)} on {freedom}"
 
 
 @blocks.describe.register
-def _identification(result: Identification, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _identification(result: results.Identification, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
     units = units_for(result.experiment, units)
     sections = [declared(result.experiment, units)]
     sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
@@ -329,7 +322,7 @@ def _identification(result: Identification, units: quantities.Units = quantities
     return blocks.Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
 
 
-def _other_frames(result: Identification, units: quantities.Units) -> blocks.Section:
+def _other_frames(result: results.Identification, units: quantities.Units) -> blocks.Section:
     """Tabulate the other frames that fit the data, the most probable first."""
     frames = result.other_frames
     mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
@@ -353,7 +346,7 @@ def _all(values: Floats, factor: float) -> str:
 
 
 @blocks.line.register
-def _identification_line(result: Identification) -> str:
+def _identification_line(result: results.Identification) -> str:
     worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
     stories = quantities.counted(result.experiment.stories, "story")
     ended = "" if result.converged else ", not converged"
@@ -361,7 +354,7 @@ def _identification_line(result: Identification) -> str:
     return f"<Identification {result.experiment.name}: {what}>"
 
 
-def _identification_headline(result: Identification) -> str:
+def _identification_headline(result: results.Identification) -> str:
     """Name the frame and the method; put a warning first if the stated noise rules the model out."""
     how = f"method {result.method}, backend {result.backend}"
     fit = result.parts[0].fit
@@ -376,7 +369,7 @@ def _identification_headline(result: Identification) -> str:
 
 
 def part_section(
-    result: Identification, part: SingleIdentification, place: int, units: quantities.Units
+    result: results.Identification, part: results.SingleIdentification, place: int, units: quantities.Units
 ) -> blocks.Section:
     """Tabulate the frame that one or all configurations give, and its fit."""
     title = "All configurations together" if result.joint else part.name
@@ -392,7 +385,7 @@ def part_section(
     return blocks.section(f"part-{place}", title, *parts)
 
 
-def _bounds(part: SingleIdentification) -> Iterator[blocks.Sentence]:
+def _bounds(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
     """Warn of parameters that a bound holds."""
     at_bounds = part.frame.at_bounds
     if at_bounds:
@@ -405,7 +398,7 @@ def _bounds(part: SingleIdentification) -> Iterator[blocks.Sentence]:
         )
 
 
-def _prices(part: SingleIdentification, place: int, units: quantities.Units) -> Iterator[blocks.Block]:
+def _prices(part: results.SingleIdentification, place: int, units: quantities.Units) -> Iterator[blocks.Block]:
     """List the active bounds and exact priors, each with its dual value."""
     if part.active:
         misfit = "the objective of the program" if part.name else "chi-square with the noise of the fit"
@@ -416,7 +409,7 @@ def _prices(part: SingleIdentification, place: int, units: quantities.Units) -> 
 def _price(held: ActiveConstraint, units: quantities.Units) -> str:
     """State the change of the misfit for one more unit on the right side of a constraint."""
     about = f"{held.name} {held.source}"
-    known = {} if units.relative else UNITS_OF_FRAME
+    known = {} if units.relative else results.UNITS_OF_FRAME
     unit = next((unit for quantity, unit in known.items() if quantity in about), "unit")
     at_bound = held.constraint in ("lower", "upper")
     where = f"the {held.constraint} bound of {in_words([held.name])}" if at_bound else "the right side"
@@ -424,14 +417,14 @@ def _price(held: ActiveConstraint, units: quantities.Units) -> str:
     return f"{held.source or held.name}: one more {unit} on {where} would {change}"
 
 
-def how_it_ended(part: SingleIdentification) -> Iterator[blocks.Sentence]:
+def how_it_ended(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
     """State the number of iterations and the reason of their end; warn if the fit did not converge."""
     said = f"{quantities.counted(part.iterations, 'iteration')}: {part.reason}."
     stopped = f"NOT CONVERGED. {said} The numbers are where it stopped."
     yield blocks.Sentence(said) if part.converged else blocks.Sentence(stopped, "warning")
 
 
-def _fit(part: SingleIdentification) -> str:
+def _fit(part: results.SingleIdentification) -> str:
     fit = part.fit
     largest, rms = quantities.percents([fit.max_frequency_error, fit.rms_frequency_error])
     said = [f"Frequency errors: largest {largest}, root mean square {rms}"]

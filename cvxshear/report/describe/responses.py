@@ -187,9 +187,7 @@ def _reconstruction(result: Reconstruction, units: quantities.Units = quantities
     sections = (
         blocks.section("findings", "", *warnings, _reconstructed(result)),
         *checks,
-        blocks.section(
-            "motion", "What the stories did", *_sensor_drifts(result), stories(result), *peaks(result.peaks)
-        ),
+        blocks.section("motion", "What the stories did", *motion),
         blocks.section("frame", "The frame in this record", *_frame_parts(result)),
         blocks.section("evidence", "Sensors", whiteness(result)),
         blocks.section("remarks", "What to bear in mind", blocks.Points("remarks", result.remarks)),
