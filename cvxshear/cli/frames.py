@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cvxshear.cli import options
-from cvxshear.cli.modes_and_check import measured, records_in_json, tables_of
+from cvxshear.cli.modes_and_check import DOUBT_STATUS, measured, records_in_json, tables_of
 from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show
 from cvxshear.report import terminal
 from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from cvxshear.response import IdentifiedDamping, Reconstruction, RecordPrediction
     from cvxshear.response.sources import ModelSource
     from cvxshear.screening import FileFinding
-
-
-UNCERTAIN = 3
-"""Exit status of `loop --strict` for an unreliable verdict."""
 
 
 def identify(
@@ -164,7 +160,7 @@ def loop(
         title=experiment.report.title or experiment.name,
     )
     if strict and not VERDICTS[result.verdict].certain:
-        raise typer.Exit(UNCERTAIN)
+        raise typer.Exit(DOUBT_STATUS)
 
 
 def _damped(damping: IdentifiedDamping | None) -> Iterator[RenderableType]:

@@ -159,7 +159,7 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     page.close()
 
 
-@pytest.mark.parametrize(("name", "figures"), [("modes", 4), ("tall", 2)])
+@pytest.mark.parametrize(("name", "figures"), [("modes", 3), ("tall", 2)])
 @pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, name, figures, viewport):
     page = opened(name, viewport)

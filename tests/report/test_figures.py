@@ -236,7 +236,6 @@ def test_what_was_found_is_marked_at_its_place_with_its_probability(nine):
 def test_a_figure_shows_itself(paper):
     figure = paper.figure("mac")
     assert figure._repr_png_().startswith(b"\x89PNG")
-    assert "<svg" in figure._repr_svg_()
     assert paper.figure().axes[0].get_title(loc="left") == "every state"
     with pytest.raises(InputError, match="there is no figure 'pie' of this result; there are findings, frame"):
         paper.figure("pie")

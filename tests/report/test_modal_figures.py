@@ -17,7 +17,7 @@ from cvxshear.util.errors import InputError
 from tests.frames import chain
 from tests.report.test_figures import assert_readable
 
-OF_RECORDS = (figures.stabilization, figures.functions, figures.coherence, figures.modal_shapes)
+OF_RECORDS = (figures.stabilization, figures.functions, figures.modal_shapes)
 MASSES = np.array([10.0, 7.5, 5.0])
 STIFFNESSES = np.array([36e3, 24e3, 12e3])
 
@@ -83,21 +83,9 @@ def test_a_mode_faces_one_way_in_every_record(hammer):
 
 def test_each_record_begins_a_row(hammer, shaker):
     """A record with two modes or floors stands between records with three; rows are not shared."""
-    for draw in (figures.modal_shapes, figures.functions, figures.coherence):
+    for draw in (figures.modal_shapes, figures.functions):
         rows = [axes.get_subplotspec().rowspan.start for axes in draw(hammer, shaker, hammer).axes]
         assert rows == [0, 0, 0, 1, 1, 2, 2, 2], draw.__name__
-
-
-def test_a_driving_point_looks_alike_in_every_record(hammer, shaker):
-    figure = figures.coherence(hammer, shaker)
-    (legend,) = figure.legends
-    named = {text.get_text(): line for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
-    assert list(named) == ["force at floor 1", "force at floor 2", "force at floor 3"]
-    looks = {label: (line.get_color(), line.get_linestyle()) for label, line in named.items()}
-    assert len(set(looks.values())) == 3
-    by_hammer, by_shaker = figure.axes[0].lines[:3], figure.axes[3].lines[0]
-    assert [(line.get_color(), line.get_linestyle()) for line in by_hammer] == list(looks.values())
-    assert (by_shaker.get_color(), by_shaker.get_linestyle()) == looks["force at floor 2"]
 
 
 def test_functions_of_other_units_are_labelled_at_each_record(hammer, base):
@@ -117,12 +105,8 @@ def test_what_is_lacking_is_said():
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="given")
     with pytest.raises(InputError, match="'stabilization' needs an order sweep"):
         figures.stabilization(given)
-    for draw in (figures.functions, figures.coherence):
-        with pytest.raises(InputError, match="needs"):
-            draw(given)
-    single = identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=1), functions=True)
-    with pytest.raises(InputError, match="'coherence' needs two hits or more at each floor"):
-        figures.coherence(single)
+    with pytest.raises(InputError, match="needs"):
+        figures.functions(given)
 
 
 def test_the_same_mode_of_two_configurations_faces_one_way():
@@ -148,4 +132,4 @@ def test_the_same_mode_of_two_configurations_faces_one_way():
 
 def test_the_first_figure_of_a_record_is_its_stabilization_diagram():
     """A file without a named kind gets this figure; a report has the others in this order."""
-    assert list(figures.figures_of(ModalResult)) == ["stabilization", "functions", "coherence", "shapes"]
+    assert list(figures.figures_of(ModalResult)) == ["stabilization", "functions", "shapes"]

@@ -21,6 +21,7 @@ def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC)
     units = identified.units_for(result.experiment, units)
     fits, programs = quantities.counted(result.fits, "fit"), quantities.counted(result.programs, "step program")
     effort = f"Backend {result.backend}: {fits}, {programs}."
+    modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
     sections = (
         verdict_section(result),
         limits_section(result),
@@ -35,14 +36,12 @@ def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC)
         residual_section(result),
         blocks.section("next", "What to test next", _next(result, units)),
         identified.declared(result.experiment, units),
-        identified.measured_modes(result.experiment, units),
-        steps_section(result),
+        blocks.section("modes", "Measured and modelled frequencies", modes, below=True, appendix=True),
         not_considered(result),
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
     title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
     frame = identified.frame_table(result.frame, "Identified frame", quantities.AUTOMATIC, "frame", result.averaged)
-    modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
     return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes))
 
 
@@ -362,20 +361,6 @@ def _residuals(kind: str, pairs: list[tuple[Deviation, Deviation]]) -> blocks.Ta
 
 def _std(item: Deviation) -> str:
     return quantities.signed(item.deviations, 1) if item.entries == 1 else f"{item.deviations:.1f}"
-
-
-def steps_section(result: LoopResult) -> blocks.Section:
-    """Tabulate each fit of the loop. With fewer than three fits, only the full report shows this table."""
-    errors = quantities.percents([step.estimate.quality.max_frequency_error for step in result.steps])
-    chi2 = quantities.significants([step.estimate.chi2 for step in result.steps])
-    steps = blocks.table("steps-table", "How the model was arrived at, in the noise of the last step", {
-        "step": [step.action for step in result.steps],
-        "chi-square": chi2,
-        "dof": [str(step.estimate.dof) for step in result.steps],
-        "p": [quantities.probability(step.p_value) for step in result.steps],
-        "largest frequency error": errors,
-    })  # fmt: skip
-    return blocks.section("steps", "Step by step", steps, detail=len(result.steps) < 3, below=True, appendix=True)
 
 
 def not_considered(result: LoopResult) -> blocks.Section:

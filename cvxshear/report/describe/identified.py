@@ -17,8 +17,8 @@ from cvxshear.util.typing import Floats
 
 @blocks.describe.register
 def _experiment(experiment: Experiment, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
-    sections = declared(experiment, units), measured_modes(experiment, units)
-    return blocks.Document(experiment.name, f"{experiment.name}: {_experiment_headline(experiment)}", sections)
+    headline = f"{experiment.name}: {_experiment_headline(experiment)}"
+    return blocks.Document(experiment.name, headline, (declared(experiment, units),))
 
 
 @blocks.line.register
@@ -105,38 +105,6 @@ def each_or_all(values: Floats, unit: str, factor: float = 1.0) -> str:
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
 
 
-def measured_modes(experiment: Experiment, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Section:
-    """Tabulate the measured modes of every configuration."""
-    parts: list[blocks.Block] = []
-    for place, each in enumerate(experiment.configurations, 1):
-        parts += _modes(each, place, units)
-    return blocks.section("modes", "Measured modes", *parts, detail=True, below=True, appendix=True)
-
-
-def _modes(each: Configuration, place: int, units: quantities.Units) -> Iterator[blocks.Block]:
-    factor, unit = units.of_mass(each.added_mass.tolist())
-    # The masses are listed by floor unless only one floor has added mass.
-    single = np.count_nonzero(each.added_mass) < 2
-    added = _added(each.added_mass, factor, unit) if single else each_or_all(each.added_mass, unit, factor)
-    doubt = "" if _noise(each) == "stated" else " Standard deviations that are not stated are the default's."
-    yield blocks.Sentence(f"{each.name}. Added mass: {added}.{doubt}")
-    largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
-    scale = np.where(largest > 0, largest, 1.0)
-    shape_std = quantities.percents(np.max(each.entry_std / scale, axis=1, initial=0.0).tolist())
-    frequency_std = quantities.percents([float(std) for std in each.log_frequency_std])
-    floors = [f"floor {floor}" for floor in each.measured_floors]
-    rows = []
-    for j, mode in enumerate(each.modes):
-        shape = ("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j])
-        of_shape = shape_std[j] if each.measured[j].any() else "–"
-        frequency = quantities.significant(float(each.frequencies[j]), 5)
-        rows.append((str(mode), frequency, frequency_std[j], *shape, of_shape))
-    head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
-    title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
-    # Entries without deviations take half the width.
-    yield from blocks.table_of_rows(f"modes-{place}", title, head, rows).folded(2 * blocks.PAGE_COLUMNS)
-
-
 PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
 """Plurals of the quantities with one value for each floor or story."""
 
@@ -220,20 +188,27 @@ def frames_table(result: results.Identification) -> blocks.Table:
 
 
 def frequencies_table(experiment: Experiment, predictions: Iterable[results.Prediction]) -> blocks.Table:
-    """Tabulate every measured frequency beside that of the model, for programs."""
+    """Tabulate every measured frequency beside that of the model."""
     rows = []
     for item in predictions:
         configuration = next(each for each in experiment.configurations if each.name == item.configuration)
         for mode, measured in zip(configuration.modes.tolist(), configuration.frequencies.tolist(), strict=True):
             modelled = float(item.frequencies[mode - 1])
             rows.append((configuration.name, mode, measured, modelled, modelled / measured - 1))
-    names = ("configuration", "mode", "measured", "model", "relative_error")
-    units = ("", "", "Hz", "Hz", "")
+    names, modes, measured, model, errors = zip(*rows, strict=True)
     columns = (
-        blocks.exact(name, values, unit=unit)
-        for name, unit, values in zip(names, units, zip(*rows, strict=True), strict=True)
+        blocks.Column("configuration", names, words=True, name="configuration", values=names),
+        blocks.Column("mode", tuple(map(str, modes)), name="mode", values=modes),
+        _in_hertz("measured", measured),
+        _in_hertz("model", model),
+        blocks.Column("error", tuple(quantities.percents(errors, sign=True)), name="relative_error", values=errors),
     )
-    return blocks.Table("modes", "Measured and modelled frequencies", tuple(columns))
+    return blocks.Table("modes", "Measured and modelled frequencies", columns)
+
+
+def _in_hertz(name: str, values: tuple[float, ...]) -> blocks.Column:
+    texts = tuple(quantities.significant(value, 5) for value in values)
+    return blocks.Column(f"{name}, Hz", texts, name=name, values=values, unit="Hz")
 
 
 def in_one_unit(

@@ -149,8 +149,8 @@ def peaks(found: Peaks) -> Iterator[blocks.Sentence | blocks.Table]:
             columns[f"{quantity.word}, {prefixed}"] = _written(values[name], std[name], factor)
     yield blocks.table("prediction-peaks", "peaks ± standard deviation", columns, top_first=True)
     if "overturning_moment" in values:
-        moment = (float(each["overturning_moment"][0]) for each in (values, std))
-        yield blocks.Sentence(f"overturning moment at the base: {quantities.with_std(*moment, 'N m')}")
+        moment, deviation = (float(each["overturning_moment"][0]) for each in (values, std))
+        yield blocks.Sentence(f"overturning moment at the base: {quantities.with_std(moment, deviation, 'N m')}")
 
 
 def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.Table]:

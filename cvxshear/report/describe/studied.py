@@ -279,10 +279,11 @@ def scatter_data(result: NoiseStudy) -> blocks.Table:
         for quantity in UNITS_OF_FRAME
         for number in range(1, each.setup.stories + 1)
     ]
-    values = dict(zip(("setup", "method", "unknown"), zip(*rows, strict=True), strict=True))
+    words = zip(*rows, strict=True)
+    columns = [blocks.exact(name, cells) for name, cells in zip(("setup", "method", "unknown"), words, strict=True)]
     for name in ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio"):
-        values[name] = np.concatenate([getattr(each, name) for each in result.scatters])
-    return blocks.Table("scatter", "Scatter", tuple(blocks.exact(*each) for each in values.items()))
+        columns.append(blocks.exact(name, np.concatenate([getattr(each, name) for each in result.scatters])))
+    return blocks.Table("scatter", "Scatter", tuple(columns))
 
 
 def _study_headline(result: NoiseStudy) -> str:

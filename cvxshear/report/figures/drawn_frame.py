@@ -71,7 +71,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
     # Without heights the axis shows floor numbers, which are integers.
-    axes.yaxis.set_major_locator(MaxNLocator(style.MOST_TICKS, integer=bool(np.all(heights == 1.0))))
+    axes.yaxis.set_major_locator(MaxNLocator(5, integer=bool(np.all(heights == 1.0))))
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:

@@ -364,7 +364,7 @@ def functions(*results: ModalResult) -> Figure:
     InputError
         If a result has no functions.
     """
-    figure, groups = _panels_of(results, 1.75)
+    figure, groups = _panels_of(results)
     for result, drawn in zip(results, groups, strict=True):
         seen, made = _functions_of(result), synthesized(result)
         drawn[0].set_ylabel(_named(seen), fontsize=7)
@@ -382,72 +382,17 @@ def functions(*results: ModalResult) -> Figure:
     return figure
 
 
-@figure(
-    "coherence",
-    ModalResult,
-    title="Coherence",
-    applies=lambda *results: all(
-        result.functions is not None and result.functions.coherence is not None for result in results
-    ),
-    needs="two hits or more at each floor, or a continuous record",
-)
-def coherence(*results: ModalResult) -> Figure:
-    """Coherence of each floor's response with what drove it, over frequency.
-
-    The share of each response that is due to the input; where no input was measured, what it has in common with the
-    highest floor. Low values beside a resonance are usual, low values at one are not.
-
-    Parameters
-    ----------
-    *results : ModalResult
-        Of `identify_modes` with `functions`.
-
-    Returns
-    -------
-    Figure
-        One panel for each record and floor, one line for each driving point. Without a measured input, the figure shows
-        the coherence with the highest floor.
-
-    Raises
-    ------
-    InputError
-        If a result has no functions, or its functions are not averages.
-    """
-    figure, groups = _panels_of(results, 1.35)
-    drivers = {_driver(seen, at): floor for seen in map(_functions_of, results) for at, floor in enumerate(seen.inputs)}
-    labels = sorted(drivers, key=drivers.__getitem__)
-    looks = {label: {**look, "marker": ""} for label, look in zip(labels, style.looks(len(labels)), strict=True)}
-    for result, drawn in zip(results, groups, strict=True):
-        seen = _functions_of(result)
-        assert seen.coherence is not None
-        shown = band_of(seen.frequencies, result.frequencies)
-        for output, axes in enumerate(drawn):
-            for column in range(len(seen.inputs)):
-                values = seen.coherence[shown, output, column]
-                axes.plot(seen.frequencies[shown], values, lw=0.9, **looks[_driver(seen, column)])
-            axes.set(ylim=(0, 1.04), yticks=[0, 0.5, 1])
-            _dress(axes, result, f"floor {seen.floors[output]}", several=len(results) > 1)
-    figure.supylabel("coherence", fontsize=8.5)
-    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
-    figure.legend(handles=handles, loc="outside upper center", ncols=4)
-    return figure
-
-
-def _driver(seen: Functions, column: int) -> str:
-    return _against(seen, column).removeprefix(", ") or "base motion"
-
-
 def _functions_of(result: ModalResult) -> Functions:
     assert result.functions is not None
     return result.functions
 
 
-def _panels_of(results: Sequence[ModalResult], height: float) -> tuple[Figure, list[list[Axes]]]:
+def _panels_of(results: Sequence[ModalResult]) -> tuple[Figure, list[list[Axes]]]:
     """Arrange the panels, one for each floor; each record begins a new row."""
     counts = [len(_functions_of(result).floors) for result in results]
     most = max(counts)
     columns = style.even_columns(most, 4 if most > 9 else 3)
-    figure = style.new_figure(style.PAGE_WIDTH, height * sum(-(-count // columns) for count in counts) + 0.7)
+    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * sum(-(-count // columns) for count in counts) + 0.7)
     figure.supxlabel("frequency, Hz", fontsize=8.5)
     return figure, style.panels_by_group(figure, counts, columns)
 

@@ -26,7 +26,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
-from matplotlib.ticker import AutoLocator
 
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -52,9 +51,6 @@ LINE = 0.18
 
 MOST_PANELS = 4
 """Largest number of states, floors, stories or tests with their own panel; the tables list all."""
-
-MOST_TICKS = 5
-"""Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings."""
 
 SHAPES_A_ROW = 5
 """Number of panels of mode shapes in one row of a page."""
@@ -110,9 +106,6 @@ def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Fig
         with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is computed once: later drawing under other settings does not move the parts.
-            for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-                if isinstance(locator := axis.get_major_locator(), AutoLocator):
-                    locator.set_params(nbins=MOST_TICKS)
             engine = figure.get_layout_engine()
             if engine is not None:
                 engine.execute(figure)
@@ -127,9 +120,6 @@ class ShownFigure(Figure):
 
     def _repr_png_(self) -> bytes:
         return encoded(self, "png")
-
-    def _repr_svg_(self) -> str:
-        return encoded(self, "svg").decode("utf-8")
 
 
 def new_figure(width: float, height: float) -> Figure:
