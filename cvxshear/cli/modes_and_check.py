@@ -82,7 +82,7 @@ def new(
 
 
 MISTAKE_STATUS, DOUBT_STATUS = 2, 3
-"""Exit statuses of `check`: 2 for a mistake, which the other commands refuse; 3 with --strict for a doubt, or for an unreliable verdict of `loop`."""
+"""Exit statuses: 2 for a mistake, which other commands refuse; 3 with --strict for a doubt or an unreliable verdict."""
 
 
 def check(file: options.File, out: options.JsonOut = None, strict: bool = False) -> None:

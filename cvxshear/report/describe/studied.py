@@ -281,8 +281,9 @@ def scatter_data(result: NoiseStudy) -> blocks.Table:
     ]
     words = zip(*rows, strict=True)
     columns = [blocks.exact(name, cells) for name, cells in zip(("setup", "method", "unknown"), words, strict=True)]
-    for name in ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio"):
-        columns.append(blocks.exact(name, np.concatenate([getattr(each, name) for each in result.scatters])))
+    figures = ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio")
+    values = ([getattr(each, name) for each in result.scatters] for name in figures)
+    columns += map(blocks.exact, figures, map(np.concatenate, values))
     return blocks.Table("scatter", "Scatter", tuple(columns))
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
@@ -71,7 +70,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
     # Without heights the axis shows floor numbers, which are integers.
-    axes.yaxis.set_major_locator(MaxNLocator(5, integer=bool(np.all(heights == 1.0))))
+    axes.locator_params("y", integer=bool(np.all(heights == 1.0)))
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
