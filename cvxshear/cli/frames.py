@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import cvxshear
 from cvxshear.cli import options
 from cvxshear.cli.modes_and_check import DOUBT_STATUS, measured, records_in_json, tables_of
 from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show
@@ -53,18 +54,15 @@ def identify(
         At which relative correction the mass iteration stops.
     """
     # The solvers load slowly, and the help does not need them.
-    from cvxshear import Identification, load
-    from cvxshear import identify as run
-    from cvxshear.response import Fitted, damping_of
-    from cvxshear.screening import refuse_mistakes
+    from cvxshear import response, screening
 
-    files_of, display = outputs.prepared(Identification), Units.parse(units)
-    experiment, start = load(file), numbers(initial_mass, "--initial-mass")
-    doubts = refuse_mistakes(experiment)
+    files_of, display = outputs.prepared(cvxshear.Identification), Units.parse(units)
+    experiment, start = cvxshear.load(file), numbers(initial_mass, "--initial-mass")
+    doubts = screening.refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
-    result = run(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
-    fitted = Fitted.of_identification(result)
-    damping = None if fitted is None else damping_of(experiment, fitted, backend)
+    result = cvxshear.identify(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
+    fitted = response.Fitted.of_identification(result)
+    damping = None if fitted is None else response.damping_of(experiment, fitted, backend)
     said = {**result.to_dict(), "damping": as_json(damping), "warnings": as_json(doubts)}
     deliver(
         said,
@@ -104,24 +102,21 @@ def loop(
     strict
         Status 3 where the verdict is not one to rely on, such as ambiguous.
     """
-    from cvxshear import LoopResult
+    from cvxshear import effects as known
+    from cvxshear import response, screening
     from cvxshear.loop.verdicts import VERDICTS
-    from cvxshear.response import damping_of, models_of_loop
-    from cvxshear.screening import close_loop
 
     if effects == options.LIST:
-        from cvxshear.effects import catalogue
-
-        rows = ((effect.name, effect.summary) for effect in catalogue())
+        rows = ((effect.name, effect.summary) for effect in known.catalogue())
         show([terminal.plain_table("Effects", "name", "what it is", words=(0, 1), rows=rows)])
         raise typer.Exit
-    files_of, display = outputs.prepared(LoopResult), Units.parse(units)
+    files_of, display = outputs.prepared(cvxshear.LoopResult), Units.parse(units)
     if report is not None:
         from cvxshear.report.html import render
     with progress("closing the loop", outputs.quiet) as advance:
         experiment, found = measured(sources, jobs=jobs, progress=advance)
         # A record has no declared mode numbers: the loop compares possible numbers together with the effects.
-        result = close_loop(
+        result = screening.close_loop(
             experiment,
             effects=names(effects),
             assume=names(assume) or (),
@@ -129,10 +124,10 @@ def loop(
             jobs=jobs,
             weighed=[each.name for each in experiment.configurations if found],
         )
-        models = models_of_loop(result)
+        models = response.models_of_loop(result)
         damping, without = None, []
         try:
-            damping = damping_of(experiment, models.after, backend)
+            damping = response.damping_of(experiment, models.after, backend)
         except UnsuitableError as error:
             # The verdict is valid without the damping.
             without = [f"without its damping and response: {error}"]
@@ -200,7 +195,7 @@ class Motion:
 
     def written(self, result: RecordPrediction | Reconstruction) -> Iterator[options.Writer]:
         """Yield the functions that write the requested time series and report of a result."""
-        from cvxshear.report.describe.responses import write_series
+        from cvxshear.report.responses import write_series
 
         if self.series is not None:
             yield partial(write_series, self.series, result)
@@ -209,9 +204,8 @@ class Motion:
 
     def screened(self) -> tuple[ModelSource, Sequence[FileFinding] | None]:
         """Close the loop on a measurement; return its models and warnings, or the result of a loop without warnings."""
-        from cvxshear.response import models_of_loop
+        from cvxshear import response, screening
         from cvxshear.response.sources import load_unscaled
-        from cvxshear.screening import close_loop
 
         if Path(self.file).suffix.lower() == ".json":
             if self.assume:
@@ -226,8 +220,10 @@ class Motion:
             experiment, found = load_unscaled(self.file), []
         # A record has no declared mode numbers: the loop compares possible numbers together with the effects.
         weighed = [each.name for each in experiment.configurations if found]
-        result = close_loop(experiment, assume=names(self.assume) or (), backend=self.backend, weighed=weighed)
-        return models_of_loop(result), result.warnings
+        result = screening.close_loop(
+            experiment, assume=names(self.assume) or (), backend=self.backend, weighed=weighed
+        )
+        return response.models_of_loop(result), result.warnings
 
     @property
     def model(self) -> dict[str, Any]:
@@ -252,13 +248,12 @@ def predict(*, motion: Motion, outputs: options.ResultOptions) -> None:
     record
         A record file: the base motion or force, and responses to compare with.
     """
-    from cvxshear.response import RecordPrediction
-    from cvxshear.response import predict as run
+    from cvxshear import response
 
-    files_of = outputs.prepared(RecordPrediction)
+    files_of = outputs.prepared(response.RecordPrediction)
     with progress("predicting", outputs.quiet):
         source, doubts = motion.screened()
-        result = run(source, motion.record, **motion.model)
+        result = response.predict(source, motion.record, **motion.model)
     _deliver_motion(result, doubts, outputs.out, *files_of(result), *motion.written(result))
 
 
@@ -277,13 +272,13 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
     leave_out
         Leave each sensor out in turn and predict it from the others.
     """
-    from cvxshear.response import Reconstruction
-    from cvxshear.response import reconstruct as run
+    from cvxshear import response
 
-    files_of = outputs.prepared(Reconstruction)
+    files_of = outputs.prepared(response.Reconstruction)
     with progress("reconstructing", outputs.quiet) as advance:
         source, doubts = motion.screened()
-        result = run(source, motion.record, fit=fit, leave_out=leave_out, progress=advance, **motion.model)
+        asked = {"fit": fit, "leave_out": leave_out, "progress": advance}
+        result = response.reconstruct(source, motion.record, **asked, **motion.model)
     _deliver_motion(result, doubts, outputs.out, *files_of(result), *motion.written(result))
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
+import cvxshear
 from cvxshear.cli import options
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.io.formats import endings_of
@@ -19,7 +20,6 @@ from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output, write_file
 
 if TYPE_CHECKING:
-    from cvxshear import Experiment
     from cvxshear.records import IdentifiedRecord
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
@@ -147,7 +147,7 @@ def modes(
     from cvxshear.io.modes import identify_modes_many, write_merged
     from cvxshear.io.uff import write_uff
     from cvxshear.records import ModalResult
-    from cvxshear.report.describe.from_records import poles_table
+    from cvxshear.report.from_records import poles_table
 
     sources = _files(records, output)
     files_of = outputs.prepared(ModalResult)
@@ -191,7 +191,7 @@ def modes(
 
 def measured(
     names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None, accept_swapped: bool = False
-) -> tuple[Experiment, list[IdentifiedRecord]]:
+) -> tuple[cvxshear.Experiment, list[IdentifiedRecord]]:
     """Read the experiment from a measurement file, or from record files and their identified modes.
 
     Raises
@@ -201,24 +201,22 @@ def measured(
     NoSolutionError
         If a record has no identified mode.
     """
-    from cvxshear import Experiment, load
-    from cvxshear.io.modes import identify_modes_many
-    from cvxshear.io.toml import is_built_in, is_record_file
+    from cvxshear.io import modes, toml
     from cvxshear.records import merged
 
-    files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
-    if len(files) == 1 and not is_record_file(files[0]):
-        return load(files[0]), []
+    files = list(names) if len(names) == 1 and toml.is_built_in(names[0]) else _files(names)
+    if len(files) == 1 and not toml.is_record_file(files[0]):
+        return cvxshear.load(files[0]), []
     for file in files:
-        if not is_record_file(file):
+        if not toml.is_record_file(file):
             raise InputError(f"{file} is no record file; hand in either records or one measurement file")
-    found = identify_modes_many(files, jobs=jobs, progress=progress, accept_swapped=accept_swapped)
+    found = modes.identify_modes_many(files, jobs=jobs, progress=progress, accept_swapped=accept_swapped)
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors[:-1])
     if errors:
         raise errors[-1]
     tests = _kept(found)
-    return Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
+    return cvxshear.Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
 
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:

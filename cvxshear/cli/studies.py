@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import cvxshear
 from cvxshear.cli import options
 from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
@@ -92,19 +93,17 @@ def plan(
     output
         Write a measurement file to fill in.
     """
-    from cvxshear.planning import Plan, measurement_of, write_template
-    from cvxshear.planning import plan as run
-    from cvxshear.screening import in_json, refuse_mistakes
+    from cvxshear import planning, screening
 
-    files_of, display = outputs.prepared(Plan), Units.parse(units)
+    files_of, display = outputs.prepared(planning.Plan), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
     wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
-    measured = measurement_of(file)
-    doubts = None if measured is None else refuse_mistakes(measured)
+    measured = planning.measurement_of(file)
+    doubts = None if measured is None else screening.refuse_mistakes(measured)
     count = int(tests) if tests.strip().lstrip("-").isdigit() else tests
     with progress("planning", outputs.quiet):
-        result = run(
+        result = planning.plan(
             measured or file, sensors, count, modes=_one_or_many(wanted), noise=noise,
             added_mass=_one_or_many(masses),
             added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop,
@@ -112,8 +111,8 @@ def plan(
         )  # fmt: skip
     files = files_of(result)
     if output is not None:
-        files.append(lambda: write_template(output, result))
-    said = {**result.to_dict(), **in_json(doubts)}
+        files.append(lambda: planning.write_template(output, result))
+    said = {**result.to_dict(), **screening.in_json(doubts)}
     deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result, display)], *files)
 
 
@@ -237,11 +236,9 @@ def backends(
         there = listed()
         deliver({"backends": [each.to_dict() for each in there]}, out, lambda: _listed(there))
         return
-    from cvxshear import compare_backends, load
-
-    experiment = load(file)
+    experiment = cvxshear.load(file)
     with progress("comparing backends", quiet):
-        result = compare_backends(experiment, listed_names(names), repeats=repeats, tolerance=tolerance)
+        result = cvxshear.compare_backends(experiment, listed_names(names), repeats=repeats, tolerance=tolerance)
     title = experiment.report.title or experiment.name
     deliver(result.to_dict(), out, lambda: terminal.shown(result), title=title)
 

@@ -298,12 +298,12 @@ HOMES = {
     }.items()
     for kind in kinds.split()
 }
-"""Module of this package that describes each type of result."""
+"""Module of `report` that describes each type of result."""
 
 
 def _imported(result: object) -> bool:
     """Import the module that describes a result; return whether it was not imported before."""
-    home = f"cvxshear.report.describe.{HOMES.get(type(result).__name__, '')}"
+    home = f"cvxshear.report.{HOMES.get(type(result).__name__, '')}"
     if type(result).__name__ not in HOMES or home in sys.modules:
         return False
     import_module(home)

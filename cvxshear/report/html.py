@@ -14,7 +14,7 @@ from cvxshear.fit.identification import compare_backends
 from cvxshear.loop import LoopResult
 from cvxshear.records import ModalResult
 from cvxshear.report.blocks import describe
-from cvxshear.report.describe.headline import headline, verdict_of
+from cvxshear.report.headline import headline, verdict_of
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.errors import printable
 from cvxshear.util.quantities import AUTOMATIC, Units, capital

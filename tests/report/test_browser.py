@@ -15,7 +15,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.records import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.report.html import render, render_modes, render_response
 from cvxshear.response import predict
 from tests.report.test_modal_figures import twenty_modes

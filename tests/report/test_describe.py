@@ -16,11 +16,10 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
 from cvxshear.loop.verdicts import VERDICTS, Verdict
 from cvxshear.report import terminal
-from cvxshear.report.blocks import Table, table_of_rows
-from cvxshear.report.describe import describe
-from cvxshear.report.describe.headline import carried_by, chi2_by_kind, headline
-from cvxshear.report.describe.identified import frame_table, in_words
+from cvxshear.report.blocks import Table, describe, table_of_rows
+from cvxshear.report.headline import carried_by, chi2_by_kind, headline
 from cvxshear.report.html import render
+from cvxshear.report.identified import frame_table, in_words
 from cvxshear.report.terminal import notebook_html, plain_table
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import (

@@ -15,7 +15,7 @@ import pytest
 import cvxshear
 from cvxshear import close_loop
 from cvxshear.loop.verdicts import VERDICTS
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.report.html import drawings, render
 from cvxshear.report.terminal import notebook_html
 from cvxshear.util.errors import InputError

@@ -11,7 +11,7 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report import figures
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.report.figures.style import figures_of
 from cvxshear.response import (
     DampedModel,

@@ -8,7 +8,7 @@ import cvxshear
 from cvxshear.paper.reproduction import exact_modes
 from cvxshear.paper.setups import three_story
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.report.describe.responses import series, write_series
+from cvxshear.report.responses import series, write_series
 from cvxshear.response import Fitted, Models, predict
 from cvxshear.util.errors import InputError
 from tests.response.common import shaking

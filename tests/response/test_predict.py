@@ -15,8 +15,8 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.io.toml import write_measurement
 from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.report.describe import describe
-from cvxshear.report.describe.responses import series
+from cvxshear.report.blocks import describe
+from cvxshear.report.responses import series
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from cvxshear.response.compare import compared, peak
 from cvxshear.response.peaks import peaks_of

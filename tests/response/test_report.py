@@ -12,7 +12,7 @@ from cvxshear import close_loop
 from cvxshear.cli import main
 from cvxshear.io.toml import write_measurement
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.report.html import render_response
 from cvxshear.response import DampedModel, Fitted, Models, models_of_loop, predict, response
 from tests.records.shared import csv

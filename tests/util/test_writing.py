@@ -222,7 +222,7 @@ def test_no_other_module_writes():
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
     # A closed standard stream is replaced by the null device.
     own = {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/output.py", "open")}
-    assert {each for each in found if each[0] != "report/describe/responses.py"} == own
+    assert {each for each in found if each[0] != "report/responses.py"} == own
 
 
 KILLED = """

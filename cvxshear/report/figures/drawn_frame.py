@@ -15,10 +15,10 @@ from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.report.describe.headline import NAMED, verdict_of
-from cvxshear.report.describe.identified import in_one_unit
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
+from cvxshear.report.headline import NAMED, verdict_of
+from cvxshear.report.identified import in_one_unit
 from cvxshear.util.quantities import AUTOMATIC, chance, counted
 from cvxshear.util.typing import Floats
 

@@ -21,10 +21,10 @@ from cvxshear.records.adapters import band_of, synthesized
 from cvxshear.records.functions import Functions
 from cvxshear.records.mode_shapes import scaled_to_one
 from cvxshear.records.picking import Sweep
-from cvxshear.report.describe.from_records import method_in_words
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
+from cvxshear.report.from_records import method_in_words
 from cvxshear.util import ranking
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats, Ints

@@ -10,8 +10,7 @@ from cvxshear.effects.state import State
 from cvxshear.loop import LoopResult
 from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.results import AddedEffect, EffectSet, by_part
-from cvxshear.report import blocks
-from cvxshear.report.describe import headline, identified
+from cvxshear.report import blocks, headline, identified
 from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
 

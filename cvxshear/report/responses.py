@@ -9,7 +9,7 @@ import numpy as np
 from scipy import io
 
 from cvxshear.report import blocks
-from cvxshear.report.describe.headline import MODELS
+from cvxshear.report.headline import MODELS
 from cvxshear.response import IdentifiedDamping, Peaks, Reconstruction, RecordComparison, RecordPrediction, Response
 from cvxshear.response.peaks import RESPONSES, histories
 from cvxshear.response.reconstruction import SIGN_KNOWN
