@@ -115,7 +115,7 @@ class RecordPrediction(Shown):
         if self.before is None:
             return None
         before, after = self.before.fitted, self.after.fitted
-        # Without added effects, both models are the same estimate; files store all digits of the parameters.
+        # Without added effects, both models are the same estimate.
         same = not before.effects and not after.effects and np.array_equal(before.theta, after.theta)
         return None if same else self.before
 
@@ -142,8 +142,8 @@ def predict(
     Parameters
     ----------
     source : str, Path, Experiment, LoopResult, Estimate or Models
-        Source of the model. A file is a measurement file, a record file, or the JSON of `loop`. If the loop is not
-        closed yet, it is closed here.
+        Source of the model. A file is a measurement file or a record file. If the loop is not closed yet, it is closed
+        here.
     record : str, Path, TimeRecord or DrivenRecord
         Excitation of the frame: a record file or a record, with base motion or a force.
     backend : str or Backend, optional
