@@ -103,11 +103,14 @@ def composed(
 def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> State:
     """Apply one effect; name the effect in an exception that its code raises."""
     try:
-        return placed.effect.apply(state, placed.place, theta[own], own)
+        found = placed.effect.apply(state, placed.place, theta[own], own)
     except (CvxshearError, np.linalg.LinAlgError):
         raise
     except Exception as error:
         raise FaultyEffectError(f"{placed.label}: apply() raised {type(error).__name__}: {error}") from error
+    if not isinstance(found, State):
+        raise FaultyEffectError(f"{placed.label}: apply() returned a {type(found).__name__}, not a State")
+    return found
 
 
 def _refuse_not_finite(system: System, effects: Sequence[LocatedEffect]) -> None:
