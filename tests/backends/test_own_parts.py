@@ -101,7 +101,7 @@ def in_place(x, r, J):
 
 
 PRIORS = {
-    "half the derivative": (soft(lambda x, r, J: (r, J / 2)), r"entry 1 .* is wrong: it differs from the difference quotient by 50 %"),
+    "half the derivative": (soft(lambda x, r, J: (r, J / 2)), r"entry 1 .* is wrong: it differs .* by 50 %"),
     "the derivative of one entry alone": (
         soft(lambda x, r, J: (r, J * (np.arange(len(x)) == 0))), r"derivative of entry 1 of its residual is wrong",
     ),

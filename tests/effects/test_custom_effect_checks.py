@@ -84,8 +84,11 @@ def always(state, values, own):
 
 
 FAULTS = {
-    "derivative": ({"apply": after(twice)}, "derivative of K by its own parameters is wrong .* 100 %"),
-    "other derivative": ({"apply": after(by_masses)}, "derivative of K by masses and stiffnesses is wrong"),
+    "derivative": ({"apply": after(twice)}, "derivative of K by its own parameters at its place is wrong: .* 100 %"),
+    "other derivative": (
+        {"apply": after(by_masses)},
+        "derivative of K by masses and stiffnesses at its place is wrong",
+    ),
     "nan": ({"apply": after(lambda s, *_: changed(s, K=s.system.K * np.nan))}, "K is not finite"),
     "infinite derivative": (
         {"apply": after(lambda s, *_: changed(s, dM=np.full_like(s.system.dM, np.inf)))},
@@ -103,7 +106,7 @@ FAULTS = {
     "stage": ({"stage": "elastic"}, "stage must be one of bracing, story, .* not 'elastic'"),
     "certain": ({"probability": 1.0}, "the probability of cable must lie between 0 and 1, not 1"),
     "probability": ({"probability": float("nan")}, "the probability of cable must lie between 0 and 1, not nan"),
-    "no sizes": ({"sizes": Effect.sizes}, "says nothing of s and its bounds are infinite"),
+    "no sizes": ({"sizes": Effect.sizes}, "says nothing of s, whose bounds are infinite"),
     "negative size": ({"sizes": lambda *_: np.array([1.0, -1.0])}, "size of m is -1: it must be positive"),
     "nan size": ({"sizes": lambda *_: np.array([np.nan, 1.0])}, "size of s is nan: it must be positive"),
     "one size": ({"sizes": lambda *_: np.ones(1)}, r"sizes\(\) has the shape \(1,\), not \(2,\)"),
