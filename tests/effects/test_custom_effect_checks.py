@@ -106,7 +106,7 @@ FAULTS = {
     "stage": ({"stage": "elastic"}, "stage must be one of bracing, story, .* not 'elastic'"),
     "certain": ({"probability": 1.0}, "the probability of cable must lie between 0 and 1, not 1"),
     "probability": ({"probability": float("nan")}, "the probability of cable must lie between 0 and 1, not nan"),
-    "no sizes": ({"sizes": Effect.sizes}, "says nothing of s, whose bounds are infinite"),
+    "no sizes": ({"sizes": Effect.sizes}, "says nothing of s and its bounds are infinite"),
     "negative size": ({"sizes": lambda *_: np.array([1.0, -1.0])}, "size of m is -1: it must be positive"),
     "nan size": ({"sizes": lambda *_: np.array([np.nan, 1.0])}, "size of s is nan: it must be positive"),
     "one size": ({"sizes": lambda *_: np.ones(1)}, r"sizes\(\) has the shape \(1,\), not \(2,\)"),
