@@ -22,8 +22,8 @@ from cvxshear.model import (
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
-MOST_BYTES = 1e9
-"""Largest memory, in bytes, for the derivatives of one state's matrices if effects act on them."""
+MEMORY = 1e9
+"""Largest memory of a fit, or of the derivatives of a state on which effects act, bytes."""
 
 
 def compose(
@@ -132,10 +132,10 @@ def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> Syste
     n = len(mass)
     if not dense:
         return ShearSystem(mass_matrix(mass), stiffness_matrix(stiffness), size)
-    if 2 * size * n * n * 8 > MOST_BYTES:
+    if 2 * size * n * n * 8 > MEMORY:
         raise UnsuitableError(
             f"effects in a frame of {n} stories need {2 * size * n * n * 8 / 1e9:.1f} GB for derivatives; up to "
-            f"{int((MOST_BYTES / 32) ** (1 / 3))} stories fit into {MOST_BYTES / 1e9:g} GB: join stories, or identify "
+            f"{int((MEMORY / 32) ** (1 / 3))} stories fit into {MEMORY / 1e9:g} GB: join stories, or identify "
             "the frame without effects"
         )
     plain = shear_system(mass, stiffness)
