@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from cvxshear.records.deviations import DAMPING_REPRODUCED_TO, REPRODUCED_TO, entry_std, frequency_std
+from cvxshear.records import picking
+from cvxshear.records.data_frames import matrix_of
 from cvxshear.records.functions import Functions
-from cvxshear.records.picking import Sweep
 from cvxshear.records.record import Finding
+from cvxshear.util import checks
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown, ask, data_frame
@@ -20,6 +22,17 @@ from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 if TYPE_CHECKING:
     import pandas as pd
+
+SENSOR_STD = 0.005
+"""Systematic standard deviation of a shape entry, relative to the mode's largest: a sensor that is 5 degrees askew
+loses 0.4 %, and a transverse sensitivity of 3 % adds 3 % of the floor's other motions."""
+
+REPRODUCED_TO = 2e-4
+"""Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
+100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
+Without it a day's change of temperature between two tests would be found as a cause."""
+DAMPING_REPRODUCED_TO = 0.01
+"""Least relative std of a damping ratio: friction in joints and cables changes it by more between two tests."""
 
 OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
@@ -104,7 +117,7 @@ class ModalResult(Shown):
     covariance: Floats
     uncertainty: str
     findings: tuple[Finding, ...] = ()
-    sweep: Sweep | None = None
+    sweep: picking.Sweep | None = None
     functions: Functions | None = None
 
     json_keys = (
@@ -120,8 +133,20 @@ class ModalResult(Shown):
 
     @property
     def written_frequency_std(self) -> Floats:
-        """Relative standard deviations of the frequencies, with what no scatter shows, as files have them."""
-        return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), REPRODUCED_TO)
+        """Relative standard deviations of the frequencies, with what no scatter shows, as files have them.
+
+        The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
+        frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
+        without a known change is given the smallest known change.
+        """
+        changes = {
+            item.numbers["mode"]: 2.0 * abs(item.numbers["change"]) / np.sqrt(12.0)
+            for item in self.findings
+            if item.kind == "amplitude"
+        }
+        least = min(changes.values(), default=0.0)
+        spread = [changes.get(mode, least) for mode in self.modes.tolist()]
+        return np.maximum(np.hypot(self.frequency_std, spread), REPRODUCED_TO)
 
     @property
     def written_damping_std(self) -> Floats:
@@ -131,8 +156,18 @@ class ModalResult(Shown):
 
     @property
     def written_entry_std(self) -> Floats:
-        """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n)."""
-        return entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings)
+        """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n).
+
+        They contain what sensors get wrong unseen. Where the response at floor i to a force at j differs from that at j
+        to a force at i by the share d, one of four calibrations is off: two sensors, and the force at two driving
+        points. If each has the standard deviation s, d has 2 s. An entry takes half of its sensor's error and half of
+        its driving point's, which is s / sqrt(2) = d / (2 sqrt(2)).
+        """
+        failures = [item.numbers for item in self.findings if item.kind == "reciprocity"]
+        of_floors = [[each["by_mode"] for each in failures if floor in each["floors"]] for floor in self.floors]
+        share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
+        relative = np.abs(self.mode_shapes) / np.max(np.abs(self.mode_shapes), axis=1, keepdims=True)
+        return np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.
@@ -239,6 +274,157 @@ class ModalResult(Shown):
         """
         test = IdentifiedRecord(self.name, self, frame or {}, priors, added_mass, state)
         return merged([test])
+
+
+def from_arrays(
+    frequencies: ArrayLike,
+    mode_shapes: ArrayLike,
+    *,
+    floors: ArrayLike | None = None,
+    stories: int | None = None,
+    damping_ratios: ArrayLike | None = None,
+    frequency_std: ArrayLike | None = None,
+    mode_shape_std: ArrayLike | None = None,
+    mass_normalized: bool = False,
+    name: str = "given modes",
+) -> ModalResult:
+    """Modes that somebody else identified, as a result that can be written to a measurement file.
+
+    Parameters
+    ----------
+    frequencies : array_like, shape (m,)
+        Hz, in any order.
+    mode_shapes : array_like, real or complex, shape (m, n)
+        One row a mode. Complex shapes are made real by magnitude.
+    floors : array_like of int, shape (n,), optional
+        1, 2, ..., n where None.
+    stories : int, optional
+        The highest floor where None.
+    damping_ratios : array_like, shape (m,), optional
+        Fraction of critical; nan in the result, and left out of files, if None.
+    frequency_std : float or array_like, shape (m,), optional
+        Relative standard deviations; nan in the result, and left out of files, if None.
+    mode_shape_std : float or array_like, shape (m, n), optional
+        Standard deviations of the entries, relative to each mode's largest entry; nan in the result, and left out of
+        files, if None.
+    mass_normalized : bool, optional
+    name : str, optional
+
+    Returns
+    -------
+    ModalResult
+
+    Raises
+    ------
+    InputError
+        Where the arrays do not fit each other or are not finite.
+    """
+    values = checks.vector(frequencies, "frequencies", above=0.0)
+    shapes = matrix_of(mode_shapes, "mode_shapes", np.complex128)
+    count, width = shapes.shape
+    if len(values) != count:
+        raise InputError(f"mode_shapes has {count} rows, frequencies {len(values)} entries; one row a mode")
+    if not np.all(np.isfinite(shapes)):
+        row, column = np.argwhere(~np.isfinite(shapes))[0] + 1
+        raise InputError(f"mode_shapes, row {row}, entry {column} is not finite: leave out the floor or the mode")
+    places = np.arange(1, width + 1) if floors is None else np.asarray(floors, dtype=np.int64)
+    if places.shape != (width,):
+        raise InputError(f"floors must have {width} entries, one a column of mode_shapes, not {places.size}")
+    by_floor, by_frequency = np.argsort(places), np.argsort(values)
+    shapes = shapes[by_frequency][:, by_floor]
+    # A real shape stands as it is, sign and all.
+    real = np.array([picking.real_shape(shape) if np.any(shape.imag) else shape.real for shape in shapes])
+    frequency = _deviations(frequency_std, (count,), "frequency_std")[by_frequency]
+    entries = _deviations(mode_shape_std, (count, width), "mode_shape_std")[by_frequency][:, by_floor]
+    damping = _deviations(damping_ratios, (count,), "damping_ratios")[by_frequency]
+    missing = [key for key, given in (("frequencies", frequency_std), ("shapes", mode_shape_std)) if given is None]
+    highest = int(places.max())
+    return ModalResult(
+        name=checks.text(name, "name"),
+        method="given",
+        stories=highest if stories is None else checks.whole(stories, "stories", least=highest, most=2000),
+        floors=places[by_floor],
+        frequencies=values[by_frequency],
+        frequency_std=frequency,
+        damping_ratios=damping,
+        damping_std=np.zeros(count),
+        mode_shapes=real,
+        mode_shape_std=entries,
+        entry_std=entries,
+        mass_normalized=checks.flag(mass_normalized, "mass_normalized"),
+        modes=np.arange(1, count + 1, dtype=np.int64),
+        complex_shapes=np.array([picking.main_axis(shape) for shape in shapes]),
+        phase_collinearity=np.array([picking.collinearity(shape) for shape in shapes]),
+        lost_phase=np.array([picking.lost_phase(shape) for shape in shapes]),
+        clock_offsets={},
+        covariance=np.diag(np.concatenate([frequency, entries.ravel()]) ** 2),
+        uncertainty="as given" if not missing else f"not given for {' and '.join(missing)}",
+    )
+
+
+def from_library(
+    found: Any, *, floors: ArrayLike | None = None, stories: int | None = None, name: str = "library"
+) -> ModalResult:
+    """Modes that pyOMA2 or sdypy-EMA identified.
+
+    Parameters
+    ----------
+    found : pyOMA2 algorithm or result, or sdypy.EMA.Model
+        Its modes have been chosen. Anything with frequencies `Fn` or `nat_freq`, shape (m,), and shapes `Phi` or
+        modal constants `A` of one driving point, shape (channels, m), or with such a `result`. Damping ratios `Xi` or
+        `nat_xi` and the standard deviations `Fn_std` are used where they are there. `Phi_std` is not: it is of another
+        normalization in each version.
+    floors : array_like of int, shape (channels,), optional
+        The floor of each channel; 1, 2, ... where None.
+    stories : int, optional
+    name : str, optional
+
+    Returns
+    -------
+    ModalResult
+
+    Raises
+    ------
+    InputError
+        Where no modes have been chosen, one of them was not found, or there are no shapes.
+    """
+    result = getattr(found, "result", found)
+    frequencies, shapes, damping, std = (
+        next((getattr(result, key) for key in keys if getattr(result, key, None) is not None), None)
+        for keys in (("Fn", "nat_freq"), ("Phi", "A"), ("Xi", "nat_xi"), ("Fn_std",))
+    )
+    if frequencies is None or shapes is None:
+        raise InputError(
+            "the object holds no modes (Fn and Phi, or nat_freq and A): choose modes first, by mpe or a cluster in "
+            "pyOMA2, by select_closest_poles and then get_constants in sdypy"
+        )
+    values = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    missing = np.flatnonzero(~(values > 0))
+    if missing.size:
+        raise InputError(f"the library found no pole for mode {missing[0] + 1}: select another frequency for it")
+    return from_arrays(
+        values,
+        np.atleast_2d(np.asarray(shapes).T),
+        floors=floors,
+        stories=stories,
+        name=name,
+        damping_ratios=None if damping is None else np.clip(np.atleast_1d(damping), 0.0, None),
+        frequency_std=None if std is None else np.atleast_1d(std) / values,
+    )
+
+
+def _deviations(value: ArrayLike | None, shape: tuple[int, ...], where: str) -> Floats:
+    """Return one number, or one for each entry, in full shape; nan if not given."""
+    if value is None:
+        return np.full(shape, np.nan)
+    given = checks.real(value, where)
+    try:
+        array = np.broadcast_to(given, shape).copy()
+    except ValueError:
+        raise InputError(f"{where} must be one number or of shape {shape}, not {given.shape}") from None
+    if not np.all(np.isfinite(array) & (array >= 0)):
+        raise InputError(f"{where} must be finite and not negative")
+    return array
 
 
 @dataclass(frozen=True, eq=False)
