@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -17,11 +16,7 @@ import scipy
 from cvxshear.records.frf import Spectra, hit_spectra, table_spectra
 from cvxshear.records.prepare import detrended, struck, without_offset
 from cvxshear.records.record import FrfRecord, Record, TimeRecord
-from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Complexes, Floats, Ints
-
-if TYPE_CHECKING:
-    from cvxshear.records.result import ModalResult
+from cvxshear.util.typing import Complexes, Floats, Ints
 
 LINES = 512
 """Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""
@@ -173,74 +168,3 @@ def welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[C
 
 def _ratio(above: Floats, below: Floats) -> Floats:
     return np.asarray(np.divide(above, below, out=np.zeros_like(above), where=below > 0))
-
-
-def synthesized(result: ModalResult) -> Complexes:
-    """Rebuild the measured functions from the identified modes, shape (lines, outputs, inputs).
-
-    H_ij = sum_r (psi_ir L_rj / (i w - l_r) + its conjugate) + C_ij + D_ij / w^2 over the band of the modes, the poles
-    l_r and shapes psi_r as identified, participations L and real residual terms C, D by least squares (least-squares
-    frequency domain, Heylen, Lammens and Sas 1997). Where a mode's shape is wrong the curves part.
-
-    Parameters
-    ----------
-    result : ModalResult
-        Of `identify_modes` with `functions`.
-
-    Returns
-    -------
-    array of complex
-        nan outside the band, and at floors that the result has no shape for.
-
-    Raises
-    ------
-    InputError
-        Where the result holds no functions.
-    """
-    functions = result.functions
-    if functions is None:
-        raise InputError("the result holds no functions of its record: identify_modes keeps them with functions=True")
-    within = band_of(functions.frequencies, result.frequencies)
-    places = np.flatnonzero(np.isin(functions.floors, result.floors))
-    basis = _basis(2 * np.pi * functions.frequencies[within], *_poles_and_shapes(functions, result))
-    rows = np.vstack([basis.real, basis.imag])
-    size = np.linalg.norm(rows, axis=0)
-    answer = np.full(functions.values.shape, np.nan + 0j)
-    for column in range(functions.values.shape[2]):
-        target = functions.values[within][:, places, column].T.ravel()
-        weights = np.linalg.lstsq(rows / size, np.concatenate([target.real, target.imag]), rcond=None)[0] / size
-        answer[np.ix_(np.flatnonzero(within), places, np.array([column]))] = (
-            (basis @ weights).reshape(len(places), -1).T[:, :, None]
-        )
-    return answer
-
-
-def band_of(lines: Floats, frequencies: Floats) -> Bools:
-    """Select the lines from half the lowest to 1.3 times the highest natural frequency, shape (lines,)."""
-    return np.asarray((lines > 0.5 * frequencies[0]) & (lines < 1.3 * frequencies[-1]))
-
-
-def _basis(omega: Floats, poles: Complexes, shapes: Complexes) -> Complexes:
-    """Columns: real and imaginary parts of each mode's participation, then C and D of each output."""
-    outputs, lines = shapes.shape[1], len(omega)
-    columns = []
-    for pole, shape in zip(poles, shapes, strict=True):
-        up = np.outer(shape, 1 / (1j * omega - pole))
-        down = np.outer(np.conj(shape), 1 / (1j * omega - np.conj(pole)))
-        columns += [(up + down).ravel(), (1j * (up - down)).ravel()]
-    for output in range(outputs):
-        for residual in (np.ones(lines), (omega[0] / omega) ** 2):
-            column = np.zeros((outputs, lines), dtype=np.complex128)
-            column[output] = residual
-            columns.append(column.ravel())
-    return np.column_stack(columns)
-
-
-def _poles_and_shapes(functions: Functions, result: ModalResult) -> tuple[Complexes, Complexes]:
-    """Return the poles as the functions show them, windows and all, and the shapes as recorded where they are known."""
-    omega = 2 * np.pi * result.frequencies
-    decay = result.damping_ratios * omega
-    poles = -decay - functions.decay + 1j * np.sqrt(np.maximum(omega**2 - decay**2, 0.0))
-    if result.sweep is not None and len(result.sweep.chosen) == len(poles):
-        return poles, np.array([item.shape for item in result.sweep.chosen])
-    return poles, result.complex_shapes
