@@ -9,7 +9,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.measurement.reading import fewest_changes, most_changes
 from cvxshear.records import clocks, pole_sweep
 from cvxshear.records.pole_sweep import Criteria, Poles, Source

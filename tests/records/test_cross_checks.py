@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.io.modes import modes_from_file
 from cvxshear.records import Channel, Run, TimeRecord, from_library, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, base_record
