@@ -38,7 +38,7 @@ PHASES = 50
 lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure."""
 SEGMENT = 20.0
 """s; long beside the longest delay, short enough that a record has many."""
-PARTS = 10
+CLOCK_PARTS = 10
 """Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself."""
 NOISE_FLOOR = 10.0
 """Times the tenth of a channel's lines that hold least: below it a line counts little."""
@@ -97,7 +97,7 @@ class Segments:
             weights = np.nan_to_num(power / (power + floor)) ** 2
         weights[:, mains] = 0.0
         weights[:, :2] = 0.0
-        groups = np.array_split(np.arange(len(times)), min(PARTS, len(times)))
+        groups = np.array_split(np.arange(len(times)), min(CLOCK_PARTS, len(times)))
         return Segments(found, weights, np.array(times), groups, length, rate)
 
     @property
@@ -242,7 +242,7 @@ class Phases:
         for _ in range(2):
             turned = self.squares * np.exp(2j * np.outer(late + slope * around, omega))
             loud = np.cumsum(np.abs(self.squares).sum(axis=0))
-            edges = np.searchsorted(loud, np.arange(PARTS) / PARTS * loud[-1], side="right")
+            edges = np.searchsorted(loud, np.arange(CLOCK_PARTS) / CLOCK_PARTS * loud[-1], side="right")
             edges = np.unique(np.minimum(edges, len(omega) - 1))
             cells, sizes = (np.add.reduceat(each, edges, axis=1) for each in (turned, np.abs(turned)))
             middles = np.add.reduceat(np.abs(turned) * omega, edges, axis=1) / np.maximum(sizes, 1e-300)
