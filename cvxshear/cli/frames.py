@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,7 +14,7 @@ from cvxshear.cli import options
 from cvxshear.cli.modes_and_check import DOUBT_STATUS, measured, records_in_json, tables_of
 from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show
 from cvxshear.report import terminal
-from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
+from cvxshear.util.errors import NoScaleError, UnsuitableError
 from cvxshear.util.quantities import Units
 from cvxshear.util.results import as_json
 from cvxshear.util.writing import write_file
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear.response import IdentifiedDamping, Reconstruction, RecordPrediction
-    from cvxshear.response.sources import ModelSource
     from cvxshear.screening import FileFinding
 
 
@@ -136,7 +134,6 @@ def loop(
         "information": [*result.information, *without],
         **records_in_json(found),
         "damping": as_json(damping),
-        "model": models.to_dict(),
     }
     files = files_of(result)
     if report is not None:
@@ -172,7 +169,7 @@ class Motion:
     Parameters
     ----------
     file
-        What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.
+        What the model is made of: a measurement file or a record file.
     damping
         modal, story or rayleigh; default: the kind that FILE declares.
     configuration
@@ -202,17 +199,11 @@ class Motion:
         if self.report is not None:
             yield partial(_write_page, self.report, result)
 
-    def screened(self) -> tuple[ModelSource, Sequence[FileFinding] | None]:
-        """Close the loop on a measurement; return its models and warnings, or the result of a loop without warnings."""
+    def screened(self) -> tuple[Models, Sequence[FileFinding]]:
+        """Close the loop on a measurement; return its models and warnings."""
         from cvxshear import response, screening
         from cvxshear.response.sources import load_unscaled
 
-        if Path(self.file).suffix.lower() == ".json":
-            if self.assume:
-                raise InputError(
-                    f"{self.file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'"
-                )
-            return self.file, None
         try:
             experiment, found = measured([self.file])
         except NoScaleError:
@@ -220,9 +211,8 @@ class Motion:
             experiment, found = load_unscaled(self.file), []
         # A record has no declared mode numbers: the loop compares possible numbers together with the effects.
         weighed = [each.name for each in experiment.configurations if found]
-        result = screening.close_loop(
-            experiment, assume=names(self.assume) or (), backend=self.backend, weighed=weighed
-        )
+        assumed = names(self.assume) or ()
+        result = screening.close_loop(experiment, assume=assumed, backend=self.backend, weighed=weighed)
         return response.models_of_loop(result), result.warnings
 
     @property

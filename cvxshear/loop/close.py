@@ -22,8 +22,8 @@ from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
+from cvxshear.fit.identification import INSEPARABLE
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.other_frames import INSEPARABLE
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.comparison import verdict_fits
 from cvxshear.loop.conclusion import conclude
@@ -264,6 +264,7 @@ class Searches:
         near = _near(given, others, leader)
         duals = [other for search in near if (other := self._dual(search)) is not None]
         for search in (*near, *duals):
+            search.visit_ties()
             search.refine()
             search.visit_twins()
         return [*near, *duals]

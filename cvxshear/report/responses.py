@@ -189,7 +189,7 @@ def _reconstruction(result: Reconstruction, units: quantities.Units = quantities
         *checks,
         blocks.section("motion", "What the stories did", *motion),
         blocks.section("frame", "The frame in this record", *_frame_parts(result)),
-        blocks.section("evidence", "Sensors", whiteness(result)),
+        blocks.section("evidence", "Sensors", sensors(result)),
         blocks.section("remarks", "What to bear in mind", blocks.Points("remarks", result.remarks)),
     )
     more = [
@@ -228,12 +228,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
     if result.undetermined:
         yield "the tests do not determine the frame: drifts are rough, and what changed since cannot be told"
     yield _largest_drift(result.peaks).replace("drifts", "drifted")
-    if result.names_changes and result.coloured:
-        yield (
-            f"drifts are provisional: the model of {result.fitted.experiment.name} misses a part of how "
-            f"{quantities.numbered('floor', result.coloured)} moved, so it is not quite the building in this record"
-        )
-    elif result.provisional:
+    if result.provisional:
         yield "drifts are provisional: the record needs changes of three kinds at once"
     yield from _limits(result)
     yield from _whole_frame(result)
@@ -264,7 +259,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
 
 def _whole_frame(result: Reconstruction) -> Iterator[str]:
     """Yield the change of the lowest frequency and the common change of the stories, if their signs are known."""
-    if not result.names_changes or result.coloured:
+    if not result.names_changes:
         return
     before = float(result.frame.errors.varied.centre.model.modes.frequencies[0])
     now, relative = float(result.model.modes.frequencies[0]), float(result.frame.modal_std[0][0])
@@ -361,18 +356,14 @@ def _frame_parts(result: Reconstruction) -> Iterator[blocks.Sentence | blocks.Ta
     )
 
 
-def whiteness(result: Reconstruction) -> blocks.Table:
-    """Tabulate the noise and innovations of each sensor."""
-    noise, found = result.frame.errors.noise_at(result.frame.p).sensors, result.whiteness
-    return blocks.table("whiteness", "innovations of the filter", {
-        "floor": [str(each.floor) for each in found],
+def sensors(result: Reconstruction) -> blocks.Table:
+    """Tabulate the noise of each sensor, and its samples that are spikes or missing."""
+    noise = result.frame.errors.noise_at(result.frame.p).sensors
+    return blocks.table("sensors", "noise and faulty samples", {
+        "floor": [str(floor) for floor in result.recording.floors],
         "sensor noise, m/s²": [quantities.significant(float(own), 3) for own in noise],
-        "innovations / stated": [f"{each.size:.2f}" for each in found],
-        "largest correlation": [f"{each.correlation:+.2f}" for each in found],
-        "at lag, s": [quantities.significant(each.lag, 3) for each in found],
-        "white": [f"no, p {quantities.probability(each.p_value)}" if each.coloured else "yes" for each in found],
-        "spikes": [str(each.spikes) for each in found],
-        "missing": [str(each.missing) for each in found],
+        "spikes": [str(count) for count in result.spikes],
+        "missing": [str(count) for count in result.missing],
     }, top_first=True)  # fmt: skip
 
 

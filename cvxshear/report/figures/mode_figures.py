@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from cvxshear.data import Model, Shapes, pairing
+from cvxshear.data import Model, Shapes, kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
@@ -19,8 +19,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
 from cvxshear.records.adapters import band_of, synthesized
 from cvxshear.records.functions import Functions
-from cvxshear.records.mode_shapes import scaled_to_one
-from cvxshear.records.picking import Sweep
+from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
@@ -119,7 +118,7 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     for row, (shape, known) in enumerate(zip(configuration.mode_shapes, configuration.measured, strict=True)):
         if known.sum() >= 2:
             measured = shape[known] / np.max(np.abs(shape[known]))
-            table[row] = [pairing.mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
+            table[row] = [kinds.mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
     return table
 
 

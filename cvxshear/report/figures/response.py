@@ -1,4 +1,4 @@
-"""Draw predicted and measured responses: histories with a band, peaks over height, transfer functions, spectra."""
+"""Draw predicted and measured responses: histories with a band, peaks over height, transfer functions."""
 
 from typing import Any
 
