@@ -22,7 +22,7 @@ from cvxshear.util.writing import write_file
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from cvxshear.response import IdentifiedDamping, Reconstruction, RecordPrediction
+    from cvxshear.response import IdentifiedDamping, Models, Reconstruction, RecordPrediction
     from cvxshear.screening import FileFinding
 
 
