@@ -35,7 +35,7 @@ def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC)
         residual_section(result),
         blocks.section("next", "What to test next", _next(result, units)),
         identified.declared(result.experiment, units),
-        blocks.section("modes", "Measured and modelled frequencies", modes, below=True, appendix=True),
+        blocks.section("frequencies", "Measured and modelled frequencies", modes, below=True, appendix=True),
         not_considered(result),
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )

@@ -98,9 +98,9 @@ def _added(mass: Floats, factor: float, unit: str) -> str:
     return f"{mass.sum() / factor:g} {unit} on {quantities.numbered('floor', floors)}"
 
 
-def each_or_all(values: Floats, unit: str, factor: float = 1.0) -> str:
+def each_or_all(values: Floats, unit: str) -> str:
     """Write the values, or one value if all are equal."""
-    shown = [f"{value / factor:g}" for value in values]
+    shown = [f"{value:g}" for value in values]
     same = len(set(shown)) == 1 and len(shown) > 1
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
 

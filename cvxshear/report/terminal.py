@@ -14,7 +14,6 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table as Grid
 from rich.text import Text
 
-from cvxshear.io.spreadsheets import Sheet
 from cvxshear.report.blocks import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
 from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.quantities import AUTOMATIC, Units, column_name
@@ -22,6 +21,8 @@ from cvxshear.util.results import data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from cvxshear.io.spreadsheets import Sheet
 
 COLUMN_GAP = 2
 """Number of spaces between columns."""
@@ -175,6 +176,8 @@ def sheets_of(*results: object) -> list[Sheet]:
     *results : object
         Results of a type that `describe` supports.
     """
+    from cvxshear.io.spreadsheets import Sheet  # noqa: PLC0415 - the formats of files load slowly
+
     sheets = []
     for result in results:
         for each in describe(result).data:

@@ -180,7 +180,7 @@ def test_states_and_frame_come_first_then_the_probabilities_of_the_result(ambigu
     keys = [section.key for section in document.sections]
     assert keys[:7] == ["verdict", "limits", "states", "frame", "effects", "sets", "candidates"]
     assert [section.key for section in document.sections if section.appendix] == [
-        "declared", "modes", "not-considered", "effort"
+        "declared", "frequencies", "not-considered", "effort"
     ]  # fmt: skip
     found = [row[1] for row in table(document, "models").rows]
     assert found == [chance(item.probability) for item in ambiguous.models]

@@ -148,7 +148,7 @@ def test_a_device_has_no_ending_to_go_by(tmp_path, terminal):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
 def test_what_does_not_fit_on_a_device_is_told_after_the_result(run):
-    for option in ("-o", "--figure"):
+    for option in ("-o", "--csv"):
         status, out, err = run("plan", "paper", "--fresh", option, "/dev/full")
         assert status == 2
         assert out.startswith("Measure every floor")
@@ -315,7 +315,7 @@ REFUSED = {
         ["predict", "r.toml", "--record", "r.toml", "--report", "raw.html"], "--report: raw.html would be written over",
     ),
     "time series and peaks": (
-        ["predict", "paper", "--record", "r.toml", "--out", "b.csv", "--csv", "b.csv"], "name the same file, b.csv",
+        ["predict", "paper", "--record", "r.toml", "--out", "b.csv", "--csv", "b.csv"], "--csv and --out name the same file, b.csv",
     ),
     "what is compared": (["backends", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.to"),
 }  # fmt: skip
@@ -352,7 +352,7 @@ def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch
     ("arguments", "options", "printed"),
     [
         (("identify", "paper", "--method", "two-stage"), {"--json": ".json"}, "13.045"),
-        (("plan", "paper", "--fresh"), {"-o": ".toml", "--figure": ".svg"}, "Measure every floor in 1 test"),
+        (("plan", "paper", "--fresh"), {"-o": ".toml", "--csv": ".csv"}, "Measure every floor in 1 test"),
     ],
 )
 def test_the_result_is_printed_where_its_files_cannot_be_written(

@@ -408,8 +408,8 @@ def _against(seen: Functions, column: int) -> str:
     """Name the reference of a function; empty for the ground."""
     floor = int(seen.inputs[column])
     if not seen.driven:
-        return f", with floor {floor}"
-    return f", force at floor {floor}" if floor else ""
+        return f"\nwith floor {floor}"
+    return f"\nforce at floor {floor}" if floor else ""
 
 
 def _named(seen: Functions) -> str:

@@ -26,6 +26,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
+from matplotlib.ticker import AutoLocator, LogLocator
 
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -42,6 +43,9 @@ COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo")
 DASHES = ("-", "--", "-.", ":")
+
+MOST_TICKS = 5
+"""Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings."""
 
 PAGE_WIDTH = 7.2
 """Width of a figure on an A4 page between its margins, inch."""
@@ -106,6 +110,12 @@ def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Fig
         with house_settings():
             figure = draw(*args, **kwargs)
             # The layout is computed once: later drawing under other settings does not move the parts.
+            for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+                locator = axis.get_major_locator()
+                if isinstance(locator, AutoLocator):
+                    locator.set_params(nbins=MOST_TICKS)
+                elif isinstance(locator, LogLocator):
+                    locator.set_params(numticks=MOST_TICKS)
             engine = figure.get_layout_engine()
             if engine is not None:
                 engine.execute(figure)
