@@ -315,7 +315,8 @@ REFUSED = {
         ["predict", "r.toml", "--record", "r.toml", "--report", "raw.html"], "--report: raw.html would be written over",
     ),
     "time series and peaks": (
-        ["predict", "paper", "--record", "r.toml", "--out", "b.csv", "--csv", "b.csv"], "--csv and --out name the same file, b.csv",
+        ["predict", "paper", "--record", "r.toml", "--out", "b.csv", "--csv", "b.csv"],
+        "--csv and --out name the same file, b.csv",
     ),
     "what is compared": (["backends", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.to"),
 }  # fmt: skip
