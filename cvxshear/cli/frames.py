@@ -267,8 +267,9 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
     files_of = outputs.prepared(response.Reconstruction)
     with progress("reconstructing", outputs.quiet) as advance:
         source, doubts = motion.screened()
-        asked = {"fit": fit, "leave_out": leave_out, "progress": advance}
-        result = response.reconstruct(source, motion.record, **asked, **motion.model)
+        result = response.reconstruct(
+            source, motion.record, fit=fit, leave_out=leave_out, progress=advance, **motion.model
+        )
     _deliver_motion(result, doubts, outputs.out, *files_of(result), *motion.written(result))
 
 
