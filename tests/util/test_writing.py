@@ -304,7 +304,6 @@ REFUSED = {
     "the raw record": (["modes", "r.toml", "--json", "raw.json"], "--json: raw.json would be written over sound.csv"),
     "one file twice": (["loop", "paper", "--figure", "a.svg", "--json", "twin.json"], "--json and --figure name"),
     "the design that a plan is for": (["plan", "m.toml", "-o", "m.toml"], "--output: m.toml would be written over m.t"),
-    "it, by a link": (["plan", "s.json", "-o", "s.toml"], "--output: s.toml would be written over s.json"),
     "the raw record that is predicted": (
         ["predict", "paper", "--out", "sound.csv", "--record", "r.toml"], "--out: sound.csv would be written over",
     ),
