@@ -20,7 +20,7 @@ from cvxshear.util.errors import CvxshearError, InputError, printable
 from cvxshear.util.quantities import listed
 
 if TYPE_CHECKING:
-    from cvxshear.io.columns import Columns
+    from cvxshear.io.csv import Columns
 
 logger = logging.getLogger(__name__)
 
@@ -159,13 +159,13 @@ HERE = "cvxshear.io"
 
 FORMATS: list[Format] = [
     Format("csv", (".csv", ".txt", ".dat", ".tsv", ".asc"), "delimited text", f"{HERE}.csv:read_csv",
-           f"{HERE}.mode_tables:read_mode_csv"),
+           f"{HERE}.spreadsheets:read_mode_csv"),
     Format("gz", (".csv.gz", ".txt.gz", ".tsv.gz"), "delimited text compressed by gzip", f"{HERE}.csv:read_csv"),
-    Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.mode_tables:read_mode_xlsx"),
-    Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
-    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.mat:read_npz"),
-    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_uff",
-           f"{HERE}.uff:read_mode_uff"),
+    Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.spreadsheets:read_mode_xlsx"),
+    Format("mat", (".mat",), "a MAT file", f"{HERE}.arrays:read_mat"),
+    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.arrays:read_npz"),
+    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.arrays:read_uff",
+           f"{HERE}.arrays:read_mode_uff"),
 ]  # fmt: skip
 """Every kind of file that is read, in the order in which messages and help list them."""
 

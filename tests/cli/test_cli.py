@@ -254,7 +254,7 @@ FUNCTIONS = {
 
 OF_THE_COMMAND = {
     "author", "client", "csv", "date", "export", "figure", "help", "jobs", "json", "out", "output", "photograph",
-    "quiet", "record", "report", "strict", "title", "uff", "units", "validate", "xlsx",
+    "quiet", "record", "report", "strict", "title", "units", "validate", "xlsx",
 }  # fmt: skip
 """Options for the files to read and write, and for the display of results."""
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy import io
 
+from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import read_csv
-from cvxshear.io.mat import read_mat
 from cvxshear.io.record_file import read_record
 from cvxshear.io.toml import files_of, load
-from cvxshear.io.uff import read_uff
 from cvxshear.util.errors import InputError
 from tests.fuzz import files
 
