@@ -305,7 +305,7 @@ def _kind(result: Comparison, kind: ProgramKind) -> Iterator[Block]:
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"
     figures = ("difference", "primal", "dual", "gap", "error", "iterations", "tolerance")
-    head = ("backend", *figures, "time, ms", "time / kkt")
+    head = ("backend", *figures, "time, ms", "time / reference")
     yield table_of_rows(f"kind-{name}", title, head, _rows([row for row in rows if not row.failure]))
     failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
     if failures:
@@ -320,8 +320,7 @@ def programs(kind: ProgramKind) -> str:
         counted(kind.equalities, "equality"),
         counted(kind.inequalities, "inequality"),
     )
-    condition = "singular" if kind.condition is None else f"condition {significant(kind.condition, 2)}"
-    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}, {condition}"
+    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}"
 
 
 def _rows(rows: list[BackendResult]) -> Iterator[Cells]:
