@@ -181,7 +181,9 @@ def test_the_error_is_within_its_bound_and_the_bound_within_reach_of_it(conditio
             exact = backends.get("kkt").answer(problem)
             x = problem.to_x(exact.z)
             weak = np.linalg.svd(R / np.linalg.norm(R, axis=0))[2][-1] / np.linalg.norm(R, axis=0)
-            return dataclasses.replace(exact, z=problem.to_z(x + off * np.linalg.norm(x) * weak / np.linalg.norm(weak)))
+            scale = np.column_stack([problem.to_x(each) for each in np.eye(2)])
+            moved = off * np.linalg.norm(x) * weak / np.linalg.norm(weak)
+            return dataclasses.replace(exact, z=exact.z + np.linalg.solve(scale, moved))
 
     for seed in range(5):
         R, rng = conditioned(seed, condition, rows=4)
