@@ -1,9 +1,10 @@
 """The base class of every backend: scaling, working set of inequalities, check of the answer, acceptance.
 
-A frame of N stories has at least N bounds, few of them active. Scaling makes every bound a full row; all of them
-would cost an interior-point method N^3 operations per iteration, and far bounds spoil the scaling of a first-order
-method. So the solver gets the inequalities that the closed form without any violates. As long as its answer violates others, these are added. The set only grows, so this ends, and an
-answer that satisfies all inequalities is the answer to the whole program.
+A frame of N stories has at least N bounds, few of them active. Scaling makes every bound a full row; all of them would
+cost an interior-point method N^3 operations per iteration, and far bounds spoil the scaling of a first-order method. So
+the solver gets the inequalities that the closed form without any violates. As long as its answer violates others, these
+are added. The set only grows, so this ends, and an answer that satisfies all inequalities is the answer to the whole
+program.
 """
 
 from __future__ import annotations
