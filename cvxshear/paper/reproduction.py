@@ -315,9 +315,7 @@ def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:
     for count in samples:
         study = noise_study(paper_setups(), ("two-stage",), count, seed=seed)
         table = tuple(_table_3(study))
-        yield PaperSection(
-            f"Table 3: error of the mean, {count:,} samples", table, (_chance(table), *_systematic(study))
-        )
+        yield PaperSection(f"Table 3: error of the mean, {count:,} samples", table, (_chance(table),))
     yield _figure_6(noise_study(paper_setups(map(float, PRINTED["figure_6"])), ("two-stage",), seed=seed))
 
 
@@ -342,16 +340,6 @@ def _chance(table: Sequence[PaperRow]) -> str:
         unlikely=round(NORMAL_95, 2), expected=(1 - SURE) * len(table), farthest=farthest,
         explains="explains" if by_chance > 1 - SURE else "does not explain",
     )  # fmt: skip
-
-
-def _systematic(study: NoiseStudy) -> Iterator[str]:
-    """Find the bias without the effect of chance, if the samples are sufficient."""
-    scatter = study.scatters[-1]
-    seen = np.flatnonzero(np.abs(scatter.bias) > 3 * scatter.bias_error)
-    if seen.size:
-        names = PRINTED["noise"]["parameters"]
-        listed = (f"{names[i]} {100 * scatter.bias[i]:+.2f} ± {100 * scatter.bias_error[i]:.2f} %" for i in seen)
-        yield note("systematic", sigma=scatter.setup.mode_shape_std, listed=", ".join(listed))
 
 
 def _figure_6(study: NoiseStudy) -> PaperSection:

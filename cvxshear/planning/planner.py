@@ -1,24 +1,29 @@
-"""Plan a test: choose the floors to measure and the masses to add.
+"""Plan a test: choose the floors to measure and the masses to add; its expected accuracy, and a file to fill in.
 
 The masses are chosen from a grid of tests. Floors and masses are chosen in turn until they stay.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.fit.expected_test import ExpectedTest
+from cvxshear.io.toml import write_measurement
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.choice import CRITERIA, Choice, Criterion, choose
-from cvxshear.planning.design import Design, read_design
-from cvxshear.planning.results import Plan, expected_accuracy
+from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.tested_model import Declared, TestModel, TestNoise
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.quantities import listed
+from cvxshear.util.results import InJson, Shown
+from cvxshear.util.typing import Floats, Ints, Json
 
 GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": ("floor_mass", "story_stiffness")}
 """Goals of a plan, each with the quantities to determine."""
@@ -31,6 +36,285 @@ MOST_TESTS = 50
 
 PARTS = (0.5, 1.0)
 """Added masses of the grid, as fractions of the limit of a floor."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedAccuracy(InJson):
+    """Expected accuracy with sensors on some floors.
+
+    Parameters
+    ----------
+    choice : Choice
+        Chosen floors, the criterion's standard deviation, relative, and bounds on all choices of as many floors.
+    floor_mass_std, story_stiffness_std : ndarray, shape (N,)
+        kg and N/m; nan if undetermined.
+    total_mass_std : float
+        Relative, of the total mass.
+    """
+
+    choice: Choice
+    floor_mass_std: Floats
+    story_stiffness_std: Floats
+    total_mass_std: float
+
+    json_keys = "sensors=floors objective=choice.value std"
+
+    @property
+    def floors(self) -> Ints:
+        """Floors with sensors, 1 the lowest."""
+        return self.choice.chosen + 1
+
+    @property
+    def std(self) -> dict[str, Floats]:
+        """Standard deviations by quantity, shape (N,)."""
+        return {"floor_mass": self.floor_mass_std, "story_stiffness": self.story_stiffness_std}
+
+
+def expected_accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: int, by: Criterion) -> ExpectedAccuracy:
+    """Choose floors for these tests, and compute the expected accuracy.
+
+    Parameters
+    ----------
+    model : TestModel
+    tests : sequence of ExpectedTest
+    number : int
+        Number of floors.
+    by : Criterion
+    """
+    choice = choose(model.sensors(tests, number), number, by)
+    design = model.design
+    covariance, n = model.covariance(tests, choice.chosen), design.stories
+    relative = np.sqrt(np.diag(covariance))
+    std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
+    share = design.floor_mass / design.floor_mass.sum()
+    total = float(np.sqrt(max(share @ covariance[:n, :n] @ share, 0.0)))
+    return ExpectedAccuracy(choice, std[:n], std[n:], total)
+
+
+@dataclass(frozen=True)
+class ExpectedMode(InJson):
+    """Expected properties of a mode.
+
+    Parameters
+    ----------
+    mode : int
+        1 the lowest.
+    frequency : float
+        Hz.
+    frequency_std, mode_shape_std : float
+        Relative deviation of the frequency; deviation of a shape entry if the mode's largest entry is 1.
+    """
+
+    mode: int
+    frequency: float
+    frequency_std: float
+    mode_shape_std: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Shown):
+    """The result of `plan`.
+
+    Parameters
+    ----------
+    model : TestModel
+        The frame as designed, the goal of the plan, the modes and their noise.
+    criterion : str
+    tests : tuple of ndarray, shape (N,)
+        Added mass of each test, kg.
+    names : tuple of str
+        Names of the tests.
+    chosen : ExpectedAccuracy
+        Accuracy with the sensors of the plan.
+    fewer, more : ExpectedAccuracy or None
+        Accuracy with the best choice of one sensor less, and of one sensor more.
+    everywhere : ExpectedAccuracy
+        Accuracy with sensors on every floor.
+    of_grid : Choice or None
+        Chosen tests of the grid of added masses, with bounds on all choices; None without added mass.
+    """
+
+    model: TestModel
+    criterion: str
+    tests: tuple[Floats, ...]
+    names: tuple[str, ...]
+    chosen: ExpectedAccuracy
+    fewer: ExpectedAccuracy | None
+    more: ExpectedAccuracy | None
+    everywhere: ExpectedAccuracy
+    of_grid: Choice | None
+
+    json_keys = (
+        "sensors tests=planned_tests modes=model.numbers noise=model.noise.words expected_modes for=goal criterion "
+        "objective bound gap floors_arbitrary grid_bound=of_grid.bound masses_arbitrary=of_grid.arbitrary frame "
+        "std=chosen.std one_sensor_less=fewer one_sensor_more=more every_floor=everywhere"
+    )
+
+    @property
+    def sensors(self) -> list[int]:
+        """Floors to measure, 1 the lowest."""
+        return [int(floor) for floor in self.chosen.floors]
+
+    @property
+    def objective(self) -> float:
+        """The criterion's standard deviation."""
+        return self.chosen.choice.value
+
+    @property
+    def bound(self) -> float:
+        """Lower bound on the objective of any choice of the same number of floors."""
+        return self.chosen.choice.bound
+
+    @property
+    def gap(self) -> float:
+        """Relative difference of the objective and the bound."""
+        return self.chosen.choice.gap
+
+    @property
+    def expected_modes(self) -> tuple[ExpectedMode, ...]:
+        """Modes of the first test, and their expected standard deviations."""
+        test = self.model.expected(self.tests[0]).test
+        assert test.mode_shape_std is not None, "an expected test declares its noise"
+        stds = test.log_frequency_std.tolist(), test.mode_shape_std[:, 0].tolist()
+        columns = zip(test.modes.tolist(), test.frequencies.tolist(), *stds, strict=True)
+        return tuple(ExpectedMode(*each) for each in columns)
+
+    @property
+    def goal(self) -> str:
+        """Goal of the plan in words."""
+        words = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
+        return listed([words[each] for each in self.model.quantities])
+
+    @property
+    def measure(self) -> str:
+        """Objective in words."""
+        return CRITERIA[self.criterion].summary
+
+    @property
+    def typical_std(self) -> tuple[float, float]:
+        """Root mean square of the relative standard deviations of floor masses and of story stiffnesses."""
+        design = self.model.design
+        parts = self.chosen.floor_mass_std / design.floor_mass, self.chosen.story_stiffness_std / design.story_stiffness
+        mass, stiffness = (float(np.sqrt(np.mean(part**2))) for part in parts)
+        return mass, stiffness
+
+    @property
+    def rests_on_total(self) -> bool:
+        """Whether the total mass causes more than half of the variance of a floor mass."""
+        return 2 * self.chosen.total_mass_std**2 > self.typical_std[0] ** 2
+
+    @property
+    def floors_arbitrary(self) -> bool:
+        """Whether floors were chosen, and every choice of the same number is equally good."""
+        return self.chosen.choice.arbitrary and len(self.sensors) < self.model.design.stories
+
+    @property
+    def planned_tests(self) -> list[dict[str, object]]:
+        """Name and added mass (kg) of each test."""
+        return [{"name": name, "added_mass": mass} for name, mass in zip(self.names, self.tests, strict=True)]
+
+    @property
+    def frame(self) -> dict[str, object]:
+        """Frame of the plan."""
+        return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness")}
+
+
+def accuracy_curve(plan: Plan, most: int = 10) -> list[tuple[int, float, float]]:
+    """List numbers of sensors (ascending), the criterion of the best choice found, and its lower bound.
+
+    Parameters
+    ----------
+    plan : Plan
+    most : int, optional
+        Largest number of points.
+    """
+    by, n = CRITERIA[plan.criterion], plan.model.design.stories
+    tests = [plan.model.expected(masses) for masses in plan.tests]
+    spread = np.unique(np.linspace(1, n, min(n, most)).round().astype(int))
+    points = []
+    for count in sorted({*spread.tolist(), len(plan.sensors)}):
+        found = choose(plan.model.sensors(tests, count), count, by)
+        points.append((count, found.value, found.bound))
+    return points
+
+
+def predicted(plan: Plan) -> Experiment:
+    """Simulate the planned tests on the expected frame, without noise.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    Experiment
+        The declared frame with the earlier and the planned measurements.
+
+    Raises
+    ------
+    InputError
+        If the tests do not determine the mass scale.
+    """
+    floors = plan.chosen.floors - 1
+    tests = tuple(
+        _at_sensors(plan.model.expected(masses).test, name, floors)
+        for name, masses in zip(plan.names, plan.tests, strict=True)
+    )
+    design = plan.model.design
+    before = design.measured.configurations if design.measured is not None else ()
+    return Experiment(design.frame, (*before, *tests), design.priors, design.name)
+
+
+def _at_sensors(test: Configuration, name: str, floors: Ints) -> Configuration:
+    """Return a planned test as it would be declared with sensors at these floors, each shape's largest entry 1."""
+    entries = test.mode_shapes / np.max(np.abs(test.mode_shapes), axis=1, keepdims=True)
+    shapes, std = entries[:, floors], test.mode_shape_std
+    assert std is not None, "an expected test declares its noise"
+    return dataclasses.replace(
+        test,
+        name=name,
+        mode_shapes=shapes,
+        measured_floors=floors + 1,
+        mass_normalized=False,
+        # A file declares the deviation relative to a mode's largest measured entry.
+        mode_shape_std=std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
+    )
+
+
+def write_template(path: str | Path, plan: Plan) -> None:
+    """Write a measurement file with the planned tests, with nan for the values to be measured.
+
+    Parameters
+    ----------
+    path : str or Path
+    plan : Plan
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    exact = predicted(plan)
+    declared = exact.to_dict()
+    declared["configuration"] = [
+        _to_fill_in(table) if table["name"] in plan.names else table for table in declared["configuration"]
+    ]
+    comments = [
+        "Planned by cvxshear plan: put what you measure in place of every nan.",
+        f"Sensors on floors {', '.join(map(str, plan.sensors))}; {plan.model.noise.words} expected.",
+        *(
+            f"{each.name}: expected frequencies {', '.join(f'{value:.4g}' for value in each.frequencies)} Hz"
+            for each in exact.configurations
+            if each.name in plan.names
+        ),
+    ]
+    write_measurement(path, declared, comments)
+
+
+def _to_fill_in(table: Json) -> Json:
+    """Return the table of a planned test without its predictions."""
+    shapes = np.full(np.shape(table["mode_shapes"]), np.nan)
+    return {**table, "frequencies": np.full(len(table["frequencies"]), np.nan).tolist(), "mode_shapes": shapes.tolist()}
 
 
 def mass_grid(limit: Floats) -> list[Floats]:

@@ -14,7 +14,7 @@ from cvxshear.paper import reproduction as printed
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
 from cvxshear.planning.design import UNKNOWN_STD
-from cvxshear.planning.results import ExpectedAccuracy, Plan
+from cvxshear.planning.planner import ExpectedAccuracy, Plan
 from cvxshear.report.describe import (
     Block,
     Document,
