@@ -5,22 +5,23 @@
 
 from collections.abc import Sequence
 
-from cvxshear.effects.attached_mass import AttachedMass, LoadMounting
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.composition import compose
 from cvxshear.effects.custom_effect_checks import refuse_faulty, refuse_repeated
-from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCoupling, StateMass, TotalMass
+from cvxshear.effects.masses import (
+    AddedMass,
+    AttachedMass,
+    FloorMass,
+    LoadMounting,
+    LoadScale,
+    MassCoupling,
+    StateMass,
+    TotalMass,
+)  # fmt: skip
 from cvxshear.effects.open_class import OPEN_CLASSES
 from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
 from cvxshear.effects.state import Scale, State
-from cvxshear.effects.stories import (
-    Bracing,
-    JointRelease,
-    JointRotation,
-    SoftFeet,
-    StateStiffness,
-    StoryChange,
-)  # fmt: skip
+from cvxshear.effects.stories import Bracing, JointRelease, JointRotation, SoftFeet, StateStiffness, StoryChange
 from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity, GroundSpring, Spring, Wall
 from cvxshear.util import checks
 

@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model.shear import (
+from cvxshear.model import (
     FloorObservation,
     ShearSystem,
     System,

@@ -15,7 +15,7 @@ from cvxshear.data import NoiseFactors
 from cvxshear.effects import LocatedEffect, Scale
 from cvxshear.effects.composition import slices
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.domain import Domain, domain_of
+from cvxshear.fit.domain import Domain, Uncertainty, domain_of, uncertainty
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
@@ -29,7 +29,6 @@ from cvxshear.fit.results import (
     quality,
 )
 from cvxshear.fit.start import nearest_first
-from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.programs.constraints import refuse_contradicting

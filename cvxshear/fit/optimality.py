@@ -22,8 +22,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from scipy import linalg, optimize
 
-from cvxshear.fit.domain import Domain
-from cvxshear.fit.uncertainty import ON_BOUND
+from cvxshear.fit.domain import ON_BOUND, Domain
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.certificate import Point
 from cvxshear.programs.constraints import constrained

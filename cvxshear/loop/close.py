@@ -22,8 +22,8 @@ from cvxshear.effects.state import heights_of
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
+from cvxshear.fit.identification import INSEPARABLE
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.other_frames import INSEPARABLE
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop.comparison import verdict_fits
 from cvxshear.loop.conclusion import conclude

@@ -15,7 +15,7 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.data.pairing import numbered
+from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit.efficient import Estimate, fitted_with
 from cvxshear.fit.gauss_newton import ROUGH
@@ -25,7 +25,7 @@ from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.results import Step
 from cvxshear.loop.search import Search
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.model.shear import mode_derivatives, modes
+from cvxshear.model import mode_derivatives, modes
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Bools

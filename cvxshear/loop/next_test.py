@@ -10,8 +10,8 @@ import numpy as np
 
 from cvxshear.data import Frequencies, Shapes
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
 from cvxshear.fit.gaussian import separation
+from cvxshear.fit.misfit import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.util import ranking

@@ -16,7 +16,7 @@ import numpy as np
 
 from cvxshear.fit.identification import METHODS, identify
 from cvxshear.fit.paper_methods import MOST_ITERATIONS, TOLERANCE
-from cvxshear.model.shear import transformation
+from cvxshear.model import transformation
 from cvxshear.paper.setups import Setup, bound, six_story
 from cvxshear.programs.pair_rows import pair_normal
 from cvxshear.util import checks

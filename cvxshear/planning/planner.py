@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cvxshear.fit.expected_test import ExpectedTest
+from cvxshear.fit.misfit import ExpectedTest
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.choice import CRITERIA, Choice, Criterion, choose

@@ -24,10 +24,10 @@ from typing import ClassVar
 import numpy as np
 from scipy import linalg
 
-from cvxshear.fit import expected_test
-from cvxshear.fit.expected_test import ExpectedTest
+from cvxshear.fit import misfit
+from cvxshear.fit.misfit import ExpectedTest
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD, Configuration
-from cvxshear.model.shear import Modes
+from cvxshear.model import Modes
 from cvxshear.planning.choice import Candidates, candidates, free_changes
 from cvxshear.planning.design import Design
 from cvxshear.records.deviations import SENSOR_STD
@@ -260,12 +260,12 @@ class TestModel:
     def expected(self, added_mass: Floats) -> ExpectedTest:
         """Predict a test with these added masses; derivatives are relative to the parameters' sizes."""
         blank = self.design.blank(added_mass, self.numbers)
-        model = expected_test.tested_model(self.design.shell(), blank, (), self.design.sizes)
+        model = misfit.tested_model(self.design.shell(), blank, (), self.design.sizes)
         stds = self.noise.of(model.modes, np.diag(model.state.system.M), model.paired)
-        frequencies, shapes = expected_test.predicted_modes(blank, model)
+        frequencies, shapes = misfit.predicted_modes(blank, model)
         shape_std = np.repeat(stds[1][:, None], shapes.shape[1], axis=1)
-        test = expected_test.expected_configuration(blank, frequencies, shapes, stds[0], shape_std)
-        rows = expected_test.data_rows(test, model).J * self.design.sizes
+        test = misfit.expected_configuration(blank, frequencies, shapes, stds[0], shape_std)
+        rows = misfit.data_rows(test, model).J * self.design.sizes
         return ExpectedTest(test, rows, test.measured)
 
     def sensors(self, tests: Sequence[ExpectedTest], number: int) -> Candidates:

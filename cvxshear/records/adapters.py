@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.records.functions import Functions
 from cvxshear.records.mode_shapes import collinearity, lost_phase, main_axis, real_shape
 from cvxshear.records.record import Finding, finding

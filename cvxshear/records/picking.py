@@ -9,7 +9,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.records import pole_sweep
 from cvxshear.records.mode_shapes import collinearity, offsets, possible_changes, real_shape, sign_changes, undone
 from cvxshear.records.pole_sweep import Cluster, Criteria, Poles, Source  # fmt: skip

@@ -11,7 +11,7 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import CERTAIN, NUMBERS_OF_A_COPY, MeasuredModes, repeated_configurations
 from cvxshear.screening.finding import FileFinding, doubt, in_words

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement.reading import CERTAIN, MeasuredModes
-from cvxshear.model.shear import Modes
+from cvxshear.model import Modes
 from cvxshear.util.quantities import STANDARD_GRAVITY
 from cvxshear.util.typing import Floats, Ints
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, InputError, NoSolutionError, UnsuitableError, backends, close_loop, identify
-from cvxshear.model.shear import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
+from cvxshear.model import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.paper.setups import three_story
 from cvxshear.programs.pair_rows import (
     digits_lost,
@@ -120,7 +120,7 @@ LARGE = textwrap.dedent("""
     from pathlib import Path
     import numpy as np
     from cvxshear import Configuration, Experiment, Frame, identify
-    from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+    from cvxshear.model import mass_matrix, modes, stiffness_matrix
     n = 1000
     rng = np.random.default_rng(0)
     mass, stiffness = 2e4 * rng.uniform(0.7, 1.3, n), 2e10 * rng.uniform(0.7, 1.3, n)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cvxshear import backends
-from cvxshear.model.shear import stiffness_matrix
+from cvxshear.model import stiffness_matrix
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import remaining
 from cvxshear.programs.pair_rows import digits_lost, mass_rows, normalized, one_shot_rows, stiffness_rows

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment
-from cvxshear.model.shear import modes, stiffness_matrix
+from cvxshear.model import modes, stiffness_matrix
 from cvxshear.screening import screen
 from tests.fe.experiments import simulated
 

@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 
 from cvxshear import Experiment, backends, identify
 from cvxshear.measurement.experiment import Configuration, Frame
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.programs.pair_rows import digits_lost, one_shot_rows
 from cvxshear.util.writing import json_text, write_file
 from tests.studies.timing import fastest, shown, table

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.data import Model, Shapes
-from cvxshear.data.pairing import mac as mac_of
+from cvxshear.data.kinds import mac as mac_of
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
