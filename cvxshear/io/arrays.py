@@ -274,7 +274,7 @@ def _sets(path: Path, kind: int, limit: float) -> list[Json]:
     """Read the data sets of one kind, 58 (functions) or 55 (modes)."""
     where = str(path)
     # pyuff opens the file by its name; that it can be read, and how large it is, is checked here.
-    read_bytes(path, limit, TOO_LARGE, named=True)
+    read_bytes(path, limit, TOO_LARGE)
     pyuff = optional("pyuff", "universal files need")
     try:
         with warnings.catch_warnings():

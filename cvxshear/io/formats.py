@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -32,49 +30,31 @@ LIMIT = 100_000_000
 """Default limit on the size of a record's file, bytes."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 
-_read_before: ContextVar[dict[str, bytes] | None] = ContextVar("read_before", default=None)
-"""Content of pipes and devices by name, kept while one command runs."""
 
-
-@contextmanager
-def streams_read_once() -> Iterator[None]:
-    """Keep the content of pipes in this context, so that a second reading returns the same and does not wait."""
-    token = _read_before.set({})
-    try:
-        yield
-    finally:
-        _read_before.reset(token)
-
-
-def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", named: bool = False) -> bytes:
+def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "") -> bytes:
     """Read the content of a file.
 
     Parameters
     ----------
     path : Path
     largest : float
-        Bytes; the limit holds for pipes and devices, too.
+        Bytes.
     remedy : str
         End of the message about a larger file.
     absent : str, optional
         Addition to the message if the file does not exist.
-    named : bool, optional
-        Whether the file will be opened again by its name. A pipe is then refused: it can be read once.
 
     Raises
     ------
     InputError
-        If the file cannot be read or is larger.
+        If the file cannot be read or is larger, or is a device or a pipe, which can be read once only.
     """
     where = str(path)
     try:
         if path.is_dir():
             raise InputError(f"{where} is a folder; name a file in it")
-        if named and path.exists() and not path.is_file():
+        if path.exists() and not path.is_file():
             raise InputError(f"{where} is a device or a pipe; save what it gives in a file")
-        kept = None if path.is_file() else _read_before.get()
-        if kept is not None and where in kept:
-            return kept[where]
         with path.open("rb") as file:
             content = file.read(int(largest) + 1)
     except FileNotFoundError:
@@ -87,8 +67,6 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
         raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
     if len(content) > largest:
         raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
-    if kept is not None:
-        kept[where] = content
     logger.info("read %s, %d bytes", printable(where), len(content))
     return content
 

@@ -142,9 +142,6 @@ TIME, GROUND, FORCE, ROOF, NO_MOTION, AXIS, BRACKETED, ENDING, RATE = (
 
 NUMBER = re.compile(r"\d+")
 
-ASCENDING = 0.99
-"""Least share of steps that are not negative in a column of time; a few cells may be damaged."""
-
 
 @dataclass(frozen=True)
 class Guess:
@@ -185,12 +182,12 @@ def time_column(columns: Columns) -> str | None:
     for name, steps in sorted(
         steps_of.items(), key=lambda each: (each[0] not in called, -np.count_nonzero(each[1] > 0))
     ):
-        if steps.size == 0 or np.mean(steps >= 0) < ASCENDING:
-            continue
-        usual = np.median(steps)
+        usual = np.median(steps) if steps.size else 0.0
+        if name in called:
+            if steps.sum() > 0:
+                return name
         # Steps of 1 count the samples.
-        even = np.mean(np.abs(steps - usual) < UNEVEN_STEP * usual) > ASCENDING
-        if name in called or (usual > 0 and usual != 1.0 and even):
+        elif usual > 0 and usual != 1.0 and np.median(np.abs(steps - usual)) < UNEVEN_STEP * usual:
             return name
     return None
 

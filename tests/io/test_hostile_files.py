@@ -73,12 +73,9 @@ def test_a_quote_that_never_ends(tmp_path):
 
 
 def test_a_pipe_that_never_ends(tmp_path):
-    with pytest.raises(InputError, match="/dev/zero has more than 5 MB"):
-        load("/dev/zero")
-    with pytest.raises(InputError, match=r"/dev/zero has more than 0.001 MB"):
-        read_csv("/dev/zero", 1000)
-    with pytest.raises(InputError, match=r"/dev/zero has more than 0.001 MB"):
-        read_mat("/dev/zero", 1000)
+    for read in (load, read_csv, read_mat):
+        with pytest.raises(InputError, match="/dev/zero is a device or a pipe"):
+            read("/dev/zero")
 
 
 HEADS = {
