@@ -278,8 +278,8 @@ class Configuration(InTable):
             self._refuse_empty_shapes(self.mode_shapes)
             if (pair := repeated_rows(self.mode_shapes, whole=whole)) is not None:
                 raise InputError(
-                    f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode has "
-                    "its own"
+                    f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode "
+                    "has its own"
                 )
 
     def _refuse_empty_shapes(self, shapes: Floats) -> None:

@@ -335,7 +335,7 @@ def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
         np.testing.assert_allclose(backends.get("auto").solve(program).x, [5.0, 1.0], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (102, 3)])
+@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (40, 3)])
 def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
     """Evaluate delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d explicitly."""
     rng = np.random.default_rng(n + constraints)
@@ -360,11 +360,7 @@ def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
     u = 4 * np.finfo(float).eps
     f = u * np.sqrt(n) * (np.abs(C) @ np.abs(z) + np.abs(s))
     g = u * np.sqrt(2 * n) * np.abs(C).T @ np.abs(residual)
-    if n <= 100:
-        expected = np.abs(inverse @ C.T) @ f + np.abs(inverse) @ g
-    else:
-        reach = np.sqrt(np.diag(inverse))
-        expected = reach * (np.linalg.norm(f) + reach @ g)
+    expected = np.abs(inverse @ C.T) @ f + np.abs(inverse) @ g
     expected += np.abs(P) @ (u * np.sqrt(n) * (np.abs(B) @ np.abs(z) + np.abs(c)))
     # Add the last correction, which is of the size of rounding.
     np.testing.assert_allclose(found.errors, D * expected, rtol=0.2)
