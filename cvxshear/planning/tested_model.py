@@ -30,7 +30,7 @@ from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MO
 from cvxshear.model import Modes
 from cvxshear.planning.choice import Candidates, candidates, free_changes
 from cvxshear.planning.design import Design
-from cvxshear.records.deviations import SENSOR_STD
+from cvxshear.records.result import SENSOR_STD
 from cvxshear.util import checks, ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats, Ints
