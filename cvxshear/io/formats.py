@@ -12,13 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from cvxshear.util.errors import CvxshearError, InputError, printable
 from cvxshear.util.quantities import listed
-
-if TYPE_CHECKING:
-    from cvxshear.io.csv import Columns
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +74,7 @@ def named_after(path: str | Path) -> str:
     return stem if stem.strip() else "unnamed"
 
 
-ColumnReader = Callable[[Path, float], "Columns"]
+ColumnReader = Callable[[Path, float], Any]
 ModeReader = Callable[[str | Path], dict[str, Any]]
 
 ANY_TEXT = (".txt", ".dat", ".asc")
@@ -109,9 +106,9 @@ class Format:
     columns: ColumnReader | str | None = None
     modes: ModeReader | str | None = None
 
-    def read_columns(self, path: Path, limit: float) -> Columns:
-        """Read the columns of such a file."""
-        return cast("Columns", self._read(self.columns, path, limit))
+    def read_columns(self, path: Path, limit: float) -> Any:
+        """Read the `Columns` of such a file."""
+        return self._read(self.columns, path, limit)
 
     def read_modes(self, path: str | Path) -> dict[str, Any]:
         """Read the keys of a table [[configuration]] that such a file holds."""
@@ -180,8 +177,8 @@ def endings_of(reader: str) -> str:
     return listed([each.endings[0] for each in FORMATS if getattr(each, reader) is not None], "or")
 
 
-def read_columns(path: Path, limit: float) -> Columns:
-    """Read the columns of a file of samples; a file with an unknown ending is read as delimited text.
+def read_columns(path: Path, limit: float) -> Any:
+    """Read the `Columns` of a file of samples; a file with an unknown ending is read as delimited text.
 
     Raises
     ------

@@ -191,9 +191,10 @@ class RecordTables:
     def columns(self, run: Mapping[str, Any]) -> Columns:
         """Read the columns of a run's file."""
         limit = self.declared.get("size_limit", LIMIT / MEGABYTE)
-        return read_columns(
+        found: Columns = read_columns(
             self.path.parent / run["file"], MEGABYTE * checks.number(limit, "record: size_limit (MB)", above=0.0)
         )
+        return found
 
     def floor(self, place: int, otherwise: int | None = None) -> int:
         """Find the floor of the force of a run; runs are counted from 1."""

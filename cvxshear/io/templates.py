@@ -272,7 +272,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         If a file cannot be read, holds no column of numbers besides time, or other columns than the first.
     """
     path, *others = [Path(data)] if isinstance(data, str | Path) else [Path(each) for each in data]
-    columns = read_columns(path, LIMIT)
+    columns: Columns = read_columns(path, LIMIT)
     for other in others:
         if missing := sorted(set(columns.names) - set(names := read_columns(other, LIMIT).names)):
             raise InputError(
