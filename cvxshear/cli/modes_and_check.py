@@ -109,7 +109,6 @@ def check(file: options.File, out: options.JsonOut = None, strict: bool = False)
 def modes(
     records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=options.input_files)],
     output: options.TomlOut = None,
-    uff: Annotated[str | None, options.writes("--uff", metavar="UFF", endings=(".uff", ".unv", ".u55"))] = None,
     method: str | None = None,
     count: int | None = None,
     pick: str | None = None,
@@ -131,8 +130,6 @@ def modes(
         Record files (TOML), or patterns such as 'day-1/*.toml'.
     output
         Write a measurement file here, a configuration each.
-    uff
-        Write the modes as a universal file here.
     method
         era, subspace or ssi; default: the one that suits the record.
     count
@@ -145,7 +142,6 @@ def modes(
         Processes that identify records; -1 takes every core.
     """
     from cvxshear.io.modes import identify_modes_many, write_merged
-    from cvxshear.io.uff import write_uff
     from cvxshear.records import ModalResult
     from cvxshear.report.from_records import poles_table
 
@@ -153,8 +149,6 @@ def modes(
     files_of = outputs.prepared(ModalResult)
     if report is not None:
         from cvxshear.report.html import render_modes
-    if uff is not None and len(sources) > 1:
-        raise InputError("--uff holds the modes of one record; identify the records one by one for it")
     with progress("identifying modes", outputs.quiet) as advance:
         found = identify_modes_many(
             sources,
@@ -174,8 +168,6 @@ def modes(
         files = files_of(*results)
         if output is not None:
             files.append(lambda: write_merged(output, tests))
-        if uff is not None:
-            files.append(lambda: write_uff(uff, results[0]))
         if report is not None:
             page = partial(render_modes, results, as_typed(), [str(error) for error in errors])
             files.append(lambda: write_file(report, page()))

@@ -234,8 +234,7 @@ FUNCTIONS = {
 """Commands and their equivalent Python functions with the objects that these take."""
 
 OF_THE_COMMAND = {
-    "csv", "figure", "help", "jobs", "json", "out", "output", "quiet", "record", "report", "strict", "uff", "units",
-    "xlsx",
+    "csv", "figure", "help", "jobs", "json", "out", "output", "quiet", "record", "report", "strict", "units", "xlsx",
 }  # fmt: skip
 """Options for the files to read and write, and for the display of results."""
 
