@@ -1,9 +1,8 @@
 """Closing the loop: from the shear model to the effects that it lacks, and their probabilities.
 
-Searches run with the modes numbered as given, with other numberings, and from the dual frame. Effects cannot correct a
-wrong mode number, and a search that tries this is long. So the shear model is fitted under every numbering first. The
-most promising numberings then receive the effects that their linearised models predict. Only numberings near the best
-are searched to the end.
+Searches run with the modes numbered as given, with other numberings, and from the dual frame. Under another numbering
+the shear model is fitted first, and then the best set of the given one; it is searched to the end if either is near the
+best.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from cvxshear.loop.hypotheses import (
 )
 from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.results import LoopResult
-from cvxshear.loop.search import Search, holds_open
+from cvxshear.loop.search import WITHIN, Search, holds_open
 from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
@@ -53,20 +52,6 @@ from cvxshear.priors import Prior
 from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
-
-MOST_WIDENINGS = 3
-"""Largest number of times that the noise is widened for an unexplained residual: wider noise changes the best set."""
-
-PROBED = 4
-"""Number of numberings, the best by their shear models, that are tried with effects before one is searched fully."""
-
-REACH = 20.0
-"""Largest log probability ratio between the best numbering and one that is searched to the end."""
-
-FAR_BEHIND = 100.0
-"""Largest log probability ratio between the best numbering and one that stays in the search, after the best one
-explains the data. Other numberings are compared by their shear models, because effects that both need gain the same in
-both. The given numbering is compared by its best set."""
 
 MOST_PAIRED = 10
 """Largest number of stories for which all pairs of changes of a state are tried: 180 fits per state."""
@@ -89,25 +74,22 @@ def search_for_effects(
     wanted, left_out = able_to_take_part(chosen(effects), experiment)
     solver = backends.get(backend)
     assumed = _declared(experiment, solver, assumed_effects(experiment, assume))
-    declared = searches = _prepared(experiment, solver, wanted, assumed, jobs)
+    searches = _prepared(experiment, solver, wanted, assumed, jobs)
     found = searches.run(experiment)
     messages = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
         *(f"an effect was left out: {message}" for message in left_out),
     )
     result = _concluded(found, found, wanted, messages)
-    for _ in range(MOST_WIDENINGS):
-        if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
-            break
-        # The residual refutes the noise, so the evidence is invalid: judge the sets again under sufficient noise.
-        searches = dataclasses.replace(searches, widened=searches.widened * excess)
-        again = searches.run(experiment)
-        numbered = [each.fitter.numbering.changes for each in found]
-        # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
-        new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
-        found += [declared.start_search(each) for changes, each in new.items() if changes not in numbered]
-        result = _concluded(found, again, wanted, messages)
-    return result
+    if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
+        return result
+    # The residual refutes the noise, so the evidence is invalid: judge the sets again under sufficient noise.
+    again = dataclasses.replace(searches, widened=excess).run(experiment)
+    numbered = [each.fitter.numbering.changes for each in found]
+    # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
+    new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
+    found += [searches.start_search(each) for changes, each in new.items() if changes not in numbered]
+    return _concluded(found, again, wanted, messages)
 
 
 def _concluded(
@@ -130,23 +112,6 @@ def _concluded(
     fitters = list(dict.fromkeys(each.fitter for each in (*found, *judging)))
     effort = sum(each.fits for each in fitters), sum(each.programs for each in fitters)
     return conclude(fits, posterior, wanted, messages=messages, effort=effort)
-
-
-def start_search(experiment: Experiment, assumed: tuple[LocatedEffect, ...] = ()) -> Search:
-    """Begin a search over the whole catalogue with the fit of the shear model; no effect is tried.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    assumed : tuple of LocatedEffect, optional
-        Effects that the model holds from the start.
-
-    Raises
-    ------
-    CvxshearError
-        If the shear model could not be fitted.
-    """
-    return _prepared(experiment, backends.get("auto"), chosen(None), assumed).start_search(Numbering(experiment))
 
 
 def _prepared(
@@ -242,7 +207,7 @@ class Searches:
     def run(self, experiment: Experiment) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
 
-        Each search runs to its end. The search with the given numbering is dropped if another numbering is far better.
+        Each search runs to its end.
 
         Raises
         ------
@@ -250,18 +215,19 @@ class Searches:
             If the shear model could not be fitted to the modes as given.
         """
         given = self.start_search(Numbering(experiment))
+        given.run()
         others = list(self._possible(named_numberings(experiment)))
-        if not given.base.improbable:
-            given.run()
         if given.base.improbable or given.best.effects:
             others += self._possible(overlooked_in_all(experiment))
-        leader = _leader(given, others)
-        if leader.best.improbable or holds_open(leader.best.effects):
+        if given.best.improbable or holds_open(given.best.effects):
             # Before a statement of the shear model is rejected, the mode numbers are questioned one test at a time.
             others += self._possible(overlooked_in_one(experiment))
-            leader = _leader(given, others)
-        leader.run()
-        near = _near(given, others, leader)
+        near = [given]
+        for search in ranking.ranked(others, lambda search: search.base.score, same=ranking.SAME_ODDS):
+            search.visit([given.best.effects])
+            if search.best.score >= max(each.best.score for each in near) - WITHIN:
+                search.run()
+                near.append(search)
         duals = [other for search in near if (other := self._dual(search)) is not None]
         for search in (*near, *duals):
             search.refine()
@@ -323,7 +289,7 @@ class Searches:
         except CvxshearError:
             # The declarations exclude the dual.
             return None
-        if other.base.score < search.base.score - REACH or _same_frame(other.base, search.base):
+        if other.base.score < search.base.score - WITHIN or _same_frame(other.base, search.base):
             return None
         other.visit(effects for effects, _ in self._duals(search))
         other.run()
@@ -373,38 +339,6 @@ class Searches:
             frame = search.fitter.fit(misfit, base.theta, ROUGH).theta[: 2 * n]
             frames += [frame, dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]
-
-
-def _leader(given: Search, others: Sequence[Search]) -> Search:
-    """Try the most promising numberings with effects, and return the best of them."""
-    if not others:
-        return given
-    promising = ranking.ranked(others, lambda search: search.base.score, same=ranking.SAME_ODDS)[: PROBED - 1]
-    for search in (given, *promising):
-        search.probe()
-    return max((given, *promising), key=lambda search: search.best.score)
-
-
-def _near(given: Search, others: Sequence[Search], leader: Search) -> list[Search]:
-    """Search the numberings near the best to the end, and the given numbering if it may still win."""
-    rest = ranking.ranked(
-        (each for each in (given, *others) if each is not leader),
-        lambda search: search.base.score,
-        same=ranking.SAME_ODDS,
-    )
-    kept = {id(given), id(leader)}
-    best = leader.best.score
-    for search in rest:
-        hopeless = not leader.best.improbable and search.base.score < leader.base.score - FAR_BEHIND
-        if hopeless and search is not given:
-            continue
-        search.visit([leader.best.effects])
-        behind = best - search.best.score
-        if behind <= REACH or (search is given and (behind <= FAR_BEHIND or leader.best.improbable)):
-            search.run()
-            best = max(best, search.best.score)
-            kept.add(id(search))
-    return [search for search in (given, *others) if id(search) in kept]
 
 
 def _same_frame(a: ModelClass, b: ModelClass) -> bool:

@@ -17,7 +17,7 @@ from cvxshear.loop.hypotheses import OPEN, OVERLOOKED, NumberingProbability, dua
 from cvxshear.loop.next_test import next_test
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
 from cvxshear.loop.results import AddedEffect, Candidate, EffectSet, LoopResult, where_it_sits
-from cvxshear.loop.search import Search, fits_alike
+from cvxshear.loop.search import REPORTED, Search, fits_alike
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.quantities import SURE, listed, significant
@@ -25,9 +25,6 @@ from cvxshear.util.quantities import SURE, listed, significant
 NUMBERED = 1.0 - 2.0 * OVERLOOKED
 """Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
 numbers keep their prior probability, which suffices."""
-
-REPORTED = 1e-3
-"""Smallest probability of a reported set."""
 
 LITTLE_GAINED = 1.1
 """Smallest ratio of precisions, with the data and without, for an effect that the data distinguish from the frame."""

@@ -27,13 +27,6 @@ from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats
 
-MOST_TAKEN = 12
-"""Largest number of effects added in one sequence. More are not credible, and fits of sets of twenty or more reach
-their limit of steps without convergence."""
-
-WIDE = 4.0
-"""Factor on an effect's size for its first prediction."""
-
 EXACT = 1e-5
 """Rounding: share of an effect's derivatives outside the span of the others that counts as zero."""
 
@@ -144,14 +137,10 @@ class Linearised:
         return np.where(np.isinf(stds), (upper - lower) / np.sqrt(12), stds)
 
     def _likely_sizes(self, placed: LocatedEffect) -> Floats:
-        """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
-
-        Student's prior is widened by `WIDE`, so that the prediction does not shrink a large effect. A common size gets
-        its most probable value.
-        """
+        """Choose the standard deviations for a first prediction; a common size gets its most probable value."""
         stds = self.expectation.of(placed)
         if not placed.effect.common_size:
-            return stds if np.isinf(placed.effect.tail) else WIDE * stds
+            return stds
         gains, sizes = self._gains_by_size(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
         found: Floats = stds * np.exp(sizes[np.argmax(gains)])
         return found
@@ -167,7 +156,7 @@ class Linearised:
         taken: list[LocatedEffect] = []
         open_to = np.array(log_priors)
         own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
-        for _ in range(min(len(self.candidates), MOST_TAKEN)):
+        for _ in self.candidates:
             gains = self._gains(own, left) + open_to
             at = ranking.first_largest(gains)
             if not gains[at] > 0.0:

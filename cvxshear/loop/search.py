@@ -31,17 +31,17 @@ from cvxshear.util.typing import Floats
 BEAM = 6
 """Number of best visited sets that are expanded."""
 
-WITHIN = 7.0
-"""Largest distance from the best set, in log probability, of a set that is followed up: a thousandth of the best
-probability."""
+REPORTED = 1e-3
+"""Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
+"""
+
+WITHIN = float(-np.log(REPORTED))
+"""Largest distance from the best set, in log probability, of a set that is followed up."""
 
 TIE = 2.0
 """Largest difference in log probability of two sets that are equally good. Further effects are tried beside both of
 them. Tried beside one only, they would count for that set alone, and the probabilities of its effects would be wrong:
 without this rule, an effect that no datum concerns loses its prior probability."""
-
-A_PILE = 3
-"""Number of effects that a simple explanation does not reach: two simultaneous causes are rare, three are very rare."""
 
 MOST_FURTHER = 10
 """Largest number of further effects, each fitted alone, when a set is expanded."""
@@ -153,9 +153,8 @@ class Search:
 
     @property
     def _unsatisfied(self) -> bool:
-        """Whether no simple set of causes explains the data so far."""
-        best = self.best
-        return best.improbable or len(best.effects) >= A_PILE or holds_open(best.effects)
+        """Whether no set of causes explains the data so far."""
+        return self.best.improbable or holds_open(self.best.effects)
 
     def add_motions(self, model: ModelClass) -> None:
         """Visit the shear model, and a set, with effects that add degrees of freedom.
@@ -175,10 +174,6 @@ class Search:
         found = self.fitter.models(_from_starts(with_companions(self.fitter, model), base))
         self.other_optima += found
         self._record(found)
-
-    def probe(self) -> None:
-        """Expand the shear model alone."""
-        self._follow(self._expand, [self.base])
 
     def visit(self, sets: Iterable[Set]) -> None:
         """Fit sets that are named from outside, started at the shear model."""

@@ -109,11 +109,6 @@ class NearestFrame:
         return np.asarray(np.linalg.pinv(self.at.J.T @ self.at.J))
 
 
-def loads_of(added: Sequence[Floats]) -> list[tuple[int, int]]:
-    """List the added masses, each by its test and its floor, from 0."""
-    return [(test, floor) for test, mass in enumerate(added) for floor in np.flatnonzero(mass).tolist()]
-
-
 def usual_width(stories: int) -> Floats:
     """Return the standard deviations of the logarithms of masses and stiffnesses about typical ones, shape (2N,)."""
     return np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], stories)
@@ -283,9 +278,5 @@ class ShearFrames:
 def misfit(reading: MeasuredModes, found: Modes) -> float:
     """Add up the squares of the residuals for a frame of only about the right proportions, its scale free."""
     off = np.log(found.frequencies[reading.modes]) - reading.log_frequencies
-    return float(np.sum(((off - off.mean()) / reading.frequency_std) ** 2) + np.sum(shape_errors(reading, found) ** 2))
-
-
-def shape_errors(reading: MeasuredModes, found: Modes) -> Floats:
-    """Return residuals of the shapes of a frame, shape (m n,)."""
-    return shape_residual(reading.scaled, found.shapes[np.ix_(reading.modes, reading.floors)], reading.weights)[0]
+    shapes, _ = shape_residual(reading.scaled, found.shapes[np.ix_(reading.modes, reading.floors)], reading.weights)
+    return float(np.sum(((off - off.mean()) / reading.frequency_std) ** 2) + np.sum(shapes**2))

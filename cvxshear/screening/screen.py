@@ -14,9 +14,9 @@ from cvxshear.loop.close import search_for_effects
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
-from cvxshear.screening.doubts import DECLARED_DOUBTS, frequency_units, look_alike, total_mass
-from cvxshear.screening.finding import FileFinding
-from cvxshear.screening.mistakes import masses_declared, mistakes, wrong_frequency
+from cvxshear.screening import doubts
+from cvxshear.screening.doubts import FileFinding
+from cvxshear.screening.mistakes import masses_declared, mistakes
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import Shown
@@ -82,11 +82,13 @@ def screen(experiment: Measurement) -> tuple[FileFinding, ...]:
         Mistakes first, then warnings; without those that `[frame] accept` lists.
     """
     experiment = opened(experiment)
-    found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
-    if not found and "frequency" not in experiment.frame.accept:
-        found += wrong_frequency(experiment)
+    found = [
+        *doubts.frequency_units(experiment),
+        *(item for each in experiment.configurations for item in mistakes(each)),
+    ]
     # Frequencies and shapes that are wrong tell no mass.
-    for doubt in DECLARED_DOUBTS if found else (total_mass, masses_declared, look_alike, *DECLARED_DOUBTS):
+    by_modes = () if found else (doubts.total_mass, masses_declared, doubts.look_alike)
+    for doubt in (*by_modes, *doubts.DECLARED_DOUBTS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
@@ -167,6 +169,6 @@ def close_loop(
     experiment = opened(experiment)
     # The loop weighs the mode numbers of a configuration with other_modes together with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
-    doubts = refuse_mistakes(experiment, {*weighed, *numbered_anew})
+    warnings = refuse_mistakes(experiment, {*weighed, *numbered_anew})
     found = search_for_effects(experiment, effects, assume, backend, priors, jobs=jobs)
-    return dataclasses.replace(found, warnings=doubts)
+    return dataclasses.replace(found, warnings=warnings)

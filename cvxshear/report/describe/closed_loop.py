@@ -8,7 +8,6 @@ from cvxshear.data import Deviation, Frequencies, noise_kinds
 from cvxshear.effects import compose
 from cvxshear.effects.state import State
 from cvxshear.loop import LoopResult
-from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.results import AddedEffect, EffectSet, by_part
 from cvxshear.report.describe import (
     PAGE_COLUMNS,
@@ -451,7 +450,7 @@ def _next(result: LoopResult, units: Units) -> str:
         factor, unit = units.of_mass([test.added_mass])
         return (
             f'Put {significant(test.added_mass / factor, 3)} {unit} more on floor {test.floor} of "{test.state}" and '
-            f"measure again{_with_sensors(result, test)}: the rivals would then differ by "
+            "measure again: the rivals would then differ by "
             f"{test.standard_deviations:.1f} standard deviations"
             f"{'' if test.tells_all else ', but for those that no added mass tells'}.{_reference(result)}"
         )
@@ -494,15 +493,4 @@ def _besides(result: LoopResult) -> str:
     return (
         f"{first}, but something may be there besides: {listed(named, 'or')}. The averaged masses and stiffnesses "
         "allow for that; use those."
-    )
-
-
-def _with_sensors(result: LoopResult, test: NextTest) -> str:
-    """Name the additional floors that the next test measures."""
-    if test.measured_floors is None:
-        return ""
-    first = next(each for each in result.experiment.configurations if each.state == test.state)
-    more = [str(floor) for floor in test.measured_floors if floor not in first.measured_floors]
-    return (
-        f", with {'a sensor' if len(more) == 1 else 'sensors'} at floor{'s' * (len(more) > 1)} {' and '.join(more)} too"
     )
