@@ -133,7 +133,7 @@ def loop(
     assume
         Effects that are in the model from the start, such as gravity.
     jobs
-        Processes that fit candidates; -1 takes every core.
+        Processes that identify the modes of records; -1 takes every core.
     title
         Title of the report.
     client
@@ -150,7 +150,7 @@ def loop(
         Status 3 where the verdict is not one to rely on, such as ambiguous.
     """
     from cvxshear import LoopResult
-    from cvxshear.loop.verdicts import VERDICTS
+    from cvxshear.loop.results import VERDICTS
     from cvxshear.response import damping_of, models_of_loop, predict
     from cvxshear.screening import close_loop
 
@@ -172,7 +172,6 @@ def loop(
             effects=names(effects),
             assume=names(assume) or (),
             backend=backend,
-            jobs=jobs,
             weighed=[each.name for each in experiment.configurations if found],
         )
         models = models_of_loop(result)

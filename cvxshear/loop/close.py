@@ -43,14 +43,13 @@ from cvxshear.loop.hypotheses import (
     overlooked_in_one,
 )
 from cvxshear.loop.posterior import Posterior
-from cvxshear.loop.results import LoopResult
+from cvxshear.loop.results import VERDICTS, LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
-from cvxshear.loop.verdicts import VERDICTS
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
 from cvxshear.priors import Prior
 from cvxshear.util import ranking
-from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
+from cvxshear.util.errors import CvxshearError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 MOST_PAIRED = 10
@@ -63,8 +62,6 @@ def search_for_effects(
     assume: Sequence[str | LocatedEffect] = (),
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
-    *,
-    jobs: int = 1,
 ) -> LoopResult:
     """Find the effects that the shear model lacks, without screening the measurement first.
 
@@ -74,7 +71,7 @@ def search_for_effects(
     wanted, left_out = able_to_take_part(chosen(effects), experiment)
     solver = backends.get(backend)
     assumed = _declared(experiment, solver, assumed_effects(experiment, assume))
-    searches = _prepared(experiment, solver, wanted, assumed, jobs)
+    searches = _prepared(experiment, solver, wanted, assumed)
     found = searches.run(experiment)
     messages = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
@@ -115,12 +112,12 @@ def _concluded(
 
 
 def _prepared(
-    experiment: Experiment, solver: Backend, wanted: Sequence[Effect], assumed: tuple[LocatedEffect, ...], jobs: int = 1
+    experiment: Experiment, solver: Backend, wanted: Sequence[Effect], assumed: tuple[LocatedEffect, ...]
 ) -> Searches:
     """Fit the shear model, and collect the settings that all searches share."""
     looked_for = hypotheses(experiment, wanted, assumed)
     start = _first(experiment, solver, assumed)
-    return Searches(solver, assumed, looked_for, _expectation(experiment, start.theta, looked_for), start, jobs)
+    return Searches(solver, assumed, looked_for, _expectation(experiment, start.theta, looked_for), start)
 
 
 def _excess(result: LoopResult) -> float | None:
@@ -166,15 +163,7 @@ def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hyp
         for item in looked_for
         if item.size is not None
     }
-    found = EffectPrior(scale, stds)
-    for item in looked_for:
-        for parameter, std in zip(item.placed.effect.parameters, found.of(item.placed), strict=True):
-            if np.isinf(std) and np.isinf(parameter.upper - parameter.lower):
-                raise InputError(
-                    f"nothing says how large {parameter.name} of the effect {item.placed.effect.name} may be: give the "
-                    "effect `sizes`, or the parameter finite bounds"
-                )
-    return found
+    return EffectPrior(scale, stds)
 
 
 @dataclass(frozen=True)
@@ -190,8 +179,6 @@ class Searches:
     expectation : EffectPrior
     start : Estimate
         The shear model with the modes as given.
-    jobs : int
-        Processes over which sets of effects are fitted.
     widened : float
         Factor on the standard deviations of the data.
     """
@@ -201,7 +188,6 @@ class Searches:
     looked_for: Sequence[Hypothesis]
     expectation: EffectPrior
     start: Estimate
-    jobs: int = 1
     widened: float = 1.0
 
     def run(self, experiment: Experiment) -> list[Search]:
@@ -242,7 +228,7 @@ class Searches:
         return self._search(numbering, theta, ROUGH if numbering.changes else FULL)
 
     def _search(self, numbering: Numbering, theta: Floats, accuracy: Accuracy) -> Search:
-        fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation, jobs=self.jobs)
+        fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation)
         noise = self.start.misfit.noise
         misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.widened)
         try:

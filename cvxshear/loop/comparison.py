@@ -30,11 +30,8 @@ from cvxshear.util import ranking
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Bools
 
-DETERMINED = 1e-3
-"""Largest change of the log frequency along an undetermined direction for a prediction that counts."""
-
 USEFUL = 0.1
-"""Largest relative standard deviation of a prediction that counts."""
+"""Largest relative standard deviation of a prediction that counts; an undetermined direction counts with its length."""
 
 MOST_PREDICTIONS = 24
 """Largest number of predictions: each is a fit, and a tall frame has many modes."""
@@ -221,6 +218,6 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     open_change = np.abs(gradient * np.abs(rest.theta)[:, None])[~rest.uncertainty.determined].sum(axis=0)
     variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(), gradient)
     error = np.abs(found.frequencies[which] / configuration.frequencies[mask] - 1.0)
-    counts = (open_change <= DETERMINED) & (variance <= USEFUL**2)
+    counts = np.sqrt(variance) + open_change <= USEFUL
     places = np.flatnonzero(mask).tolist()
     return {(name, place): float(value) for place, value, good in zip(places, error, counts, strict=True) if good}

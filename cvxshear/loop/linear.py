@@ -22,7 +22,7 @@ from cvxshear.fit.domain import EffectPrior, domain_of
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gaussian import LOG_SIZES, SizeMarginal, UnknownSize, gains_by_size, log_interval, student_weights
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import free_basis
+from cvxshear.loop.fitter import free_basis
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats

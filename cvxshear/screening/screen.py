@@ -130,7 +130,6 @@ def close_loop(
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
     *,
-    jobs: int = 1,
     weighed: Collection[str] = (),
 ) -> LoopResult:
     """Find the physical effects that the shear model lacks.
@@ -148,8 +147,6 @@ def close_loop(
     backend : str or Backend, optional
     priors : sequence of Prior, optional
         Priors in addition to those of the experiment.
-    jobs : int, optional
-        Number of processes that fit sets of effects; -1 uses every core.
     weighed : collection of str, optional
         Names of the configurations whose mode numbers come from a record and not from a file. The loop weighs other
         numbers for them, so a number that looks wrong is a warning there and not a mistake.
@@ -170,5 +167,5 @@ def close_loop(
     # The loop weighs the mode numbers of a configuration with other_modes together with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
     warnings = refuse_mistakes(experiment, {*weighed, *numbered_anew})
-    found = search_for_effects(experiment, effects, assume, backend, priors, jobs=jobs)
+    found = search_for_effects(experiment, effects, assume, backend, priors)
     return dataclasses.replace(found, warnings=warnings)

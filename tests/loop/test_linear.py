@@ -10,7 +10,7 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.gaussian import LOG_SIZES, SizeMarginal, UnknownSize, gains_by_size, student_weights
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import log_evidence
+from cvxshear.loop.fitter import log_evidence
 from cvxshear.loop.linear import Linearised
 from tests.frames import configuration, experiment, modes_of
 

@@ -15,8 +15,7 @@ from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop import conclusion
 from cvxshear.loop.close import search_for_effects
-from cvxshear.loop.evidence import log_evidence
-from cvxshear.loop.fitter import Fitter
+from cvxshear.loop.fitter import Fitter, log_evidence
 from cvxshear.loop.linear import Linearised
 from cvxshear.loop.next_test import next_test
 from tests.fe.experiments import simulated

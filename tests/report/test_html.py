@@ -15,7 +15,7 @@ import pytest
 
 import cvxshear
 from cvxshear import close_loop
-from cvxshear.loop.verdicts import VERDICTS
+from cvxshear.loop.results import VERDICTS
 from cvxshear.measurement.declaration import Heading
 from cvxshear.report import figures
 from cvxshear.report.describe import describe
