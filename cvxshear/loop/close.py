@@ -15,41 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.domain import EffectPrior
+from cvxshear.fit import domain, gauss_newton, other_frames
 from cvxshear.fit.efficient import Estimate, efficient
-from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.other_frames import INSEPARABLE
 from cvxshear.fit.start import nearest_start
-from cvxshear.loop.comparison import verdict_fits
-from cvxshear.loop.conclusion import conclude
+from cvxshear.loop import comparison, conclusion, hypotheses
 from cvxshear.loop.fitter import Fitter, ModelClass
-from cvxshear.loop.hypotheses import (
-    Hypothesis,
-    Numbering,
-    able_to_take_part,
-    assumed_effects,
-    chosen,
-    dual_fits_as_well,
-    dual_frame,
-    dual_set,
-    few_floors_seen,
-    hypotheses,
-    named_numberings,
-    overlooked_in_all,
-    overlooked_in_one,
-)
 from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.results import VERDICTS, LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
 from cvxshear.priors import Prior
-from cvxshear.util import ranking
-from cvxshear.util.errors import CvxshearError, NoSolutionError, UnsuitableError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 MOST_PAIRED = 10
@@ -60,7 +40,7 @@ def search_for_effects(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
     assume: Sequence[str | LocatedEffect] = (),
-    backend: str | Backend = "auto",
+    backend: str | backends.Backend = "auto",
     priors: Sequence[Prior] = (),
 ) -> LoopResult:
     """Find the effects that the shear model lacks, without screening the measurement first.
@@ -68,9 +48,9 @@ def search_for_effects(
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
     experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
-    wanted, left_out = able_to_take_part(chosen(effects), experiment)
+    wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)
     solver = backends.get(backend)
-    assumed = _declared(experiment, solver, assumed_effects(experiment, assume))
+    assumed = _declared(experiment, solver, hypotheses.assumed_effects(experiment, assume))
     searches = _prepared(experiment, solver, wanted, assumed)
     found = searches.run(experiment)
     messages = (
@@ -105,17 +85,17 @@ def _concluded(
     """
     models = [model for each in judging for model in (*each.visited.values(), *each.other_optima)]
     posterior = Posterior(models, found[0].fitter.hypotheses)
-    fits = verdict_fits(judging, posterior.within(posterior.numberings[0].changes), found[0].fitter)
+    fits = comparison.verdict_fits(judging, posterior.within(posterior.numberings[0].changes), found[0].fitter)
     fitters = list(dict.fromkeys(each.fitter for each in (*found, *judging)))
     effort = sum(each.fits for each in fitters), sum(each.programs for each in fitters)
-    return conclude(fits, posterior, wanted, messages=messages, effort=effort)
+    return conclusion.conclude(fits, posterior, wanted, messages=messages, effort=effort)
 
 
 def _prepared(
-    experiment: Experiment, solver: Backend, wanted: Sequence[Effect], assumed: tuple[LocatedEffect, ...]
+    experiment: Experiment, solver: backends.Backend, wanted: Sequence[Effect], assumed: tuple[LocatedEffect, ...]
 ) -> Searches:
     """Fit the shear model, and collect the settings that all searches share."""
-    looked_for = hypotheses(experiment, wanted, assumed)
+    looked_for = hypotheses.hypotheses(experiment, wanted, assumed)
     start = _first(experiment, solver, assumed)
     return Searches(solver, assumed, looked_for, _expectation(experiment, start.theta, looked_for), start)
 
@@ -126,21 +106,21 @@ def _excess(result: LoopResult) -> float | None:
     return float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1))) if judged.improbable else None
 
 
-def _first(experiment: Experiment, backend: Backend, assumed: tuple[LocatedEffect, ...]) -> Estimate:
+def _first(experiment: Experiment, backend: backends.Backend, assumed: tuple[LocatedEffect, ...]) -> Estimate:
     """Make the first fit on the requested backend, so that a failing backend is found at once.
 
     Another backend replaces it only if the requested one does not accept such programs (active inequalities).
     """
     try:
         return efficient(experiment, backend, assumed)
-    except UnsuitableError:
+    except errors.UnsuitableError:
         if backend.name == "auto":
             raise
         return efficient(experiment, backends.get("auto"), assumed)
 
 
 def _declared(
-    experiment: Experiment, backend: Backend, assumed: tuple[LocatedEffect, ...]
+    experiment: Experiment, backend: backends.Backend, assumed: tuple[LocatedEffect, ...]
 ) -> tuple[LocatedEffect, ...]:
     """Return the assumed effects; an effect that these data do not determine is held at its starting value."""
     if not assumed:
@@ -153,7 +133,9 @@ def _declared(
     )
 
 
-def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hypothesis]) -> EffectPrior:
+def _expectation(
+    experiment: Experiment, theta: Floats, looked_for: Sequence[hypotheses.Hypothesis]
+) -> domain.EffectPrior:
     """Collect the priors of effects and frame, in units of a typical floor and story of a first fit."""
     n = experiment.stories
     mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
@@ -163,7 +145,7 @@ def _expectation(experiment: Experiment, theta: Floats, looked_for: Sequence[Hyp
         for item in looked_for
         if item.size is not None
     }
-    return EffectPrior(scale, stds)
+    return domain.EffectPrior(scale, stds)
 
 
 @dataclass(frozen=True)
@@ -183,10 +165,10 @@ class Searches:
         Factor on the standard deviations of the data.
     """
 
-    backend: Backend
+    backend: backends.Backend
     assumed: tuple[LocatedEffect, ...]
-    looked_for: Sequence[Hypothesis]
-    expectation: EffectPrior
+    looked_for: Sequence[hypotheses.Hypothesis]
+    expectation: domain.EffectPrior
     start: Estimate
     widened: float = 1.0
 
@@ -200,14 +182,14 @@ class Searches:
         NoSolutionError
             If the shear model could not be fitted to the modes as given.
         """
-        given = self.start_search(Numbering(experiment))
+        given = self.start_search(hypotheses.Numbering(experiment))
         given.run()
-        others = list(self._possible(named_numberings(experiment)))
+        others = list(self._possible(hypotheses.named_numberings(experiment)))
         if given.base.improbable or given.best.effects:
-            others += self._possible(overlooked_in_all(experiment))
+            others += self._possible(hypotheses.overlooked_in_all(experiment))
         if given.best.improbable or holds_open(given.best.effects):
             # Before a statement of the shear model is rejected, the mode numbers are questioned one test at a time.
-            others += self._possible(overlooked_in_one(experiment))
+            others += self._possible(hypotheses.overlooked_in_one(experiment))
         near = [given]
         for search in ranking.ranked(others, lambda search: search.base.score, same=ranking.SAME_ODDS):
             search.visit([given.best.effects])
@@ -220,30 +202,30 @@ class Searches:
             search.visit_twins()
         return [*near, *duals]
 
-    def start_search(self, numbering: Numbering) -> Search:
+    def start_search(self, numbering: hypotheses.Numbering) -> Search:
         """Begin a search under one numbering of the modes, with its shear model fitted."""
         theta = self.start.theta
         if numbering.changes:
             theta = nearest_start(Misfit(numbering.experiment, self.assumed))
-        return self._search(numbering, theta, ROUGH if numbering.changes else FULL)
+        return self._search(numbering, theta, gauss_newton.ROUGH if numbering.changes else gauss_newton.FULL)
 
-    def _search(self, numbering: Numbering, theta: Floats, accuracy: Accuracy) -> Search:
+    def _search(self, numbering: hypotheses.Numbering, theta: Floats, accuracy: gauss_newton.Accuracy) -> Search:
         fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation)
         noise = self.start.misfit.noise
         misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.widened)
         try:
             found = fitter.fit(misfit, theta, accuracy)
-        except NoSolutionError:
+        except errors.NoSolutionError:
             # Far from the data a fit may follow an endless curved valley; effects are searched for from there, too.
-            found = fitter.fit(misfit, theta, ROUGH)
+            found = fitter.fit(misfit, theta, gauss_newton.ROUGH)
         return Search(fitter, found)
 
-    def _possible(self, numberings: Iterable[Numbering]) -> Iterator[Search]:
+    def _possible(self, numberings: Iterable[hypotheses.Numbering]) -> Iterator[Search]:
         """Begin a search under each numbering for which a frame satisfies the declarations."""
         for numbering in numberings:
             try:
                 yield self.start_search(numbering)
-            except CvxshearError:
+            except errors.CvxshearError:
                 continue
 
     def _dual(self, search: Search) -> Search | None:
@@ -253,7 +235,7 @@ class Searches:
         otherwise, or if the dual start leads to the same frame.
         """
         numbering = search.fitter.numbering
-        if search.base.estimate is None or not few_floors_seen(numbering.experiment):
+        if search.base.estimate is None or not hypotheses.few_floors_seen(numbering.experiment):
             return None
         best = search.best
         pairs = self._pairs(search)
@@ -265,14 +247,14 @@ class Searches:
             search.run()
         while search.visit_exchanges():
             search.run()
-        if not dual_fits_as_well(numbering.experiment):
+        if not hypotheses.dual_fits_as_well(numbering.experiment):
             return None
         theta = search.base.estimate.theta.copy()
         frame = theta[: 2 * numbering.experiment.stories]
-        frame[:] = dual_frame(frame)
+        frame[:] = hypotheses.dual_frame(frame)
         try:
-            other = self._search(numbering, theta, FULL)
-        except CvxshearError:
+            other = self._search(numbering, theta, gauss_newton.FULL)
+        except errors.CvxshearError:
             # The declarations exclude the dual.
             return None
         if other.base.score < search.base.score - WITHIN or _same_frame(other.base, search.base):
@@ -287,9 +269,9 @@ class Searches:
         n = search.fitter.experiment.stories
         known = [item.placed for item in self.looked_for]
         return [
-            (dual, dual_frame(model.estimate.theta[: 2 * n]))
+            (dual, hypotheses.dual_frame(model.estimate.theta[: 2 * n]))
             for model in search.beam
-            if model.estimate is not None and (dual := dual_set(model.effects, known, n)) is not None
+            if model.estimate is not None and (dual := hypotheses.dual_set(model.effects, known, n)) is not None
         ]
 
     def _with_duals(self, stories: int) -> list[LocatedEffect]:
@@ -322,8 +304,8 @@ class Searches:
                 if each.state != state
             }
             misfit = Misfit(experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.widened)
-            frame = search.fitter.fit(misfit, base.theta, ROUGH).theta[: 2 * n]
-            frames += [frame, dual_frame(frame)]
+            frame = search.fitter.fit(misfit, base.theta, gauss_newton.ROUGH).theta[: 2 * n]
+            frames += [frame, hypotheses.dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]
 
 
@@ -331,4 +313,4 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
     assert a.estimate is not None, "the shear model was fitted"
     assert b.estimate is not None, "the shear model was fitted"
-    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=INSEPARABLE))
+    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=other_frames.INSEPARABLE))

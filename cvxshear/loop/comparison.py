@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.data.pairing import numbered
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit.efficient import Estimate, fitted_with
@@ -26,8 +25,7 @@ from cvxshear.loop.results import Step
 from cvxshear.loop.search import Search
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model.shear import mode_derivatives, modes
-from cvxshear.util import ranking
-from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Bools
 
 USEFUL = 0.1
@@ -116,10 +114,10 @@ def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_g
         ways.append((f"with {placed.label}", partial(_in_noise_of, final, order[:count], fitter)))
     estimates = [*(make() for _, make in ways[:-1]), final]
     left_out = held_out_frequency_errors(estimates[0], final, fitter)
-    errors = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
+    held_out = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
     return tuple(
         Step(estimate, what, estimate.p_value, error)
-        for (what, _), estimate, error in zip(ways, estimates, errors, strict=True)
+        for (what, _), estimate, error in zip(ways, estimates, held_out, strict=True)
     )
 
 
@@ -141,15 +139,15 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     misfit = proposals[0].misfit
     fitter.fits += 1
 
-    def fit(by: Backend) -> Estimate:
+    def fit(by: backends.Backend) -> Estimate:
         try:
             return fitted_with(misfit, proposals[0].starts[0], by)
-        except NoModesError:
+        except errors.NoModesError:
             return fitted_with(misfit, proposals[1].starts[0], by)
 
     try:
         return with_stand_in(fitter.backend, fit)[0]
-    except NoSolutionError:
+    except errors.NoSolutionError:
         # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough for a comparison.
         return fitted_with(misfit, proposals[1].starts[0], backends.get("auto"), ROUGH)
 
@@ -205,7 +203,7 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     fitter.fits += 1
     try:
         rest = fitted_with(misfit, estimate.theta, fitter.backend)
-    except CvxshearError:
+    except errors.CvxshearError:
         # The remaining data allow no prediction here; predictions elsewhere still count.
         return {}
     if not rest.fit.converged:

@@ -23,18 +23,13 @@ import numpy as np
 from scipy import optimize, special
 
 from cvxshear import backends
-from cvxshear.backends import Backend
-from cvxshear.effects import LocatedEffect
-from cvxshear.effects.composition import slices
-from cvxshear.fit.domain import EffectPrior
+from cvxshear.effects import LocatedEffect, composition
+from cvxshear.fit import domain, gauss_newton, gaussian
 from cvxshear.fit.efficient import Estimate, fitted
-from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
-from cvxshear.fit.gaussian import log_interval, log_tailed_interval
 from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.hypotheses import Changes, Hypothesis, Numbering, log_odds
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.programs import LeastSquares
-from cvxshear.programs.constraints import constrained
+from cvxshear.programs import LeastSquares, constraints
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -91,7 +86,7 @@ class ModelClass:
         if mine is None or theirs is None:
             return False
         n2 = 2 * mine.experiment.stories
-        values = {placed: theirs.theta[own] for placed, own in slices(theirs.effects, n2)}
+        values = {placed: theirs.theta[own] for placed, own in composition.slices(theirs.effects, n2)}
         there = np.concatenate([theirs.theta[:n2], *(values[placed] for placed in mine.effects)])
         return bool(np.all(np.abs(mine.fit.at.J @ (there - mine.theta)) < SAME_OPTIMUM))
 
@@ -140,10 +135,10 @@ class Fitter:
     """
 
     numbering: Numbering
-    backend: Backend
+    backend: backends.Backend
     hypotheses: Sequence[Hypothesis]
     assumed: tuple[LocatedEffect, ...]
-    expectation: EffectPrior
+    expectation: domain.EffectPrior
     fits: int = 0
     programs: int = 0
     stand_ins: int = 0
@@ -176,19 +171,21 @@ class Fitter:
     def proposal(self, start: Estimate, effects: Sequence[LocatedEffect], more: Sequence[Floats] = ()) -> FitProposal:
         """Propose a fit of these effects, started from a fit that shares some of them."""
         n2 = 2 * self.experiment.stories
-        values = {placed: start.theta[own] for placed, own in slices(start.effects, n2)}
+        values = {placed: start.theta[own] for placed, own in composition.slices(start.effects, n2)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
         plain = np.concatenate([start.theta[:n2], *own])
         return FitProposal(tuple(effects), (*more, plain), start.misfit.replaced(effects), start.fit.at.objective)
 
-    def fit(self, misfit: Misfit, start: Floats, accuracy: Accuracy = FULL) -> Estimate:
+    def fit(self, misfit: Misfit, start: Floats, accuracy: gauss_newton.Accuracy = gauss_newton.FULL) -> Estimate:
         """Fit a model from a starting point."""
         self.fits += 1
         found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, accuracy))
         self.stand_ins += stood_in
         return found
 
-    def models(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> list[ModelClass]:
+    def models(
+        self, proposals: Sequence[FitProposal], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH
+    ) -> list[ModelClass]:
         """Fit sets."""
         return [self._model(proposal, accuracy) for proposal in proposals]
 
@@ -196,7 +193,7 @@ class Fitter:
         """Return the set of a proposal, without the assumed effects."""
         return frozenset(proposal.effects) - frozenset(self.assumed)
 
-    def _model(self, proposal: FitProposal, accuracy: Accuracy) -> ModelClass:
+    def _model(self, proposal: FitProposal, accuracy: gauss_newton.Accuracy) -> ModelClass:
         self.fits += 1
         try:
             start, at = _start(proposal)
@@ -219,11 +216,11 @@ class Fitter:
         """Fit the same set to full accuracy; return the old fit if this fails."""
         if model.estimate is None:
             return model
-        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], FULL)
+        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], gauss_newton.FULL)
         return model if found.estimate is None else found
 
 
-def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple[Estimate, bool]:
+def with_stand_in(backend: backends.Backend, fit: Callable[[backends.Backend], Estimate]) -> tuple[Estimate, bool]:
     """Make a fit on one backend, or on `auto` if this backend refuses or fails; also return whether `auto` made it."""
     try:
         return fit(backend), False
@@ -246,7 +243,7 @@ def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
     return plain, None
 
 
-def log_evidence(estimate: Estimate, expectation: EffectPrior) -> float:
+def log_evidence(estimate: Estimate, expectation: domain.EffectPrior) -> float:
     """Return the logarithm of the evidence, up to a constant that all sets for the same data share.
 
     Parameters
@@ -268,7 +265,7 @@ def log_evidence(estimate: Estimate, expectation: EffectPrior) -> float:
     return float(value + _log_kept(estimate, B, H, moved.T @ c))
 
 
-def _log_size(estimate: Estimate, expectation: EffectPrior) -> float:
+def _log_size(estimate: Estimate, expectation: domain.EffectPrior) -> float:
     """Return the sum of the logarithms of masses and stiffnesses in typical units: the prior is on the logarithms."""
     scale = expectation.scale
     assert scale is not None, "evidence needs an expectation"
@@ -277,7 +274,7 @@ def _log_size(estimate: Estimate, expectation: EffectPrior) -> float:
     return float(np.sum(np.log(mass)) + np.sum(np.log(stiffness)))
 
 
-def free_basis(estimate: Estimate, expectation: EffectPrior) -> Floats:
+def free_basis(estimate: Estimate, expectation: domain.EffectPrior) -> Floats:
     """Return columns that span the directions that the equalities leave free, shape (P, f).
 
     The first columns are orthonormal directions of the frame, in units of a typical floor and story. Each parameter of
@@ -310,10 +307,10 @@ def free_basis(estimate: Estimate, expectation: EffectPrior) -> Floats:
 def _program(estimate: Estimate) -> LeastSquares:
     """Write the constraints of a fit about its optimum."""
     empty = LeastSquares(R=estimate.fit.at.triangle[0], s=np.zeros(len(estimate.fit.at.triangle[1])))
-    return constrained(empty, estimate.domain.statements, estimate.theta)
+    return constraints.constrained(empty, estimate.domain.statements, estimate.theta)
 
 
-def _log_constant(placed: LocatedEffect, expectation: EffectPrior) -> float:
+def _log_constant(placed: LocatedEffect, expectation: domain.EffectPrior) -> float:
     """Return the log constant of an effect's prior, times sqrt(2 pi) per parameter as in Laplace's integral."""
     value = 0.0
     tail, normal = placed.effect.tail, placed.effect.common_size
@@ -347,7 +344,7 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
     rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
     slack = np.concatenate([-program.lower, program.upper, h])
     within = B / estimate.domain.interval_std[:, None]
-    together = {p for _, own in slices(estimate.effects, n2) for p in range(own.start, own.stop)}
+    together = {p for _, own in composition.slices(estimate.effects, n2) for p in range(own.start, own.stop)}
     std = _spread(rows, H + within.T @ within)
     alone = [row for row in range(2 * len(B)) if row % len(B) in together]
     # The standard deviation of a parameter excludes its own interval, which cuts the Gaussian explicitly, and includes
@@ -363,13 +360,15 @@ def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> flo
             between = -slack[p], slack[p + len(B)]
             tailed_prior = priors.get(p)
             value += (
-                float(log_interval(*between, slope, std[p]))
+                float(gaussian.log_interval(*between, slope, std[p]))
                 if tailed_prior is None
-                else log_tailed_interval(*between, slope, std[p], *tailed_prior)
+                else gaussian.log_tailed_interval(*between, slope, std[p], *tailed_prior)
             )
     own_interval = (np.arange(len(rows)) < 2 * len(B)) & np.isin(np.arange(len(rows)) % len(B), sorted(together))
     cut = ~own_interval & (std > 0)
-    return value + float(np.sum(log_interval(-np.inf, np.maximum(slack[cut], 0.0), -multipliers[cut], std[cut])))
+    return value + float(
+        np.sum(gaussian.log_interval(-np.inf, np.maximum(slack[cut], 0.0), -multipliers[cut], std[cut]))
+    )
 
 
 def _spread(rows: Floats, H: Floats) -> Floats:
@@ -391,7 +390,7 @@ def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]
 
 def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float, float]]]:
     """Yield the parameters with Student's t as prior: place in theta, deviation from null, size, degrees of freedom."""
-    for placed, own in slices(estimate.effects, 2 * estimate.experiment.stories):
+    for placed, own in composition.slices(estimate.effects, 2 * estimate.experiment.stories):
         if placed.fixed or placed.effect.common_size or np.isinf(placed.effect.tail):
             continue
         sizes = estimate.misfit.expectation.of(placed)

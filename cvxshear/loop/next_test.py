@@ -10,14 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data import Frequencies, Shapes
+from cvxshear.fit import expected_test, gaussian
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
-from cvxshear.fit.gaussian import separation
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration
-from cvxshear.util import ranking
-from cvxshear.util.errors import NoModesError
-from cvxshear.util.results import InJson
+from cvxshear.util import errors, ranking, results
 from cvxshear.util.typing import Floats
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
@@ -34,7 +31,7 @@ WORTHWHILE = 1.0
 
 
 @dataclass(frozen=True)
-class NextTest(InJson):
+class NextTest(results.InJson):
     """Test that would distinguish the rivals.
 
     Parameters
@@ -80,7 +77,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         try:
             test = imagined(accepted, first, added)
             distances.append([distance(accepted, rival, test, first) for rival in rivals[:MOST_RIVALS]])
-        except NoModesError:
+        except errors.NoModesError:
             # A model buckles under this mass, so the test is not proposed.
             continue
         possible.append(NextTest(floor, mass, first.state, 0.0))
@@ -132,15 +129,14 @@ def distance(accepted: Estimate, rival: Estimate, test: Configuration, first: Co
     NoModesError
         If a model buckles under these masses.
     """
-    mine, other = (
-        data_rows(test, tested_model(each.experiment, test, each.effects, each.theta)) for each in (accepted, rival)
-    )
+    models = [expected_test.tested_model(each.experiment, test, each.effects, each.theta) for each in (accepted, rival)]
+    mine, other = (expected_test.data_rows(test, model) for model in models)
     floors = first.measured_floors - 1
     seen = np.zeros(test.mode_shapes.shape, dtype=bool)
     seen[:, floors] = first.measured
     columns = [(other.r - mine.r)[:, None], _carried(mine.J, accepted), _carried(other.J, rival)]
-    rows = ExpectedTest(test, np.hstack(columns), seen, not first.mass_normalized).at(floors)
-    return float(np.sqrt(separation(rows[:, :1], rows[:, 1:])[0, 0]))
+    rows = expected_test.ExpectedTest(test, np.hstack(columns), seen, not first.mass_normalized).at(floors)
+    return float(np.sqrt(gaussian.separation(rows[:, :1], rows[:, 1:])[0, 0]))
 
 
 def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Configuration:
@@ -161,15 +157,15 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     """
     noise = accepted.misfit.noise
     blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
-    model = tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
-    frequencies, shapes = predicted_modes(blank, model)
+    model = expected_test.tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
+    frequencies, shapes = expected_test.predicted_modes(blank, model)
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )
     frequency = 1.0 if first.frequency_std is not None else noise.of(Frequencies.noise.name)
     shape = 1.0 if first.mode_shape_std is not None else noise.of(Shapes.noise.name)
     stds = frequency * first.log_frequency_std, shape * _relative_std(measured, shapes)
-    return expected_configuration(blank, frequencies, shapes, *stds)
+    return expected_test.expected_configuration(blank, frequencies, shapes, *stds)
 
 
 def _relative_std(measured: Configuration, shapes: Floats) -> Floats:

@@ -12,12 +12,10 @@ from scipy import special
 
 from cvxshear.data import Datum, Deviation, Model
 from cvxshear.effects import LocatedEffect
+from cvxshear.fit import misfit, results
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.misfit import NoiseEstimate
-from cvxshear.fit.results import IdentifiedFrame, Quality
-from cvxshear.loop.hypotheses import Changes, NumberingProbability, changes_to_dict
+from cvxshear.loop import hypotheses, posterior
 from cvxshear.loop.next_test import NextTest
-from cvxshear.loop.posterior import Rival
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.results import InJson, Shown
@@ -182,7 +180,7 @@ class Step(InJson):
     json_keys = "*estimate.quality p_value held_out_frequency_error=held_out"
 
     @property
-    def quality(self) -> Quality:
+    def quality(self) -> results.Quality:
         """Errors and chi-square of the fit."""
         return self.estimate.quality
 
@@ -210,7 +208,7 @@ class AddedEffect(InJson):
     parameters: dict[str, float]
     std: dict[str, float | None]
     size: str
-    rivals: tuple[Rival, ...]
+    rivals: tuple[posterior.Rival, ...]
     remarks: tuple[str, ...] = ()
 
     json_keys = "*placed kind=placed.effect.kind probability parameters std size rivals"
@@ -267,13 +265,13 @@ class EffectSet:
     probability: float
     log_evidence: float
     chi2: float
-    changes: Changes = ()
+    changes: hypotheses.Changes = ()
 
     def to_dict(self) -> Json:
         """Return the fields by name; the numbering only if it differs from the given one."""
         return {
             "effects": [placed.to_dict() for placed in self.effects],
-            **({"numbering": changes_to_dict(self.changes)} if self.changes else {}),
+            **({"numbering": hypotheses.changes_to_dict(self.changes)} if self.changes else {}),
             "probability": self.probability,
             "log_evidence": self.log_evidence,
             "chi2": self.chi2,
@@ -330,9 +328,9 @@ class LoopResult(Shown):
     judged: Estimate
     effects: tuple[AddedEffect, ...]
     assumed: tuple[LocatedEffect, ...]
-    numberings: tuple[NumberingProbability, ...]
+    numberings: tuple[hypotheses.NumberingProbability, ...]
     models: tuple[EffectSet, ...]
-    averaged: IdentifiedFrame
+    averaged: results.IdentifiedFrame
     candidates: tuple[Candidate, ...]
     not_considered: dict[str, str]
     remains: tuple[str, ...]
@@ -365,12 +363,12 @@ class LoopResult(Shown):
         return self.after.estimate
 
     @property
-    def frame(self) -> IdentifiedFrame:
+    def frame(self) -> results.IdentifiedFrame:
         """Identified frame; its standard deviations follow from the noise that explains the residual."""
         return self.judged.frame
 
     @property
-    def noise(self) -> NoiseEstimate:
+    def noise(self) -> misfit.NoiseEstimate:
         """Estimated noise."""
         return self.estimate.noise
 

@@ -17,15 +17,13 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from cvxshear.effects import LocatedEffect
-from cvxshear.effects.open_class import OpenClass
+from cvxshear.effects import LocatedEffect, open_class
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
-from cvxshear.util import ranking
-from cvxshear.util.errors import NoModesError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 BEAM = 6
@@ -448,7 +446,7 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
     known = {(item.placed.effect.name, item.placed.place): item.placed for item in fitter.hypotheses}
     proposals = []
     for placed in model.effects:
-        if not isinstance(placed.effect, OpenClass):
+        if not isinstance(placed.effect, open_class.OpenClass):
             continue
         own = estimate.own(placed)
         values = estimate.theta[own]
@@ -520,7 +518,7 @@ def _best_starts(proposals: Sequence[FitProposal]) -> list[FitProposal]:
     for proposal in proposals:
         try:
             at = proposal.misfit.evaluate(proposal.starts[0])
-        except NoModesError:
+        except errors.NoModesError:
             left.append(np.inf)
             continue
         _, c = at.triangle

@@ -18,9 +18,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import MeasuredModes, repeated_configurations
 from cvxshear.screening import nearest_frame
 from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import SURE, quantity, significant
-from cvxshear.util.results import InJson
+from cvxshear.util import odds, quantities, results
 from cvxshear.util.typing import Json
 
 EARTH = (9.7, 10.0)
@@ -71,7 +69,7 @@ LARGEST_SLIP = float(np.log(30.0))
 
 
 @dataclass(frozen=True)
-class FileFinding(InJson):
+class FileFinding(results.InJson):
     """One thing that looks wrong, and what to change.
 
     Parameters
@@ -152,20 +150,22 @@ def frame_values(experiment: Experiment) -> Iterator[FileFinding]:
     if frame.known_total is not None and not frame.total_mass_placeholder:
         height, floor = float(np.mean(heights)), frame.known_total / experiment.stories
         if BUILDING_STORY <= height <= HIGHEST_STORY and floor < LIGHTEST_FLOOR:
-            yield doubt("masses", floor=quantity(floor, "kg", 3), height=significant(height, 3))
+            yield doubt("masses", floor=quantities.quantity(floor, "kg", 3), height=quantities.significant(height, 3))
 
 
 def time_units(experiment: Experiment) -> Iterator[FileFinding]:
     """Doubt a first frequency that is too high for the building's height, or too low for any structure."""
     lowest = min(float(each.frequencies[0]) for each in experiment.configurations)
     if lowest < SLOWEST:
-        yield doubt("time_unit", lowest=significant(lowest, 3))
+        yield doubt("time_unit", lowest=quantities.significant(lowest, 3))
     first = next((each.frequencies[0] for each in experiment.configurations if each.modes[0] == 1), None)
     heights = experiment.frame.story_heights
     if first is not None and heights is not None and BUILDING_STORY <= heights.mean() <= HIGHEST_STORY:
         height = float(heights.sum())
         if first * height > HIGHEST_TIMES_FREQUENCY:
-            yield doubt("angular_frequency", lowest=significant(first, 3), height=significant(height, 3))
+            yield doubt(
+                "angular_frequency", lowest=quantities.significant(first, 3), height=quantities.significant(height, 3)
+            )
 
 
 def deviations(experiment: Experiment) -> Iterator[FileFinding]:
@@ -227,7 +227,9 @@ def frequency_units(experiment: Experiment) -> Iterator[FileFinding]:
     for each, (ratio, words) in wrong:
         # Of two that differ either can be wrong.
         either = " (or those of the other are smaller by it)" if len(tests) == 2 else ""
-        name, found, change = in_words("frequency_unit", ratio=significant(ratio, 3), words=words, either=either)
+        name, found, change = in_words(
+            "frequency_unit", ratio=quantities.significant(ratio, 3), words=words, either=either
+        )
         yield FileFinding(name, each.name, found, change, refuses=True)
         if len(tests) == 2:
             return
@@ -277,14 +279,18 @@ def total_mass(experiment: Experiment) -> Iterator[FileFinding]:
     spread = np.hypot(std, np.where(np.arange(len(factors)) == 1, LARGEST_SLIP, TOTAL_STD))
     z = (np.log(declared / total) - factors) / spread
     wrong = np.log(nearest_frame.MISTAKEN)
-    probability = weigh(-0.5 * z**2 - np.log(spread), np.where(np.arange(len(factors)) == 0, 0.0, wrong))
-    if probability[0] > 1 - SURE:
+    probability = odds.weigh(-0.5 * z**2 - np.log(spread), np.where(np.arange(len(factors)) == 0, 0.0, wrong))
+    if probability[0] > 1 - quantities.SURE:
         return
-    likely = [unit for unit, p in zip(units, probability[2:], strict=True) if p > 1 - SURE]
+    likely = [unit for unit, p in zip(units, probability[2:], strict=True) if p > 1 - quantities.SURE]
     masses, loads = (" or ".join(unit for of, unit, _ in likely if of == which) for which in ("mass", "load"))
     key = "masses/total" if masses else "added_mass" if loads else "total_mass"
     either = f", or added_mass like {loads}" if masses and loads else ""
-    sizes = {"implied": quantity(total, "kg", 3), "percent": 100 * std, "declared": quantity(declared, "kg", 6)}
+    sizes = {
+        "implied": quantities.quantity(total, "kg", 3),
+        "percent": 100 * std,
+        "declared": quantities.quantity(declared, "kg", 6),
+    }
     yield doubt(key, **sizes, unit=masses or loads, either=either)
 
 

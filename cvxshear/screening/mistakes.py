@@ -20,14 +20,12 @@ from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement import reading as readings
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.measurement.reading import MeasuredModes
 from cvxshear.model.shear import Modes
 from cvxshear.priors import Nominal
 from cvxshear.screening import nearest_frame
 from cvxshear.screening.doubts import FileFinding, in_words
 from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
 from cvxshear.util import odds, quantities, ranking
-from cvxshear.util.quantities import SURE
 from cvxshear.util.typing import Floats, Ints
 
 SLIP = 0.5
@@ -92,7 +90,7 @@ class Change:
 def needs_no_search(frames: ShearFrames, given: NearestFrame) -> bool:
     """Return whether no change can be certain: data cannot be nearer to a frame than on it, by the least tolerance."""
     lost = max(given.stds - frames.tolerant(readings.CLOSER).stds, 0.0)
-    return bool(given.misfit + lost < 2 * np.log(SURE / (1 - SURE) / nearest_frame.MISTAKEN))
+    return bool(given.misfit + lost < 2 * np.log(quantities.SURE / (1 - quantities.SURE) / nearest_frame.MISTAKEN))
 
 
 def named(given: NearestFrame, tried: Sequence[Change], given_log_prior: float = 0.0) -> list[Change]:
@@ -102,10 +100,10 @@ def named(given: NearestFrame, tried: Sequence[Change], given_log_prior: float =
         return []
     evidence = [given.log_evidence, *(each.frame.log_evidence for each in explaining)]
     probability = odds.weigh(evidence, [given_log_prior, *(each.log_prior for each in explaining)])
-    if probability[0] > 1 - SURE:
+    if probability[0] > 1 - quantities.SURE:
         return []
     order = ranking.order(probability[1:])
-    needed = int(np.searchsorted(np.cumsum(probability[1:][order]), SURE * (1 - probability[0]))) + 1
+    needed = int(np.searchsorted(np.cumsum(probability[1:][order]), quantities.SURE * (1 - probability[0]))) + 1
     return [explaining[place] for place in order[:needed]]
 
 
@@ -131,7 +129,7 @@ def mistakes(configuration: Configuration) -> list[FileFinding]:
     """Find the mistake in one test's modes, if there is one."""
     if not configuration.measured.any():
         return []
-    reading = MeasuredModes.of(configuration)
+    reading = readings.MeasuredModes.of(configuration)
     broken, tried = readings.violations(reading), reading.stories <= nearest_frame.TALLEST_FITTED
     if tried:
         given, explaining = of_modes(reading)
@@ -147,7 +145,7 @@ def mistakes(configuration: Configuration) -> list[FileFinding]:
     return [FileFinding("signs", configuration.name, found, change, refuses=True)]
 
 
-def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
+def of_modes(reading: readings.MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     """Weigh the changes of a reading; return the frame nearest to it as given, and the changes that are named."""
     N = reading.stories
     frames, even = ShearFrames.of(reading), nearest_frame.even_starts(N)
@@ -227,7 +225,7 @@ def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> ShearFr
             known |= prior.quantity == "floor_mass" and not prior.free_scale
     if frame.floor_masses is not None:
         expected[:N], width[:N] = np.log(frame.floor_masses), AS_DECLARED_STD
-    shown, added = [MeasuredModes.of(each) for each in tests], [each.added_mass for each in tests]
+    shown, added = [readings.MeasuredModes.of(each) for each in tests], [each.added_mass for each in tests]
     return ShearFrames(shown, added, expected, width) if known else None
 
 
@@ -268,32 +266,32 @@ def _valued(item: Change) -> Change:
     return replace(item, gaps={**item.gaps, "value": quantities.quantity(value, "kg", 3), "percent": 100 * std})
 
 
-Kind = Callable[[MeasuredModes, Sequence[Modes]], Iterator[Change]]
+Kind = Callable[[readings.MeasuredModes, Sequence[Modes]], Iterator[Change]]
 """A kind of mistake: the changes of a reading that would mend it, some by frames of about the right proportions."""
 
 
-def _of_reading(key: str, reading: MeasuredModes, choices: int, gaps: Mapping[str, object]) -> Change:
+def _of_reading(key: str, reading: readings.MeasuredModes, choices: int, gaps: Mapping[str, object]) -> Change:
     return Change(key, ShearFrames.of(reading), choices, gaps)
 
 
-def _picked(reading: MeasuredModes, which: Any) -> MeasuredModes:
+def _picked(reading: readings.MeasuredModes, which: Any) -> readings.MeasuredModes:
     """Pick entries of the shapes and their standard deviations by an index."""
     return replace(reading, shapes=reading.shapes[which], noise=reading.noise[which])
 
 
-def _scaled(reading: MeasuredModes, column: int, factor: float) -> MeasuredModes:
+def _scaled(reading: readings.MeasuredModes, column: int, factor: float) -> readings.MeasuredModes:
     """Multiply the entries of one sensor by a factor."""
     scale = np.where(np.arange(len(reading.floors)) == column, factor, 1.0)
     return replace(reading, shapes=reading.shapes * scale, noise=reading.noise * np.abs(scale))
 
 
-def sensor_signs(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def sensor_signs(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each sensor reversed in every mode."""
     for column, floor in enumerate(reading.floors + 1):
         yield _of_reading("sensor_sign", _scaled(reading, column, -1.0), len(reading.floors), {"floor": floor})
 
 
-def exchanged_sensors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def exchanged_sensors(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each pair of sensors exchanged."""
     width = len(reading.floors)
     for low, high in itertools.combinations(range(width), 2):
@@ -302,13 +300,13 @@ def exchanged_sensors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Ch
         yield _of_reading("swapped_sensors", there, comb(width, 2), {"floors": names})
 
 
-def floors_from_top(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def floors_from_top(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """List the floors in the opposite order."""
     if len(reading.floors) > 1:
         yield _of_reading("floors_from_top", _picked(reading, np.s_[:, ::-1]), 1, {})
 
 
-def other_floors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def other_floors(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """All sensors one floor higher or lower, and each of them alone; one on the ground shows no motion."""
     floors, top = reading.floors, reading.stories - 1
     choices = 2 * (len(floors) + 1)
@@ -328,7 +326,7 @@ def other_floors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]
                 yield _of_reading("sensor_floors/one", there, choices, gaps)
 
 
-def other_units(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def other_units(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each sensor in another unit."""
     width = len(reading.floors)
     for column, factor in itertools.product(range(width if width > 1 else 0), UNITS):
@@ -336,7 +334,7 @@ def other_units(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
         yield _of_reading("sensor_unit", _scaled(reading, column, factor), width * len(UNITS), gaps)
 
 
-def periods(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def periods(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Take the frequencies for periods, which descend from the first mode to the last."""
     if len(reading.modes) > 1:
         turned = _picked(reading, np.s_[::-1])
@@ -344,7 +342,7 @@ def periods(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
         yield _of_reading("periods", replace(turned, log_frequencies=logs, frequency_noise=noise), 1, {})
 
 
-def drifts(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def drifts(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Drifts of the stories added up to displacements of the floors."""
     width = len(reading.floors)
     if width > 1 and np.array_equal(reading.floors, np.arange(width)):
@@ -352,13 +350,13 @@ def drifts(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
         yield _of_reading("drifts", replace(reading, shapes=np.cumsum(reading.shapes, axis=1), noise=noise), 1, {})
 
 
-def transposed(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def transposed(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Rows for columns."""
     if len(reading.floors) == len(reading.modes) > 1:
         yield _of_reading("transposed", replace(reading, shapes=reading.shapes.T, noise=reading.noise.T), 1, {})
 
 
-def other_orders(reading: MeasuredModes, frames: Sequence[Modes]) -> Iterator[Change]:
+def other_orders(reading: readings.MeasuredModes, frames: Sequence[Modes]) -> Iterator[Change]:
     """Each exchange of two shapes, and the best order of the shapes for each frame."""
     count = len(reading.modes)
     orders = {tuple(_exchanged(count, i, j)) for i, j in itertools.combinations(range(count), 2)}
@@ -377,7 +375,7 @@ def _exchanged(count: int, i: int, j: int) -> Ints:
     return order
 
 
-def _assigned(reading: MeasuredModes, frame: Modes) -> Ints:
+def _assigned(reading: readings.MeasuredModes, frame: Modes) -> Ints:
     """Find the order of rows with the largest sum of modal assurance criteria with the frame's modes."""
     psi, read, weight = frame.shapes[np.ix_(reading.modes, reading.floors)], reading.scaled, reading.known.astype(float)
     length = np.sum(read**2, axis=1, keepdims=True) * (weight @ (psi**2).T)
@@ -387,7 +385,7 @@ def _assigned(reading: MeasuredModes, frame: Modes) -> Ints:
     return order
 
 
-def other_numbers(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def other_numbers(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Other numbers of the modes: one or two left out where they are 1, 2, 3, ...; else one number changed."""
     count, N = len(reading.modes), reading.stories
     running = bool(np.all(reading.modes == np.arange(count)))
@@ -418,7 +416,7 @@ def _one_changed(numbers: list[int], N: int) -> Iterator[tuple[int, ...]]:
                 yield (*numbers[:place], number, *numbers[place + 1 :])
 
 
-def entry_signs(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def entry_signs(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each entry reversed."""
     known = np.argwhere(reading.known)
     for row, column in known:

@@ -32,17 +32,12 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.data.pairing import frequency_residual, shape_residual
-from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, Domain
-from cvxshear.fit.gauss_newton import ROUGH, Accuracy, gauss_newton
-from cvxshear.fit.gaussian import tailed
-from cvxshear.fit.optimality import PlainResiduals
-from cvxshear.fit.start import START_PASSES, solved_story_equations
+from cvxshear.fit import domain, gauss_newton, gaussian, optimality, start
 from cvxshear.measurement.reading import CLOSER, FARTHER, MeasuredModes
 from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
-from cvxshear.util import ranking
-from cvxshear.util.errors import CvxshearError, NoModesError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 FARTHEST_LOG = 14.0
@@ -54,7 +49,7 @@ ODD = 1e-3
 ODD_TAIL = 4.0
 """Degrees of freedom of masses and stiffnesses about typical ones: now and then a frame stands on bearings."""
 
-RANKED = dataclasses.replace(ROUGH, most_steps=8)
+RANKED = dataclasses.replace(gauss_newton.ROUGH, most_steps=8)
 """Accuracy of a fit that only ranks starts or repairs; further steps rarely change the order."""
 
 TALLEST_FITTED = 24
@@ -85,7 +80,7 @@ class NearestFrame:
 
     theta: Floats
     misfit: float = np.inf
-    at: PlainResiduals | None = None
+    at: optimality.PlainResiduals | None = None
     stds: float = 0.0
 
     @property
@@ -111,7 +106,7 @@ class NearestFrame:
 
 def usual_width(stories: int) -> Floats:
     """Return the standard deviations of the logarithms of masses and stiffnesses about typical ones, shape (2N,)."""
-    return np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], stories)
+    return np.repeat([domain.MASS_WIDTH, domain.STIFFNESS_WIDTH], stories)
 
 
 def modes_of(mass: Floats, stiffness: Floats) -> Modes:
@@ -188,17 +183,17 @@ class ShearFrames:
         """Twice the sum of the logarithms of all standard deviations, but for a constant that repairs do not change."""
         return sum(each.certainty_lost() for each in self.readings) + 2 * float(np.sum(np.log(self.width)))
 
-    def nearest(self, starts: Iterable[Floats], accuracy: Accuracy = ROUGH) -> NearestFrame:
+    def nearest(self, starts: Iterable[Floats], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH) -> NearestFrame:
         """Return the best fit that begins at one of these logarithms, shape (2N,)."""
         size = len(self.expected)
         found = []
         for each in starts:
             try:
-                start = self.tuned(each)
-                within = NamedConstraints("reach", Constraints(lower=start - FARTHEST_LOG, upper=start + FARTHEST_LOG))
-                domain = Domain((within,), np.ones(size), np.full(size, np.inf))
-                fit = gauss_newton(self, start, domain, backends.get("auto"), accuracy)
-            except CvxshearError:
+                begin = self.tuned(each)
+                within = NamedConstraints("reach", Constraints(lower=begin - FARTHEST_LOG, upper=begin + FARTHEST_LOG))
+                inside = domain.Domain((within,), np.ones(size), np.full(size, np.inf))
+                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), accuracy)
+            except errors.CvxshearError:
                 # No step from here can be solved in 64 bits.
                 found.append(NearestFrame(each))
             else:
@@ -227,15 +222,15 @@ class ShearFrames:
         unit = [NamedConstraints("unit of mass", total)]
         eigenvalues, shapes = (2 * np.pi * np.exp(reading.log_frequencies)) ** 2, reading.scaled
         data, found = (shapes, eigenvalues, np.zeros(shapes.shape)), []
-        for start in starts:
-            with suppress(CvxshearError):
-                theta = np.exp(self.tuned(start))
-                for _ in range(START_PASSES):
-                    theta = solved_story_equations(*data, theta, unit, weighed=True)
+        for each in starts:
+            with suppress(errors.CvxshearError):
+                theta = np.exp(self.tuned(each))
+                for _ in range(start.START_PASSES):
+                    theta = start.solved_story_equations(*data, theta, unit, weighed=True)
                 found.append(np.log(theta))
         return found
 
-    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
+    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> optimality.PlainResiduals:
         """Compute residuals of frequencies and shapes, then of the logarithms themselves.
 
         Raises
@@ -250,7 +245,7 @@ class ShearFrames:
             system = shear_system(mass + added, stiffness)
             found, which = modes(system.M, system.K), reading.modes
             if not found.eigenvalues[0] > 0:
-                raise NoModesError("masses and stiffnesses of the frame differ by more than 64 bits resolve")
+                raise errors.NoModesError("masses and stiffnesses of the frame differ by more than 64 bits resolve")
             of_frequencies, of_shapes = mode_derivatives(found, system, which) if derivatives else (None, None)
             log_omega = reading.log_frequencies + np.log(2 * np.pi)
             parts.append(frequency_residual(log_omega, found.eigenvalues[which], reading.frequency_std, of_frequencies))
@@ -258,11 +253,11 @@ class ShearFrames:
             slopes = None if of_shapes is None else of_shapes[:, :, reading.floors]
             parts.append(shape_residual(reading.scaled, psi, reading.weights, slopes))
         rows = self._prior
-        about, slope = tailed(rows @ (theta - self.expected), self.tail)
+        about, slope = gaussian.tailed(rows @ (theta - self.expected), self.tail)
         r = np.concatenate([*(r for r, _ in parts), about])
         if not derivatives:
-            return PlainResiduals(r, np.zeros((0, len(theta))))
-        return PlainResiduals(r, np.concatenate([*(J * value for _, J in parts), slope[:, None] * rows]))
+            return optimality.PlainResiduals(r, np.zeros((0, len(theta))))
+        return optimality.PlainResiduals(r, np.concatenate([*(J * value for _, J in parts), slope[:, None] * rows]))
 
     @property
     def _prior(self) -> Floats:

@@ -9,17 +9,12 @@ from typing import TYPE_CHECKING
 
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, LocatedEffect
-from cvxshear.loop import LoopResult
-from cvxshear.loop.close import search_for_effects
+from cvxshear.loop import LoopResult, close
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
-from cvxshear.screening import doubts
-from cvxshear.screening.doubts import FileFinding
-from cvxshear.screening.mistakes import masses_declared, mistakes
-from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.errors import InputError
-from cvxshear.util.results import Shown
+from cvxshear.screening import doubts, mistakes
+from cvxshear.util import decorators, errors, results
 
 if TYPE_CHECKING:
     from cvxshear.records.record import Finding as RecordFinding
@@ -29,7 +24,7 @@ MISDECLARED = ("sign", "unit", "swapped channels")
 
 
 @dataclass(frozen=True, repr=False)
-class Screening(Shown):
+class Screening(results.Shown):
     """What `check` shows of a file.
 
     Parameters
@@ -46,7 +41,7 @@ class Screening(Shown):
 
     name: str
     accepted: tuple[str, ...]
-    findings: tuple[FileFinding, ...]
+    findings: tuple[doubts.FileFinding, ...]
     record: tuple[RecordFinding, ...] = ()
 
     json_keys = "name refused doubtful findings record"
@@ -68,8 +63,8 @@ class Screening(Shown):
         return bool(self.findings) or any(item.kind in MISDECLARED for item in self.record)
 
 
-@usual_arithmetic
-def screen(experiment: Measurement) -> tuple[FileFinding, ...]:
+@decorators.usual_arithmetic
+def screen(experiment: Measurement) -> tuple[doubts.FileFinding, ...]:
     """Find what looks wrong in an experiment.
 
     Parameters
@@ -84,17 +79,17 @@ def screen(experiment: Measurement) -> tuple[FileFinding, ...]:
     experiment = opened(experiment)
     found = [
         *doubts.frequency_units(experiment),
-        *(item for each in experiment.configurations for item in mistakes(each)),
+        *(item for each in experiment.configurations for item in mistakes.mistakes(each)),
     ]
     # Frequencies and shapes that are wrong tell no mass.
-    by_modes = () if found else (doubts.total_mass, masses_declared, doubts.look_alike)
+    by_modes = () if found else (doubts.total_mass, mistakes.masses_declared, doubts.look_alike)
     for doubt in (*by_modes, *doubts.DECLARED_DOUBTS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
-def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> tuple[FileFinding, ...]:
+def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> tuple[doubts.FileFinding, ...]:
     """Return the warnings of `screen`, where nothing refuses.
 
     Parameters
@@ -116,13 +111,13 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     for item in found:
         if item.refuses:
             where = f'configuration "{item.configuration}": ' if item.configuration else ""
-            raise InputError(
+            raise errors.InputError(
                 f"{where}{item.found}. To mend it: {item.change}; or, if it is right as it is: {item.how_to_accept}"
             )
     return found
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def close_loop(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
@@ -167,5 +162,5 @@ def close_loop(
     # The loop weighs the mode numbers of a configuration with other_modes together with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
     warnings = refuse_mistakes(experiment, {*weighed, *numbered_anew})
-    found = search_for_effects(experiment, effects, assume, backend, priors)
+    found = close.search_for_effects(experiment, effects, assume, backend, priors)
     return dataclasses.replace(found, warnings=warnings)
