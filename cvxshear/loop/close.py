@@ -22,7 +22,7 @@ from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop import comparison, conclusion, hypotheses
-from cvxshear.loop.fitter import Fitter, ModelClass
+from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
 from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.results import VERDICTS, LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
@@ -107,16 +107,8 @@ def _excess(result: LoopResult) -> float | None:
 
 
 def _first(experiment: Experiment, backend: backends.Backend, assumed: tuple[LocatedEffect, ...]) -> Estimate:
-    """Make the first fit on the requested backend, so that a failing backend is found at once.
-
-    Another backend replaces it only if the requested one does not accept such programs (active inequalities).
-    """
-    try:
-        return efficient(experiment, backend, assumed)
-    except errors.UnsuitableError:
-        if backend.name == "auto":
-            raise
-        return efficient(experiment, backends.get("auto"), assumed)
+    """Make the first fit on the requested backend, so that a failing backend is found at once."""
+    return with_stand_in(backend, lambda by: efficient(experiment, by, assumed), (errors.UnsuitableError,))[0]
 
 
 def _declared(

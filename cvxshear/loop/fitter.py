@@ -30,7 +30,7 @@ from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.loop.hypotheses import Changes, Hypothesis, Numbering, log_odds
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import LeastSquares, constraints
-from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
+from cvxshear.util import errors
 from cvxshear.util.typing import Floats
 
 TINY = 1e-12
@@ -67,7 +67,7 @@ class ModelClass:
     estimate: Estimate | None
     log_evidence: float
     log_prior: float
-    failure: CvxshearError | None = None
+    failure: errors.CvxshearError | None = None
     changes: Changes = ()
 
     @property
@@ -198,7 +198,7 @@ class Fitter:
         try:
             start, at = _start(proposal)
             found, stood_in = with_stand_in(self.backend, lambda by: fitted(proposal.misfit, start, by, accuracy, at))
-        except CvxshearError as error:
+        except errors.CvxshearError as error:
             effects = self.set_of(proposal)
             return ModelClass(effects, None, -np.inf, self.log_prior(effects), error, self.numbering.changes)
         self.stand_ins += stood_in
@@ -220,11 +220,15 @@ class Fitter:
         return model if found.estimate is None else found
 
 
-def with_stand_in(backend: backends.Backend, fit: Callable[[backends.Backend], Estimate]) -> tuple[Estimate, bool]:
+def with_stand_in(
+    backend: backends.Backend,
+    fit: Callable[[backends.Backend], Estimate],
+    refusals: tuple[type[errors.CvxshearError], ...] = (errors.UnsuitableError, errors.NoSolutionError),
+) -> tuple[Estimate, bool]:
     """Make a fit on one backend, or on `auto` if this backend refuses or fails; also return whether `auto` made it."""
     try:
         return fit(backend), False
-    except (UnsuitableError, NoSolutionError):
+    except refusals:
         if backend.name == "auto":
             raise
         return fit(backends.get("auto")), True
@@ -236,7 +240,7 @@ def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
     for guess in guesses:
         try:
             at = proposal.misfit.evaluate(guess)
-        except NoModesError:
+        except errors.NoModesError:
             continue
         if at.objective <= proposal.objective:
             return guess, at

@@ -27,7 +27,7 @@ NUMBERS = ("missing_mode", "mode_number")
 """Mistakes in which modes of the frame the measured ones are."""
 
 DOUBTS = (
-    "angular_frequency", "heights", "masses", "time_unit", "deviations", "look_alike", "repeated", "gravity",
+    "angular_frequency", "heights", "masses", "deviations", "look_alike", "repeated", "gravity",
     "total_mass", "floor_mass", "added_mass",
 )  # fmt: skip
 """Findings of `check` that are warnings."""

@@ -41,9 +41,6 @@ UNIT_WITHIN = 0.15
 """Difference of logarithms within which a ratio of frequencies is one of units: a model strays less from what is
 measured."""
 
-SLOWEST = 0.02
-"""Lowest first frequency (Hz): the tallest towers begin at some 0.1 Hz, and long bridges at 0.05 Hz."""
-
 BEST_LABORATORY_STD = 1e-6
 """Least relative standard deviation of a measurement: the accuracy of the best counters and interferometers."""
 
@@ -153,11 +150,8 @@ def frame_values(experiment: Experiment) -> Iterator[FileFinding]:
             yield doubt("masses", floor=quantities.quantity(floor, "kg", 3), height=quantities.significant(height, 3))
 
 
-def time_units(experiment: Experiment) -> Iterator[FileFinding]:
-    """Doubt a first frequency that is too high for the building's height, or too low for any structure."""
-    lowest = min(float(each.frequencies[0]) for each in experiment.configurations)
-    if lowest < SLOWEST:
-        yield doubt("time_unit", lowest=quantities.significant(lowest, 3))
+def angular_frequency(experiment: Experiment) -> Iterator[FileFinding]:
+    """Doubt a first frequency that is too high for the building's height."""
     first = next((each.frequencies[0] for each in experiment.configurations if each.modes[0] == 1), None)
     heights = experiment.frame.story_heights
     if first is not None and heights is not None and BUILDING_STORY <= heights.mean() <= HIGHEST_STORY:
@@ -321,5 +315,5 @@ def _near(found: NearestFrame, frames: ShearFrames) -> bool:
     return found.misfit <= nearest_frame.PLAUSIBLE * frames.count
 
 
-DECLARED_DOUBTS = (frame_values, time_units, deviations, repeats)
+DECLARED_DOUBTS = (frame_values, angular_frequency, deviations, repeats)
 """Checks of the declaration, independent of the shapes."""

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, backends, close_loop
-from cvxshear.effects import Gravity, LocatedEffect
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.gaussian import separation
@@ -15,7 +14,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.hypotheses import chosen, hypotheses
 from cvxshear.loop.next_test import distance, imagined
 from tests.fe.experiments import simulated
-from tests.frames import configuration, experiment, modes_of
+from tests.frames import configuration, experiment
 
 MASS, STIFFNESS = [10.0, 10.0, 9.0, 8.0], [24e3, 20e3, 16e3, 10e3]
 NOISE, SEED = 3.0, 2
@@ -27,60 +26,6 @@ def test_the_separation_is_the_formula(columns):
     d, S = rng.standard_normal((12, 2)), 5 * rng.standard_normal((12, columns))
     slow = d.T @ np.linalg.inv(np.eye(12) + S @ S.T) @ d
     np.testing.assert_allclose(separation(d, S), slow, rtol=1e-8)
-
-
-def fits(**keys):
-    tested = configuration(MASS, STIFFNESS, **keys)
-    declared = experiment(MASS, STIFFNESS, tested, frame={"total_mass": 37.0, "story_heights": 0.4})
-    declared["prior"] = [{"kind": "nominal", "quantity": "story_stiffness", "values": STIFFNESS, "std": 0.05}]
-    of = Experiment.from_dict(declared)
-    return [efficient(of, backends.get("auto"), effects) for effects in ((), (LocatedEffect(Gravity()),))]
-
-
-def predictions(theta, added, floors, modes, gravity):
-    """Return logarithms of frequencies, and shapes at some floors with a first entry of 1."""
-    mass, stiffness = theta[:4] + added, theta[4:8].copy()
-    if gravity:
-        above = np.cumsum(mass[::-1])[::-1]
-        stiffness -= theta[8] * 9.81 * above / 0.4
-    frequencies, shapes = modes_of(mass, stiffness)
-    shapes = shapes[:modes][:, floors]
-    return np.log(frequencies[:modes]), shapes
-
-
-def test_the_distance_is_that_of_numerical_derivatives_with_the_scale_a_parameter():
-    """Two fits with floors 1 and 4 measured are compared."""
-    floors = [0, 3]
-    plain, heavy = fits(measured_floors=[1, 4], modes=[1, 2], frequency_std=0.002, mode_shape_std=0.02)
-    first = plain.experiment.configurations[0]
-    added = np.array([0.0, 6.0, 0.0, 0.0])
-    test = imagined(plain, first, added)
-    found = distance(plain, heavy, test, first)
-
-    def said(estimate, theta, scale):
-        frequency, shapes = predictions(theta, added, np.arange(4), 2, len(theta) > 8)
-        # Scale to the first model's shapes. The unit of noise is the largest entry at the first sensors.
-        own = predictions(plain.theta, added, np.arange(4), 2, False)[1]
-        shapes = shapes * (np.sum(own * shapes, axis=1) / np.sum(shapes**2, axis=1))[:, None]
-        unit = 0.02 * np.abs(own[:, [0, 3]]).max(axis=1, keepdims=True)
-        return np.concatenate([frequency / 0.002, ((shapes + scale[:, None] * own) / unit)[:, floors].ravel()])
-
-    columns = []
-    for estimate in (plain, heavy):
-        theta, covariance = estimate.theta, estimate.uncertainty.covariance()
-        steps = np.diag(1e-6 * np.maximum(np.abs(theta), 1e-3))
-        J = np.array(
-            [
-                (said(estimate, theta + h, np.zeros(2)) - said(estimate, theta - h, np.zeros(2))) / (2 * h.sum())
-                for h in steps
-            ]
-        ).T
-        columns.append(J @ covariance @ J.T)
-    base = said(plain, plain.theta, np.zeros(2))
-    free = 1e4 * np.array([said(plain, plain.theta, unit) - base for unit in np.eye(2)]).T
-    spread = np.eye(len(base)) + columns[0] + columns[1] + free @ free.T
-    d = said(heavy, heavy.theta, np.zeros(2)) - base
-    assert found == pytest.approx(np.sqrt(d @ np.linalg.solve(spread, d)), rel=2e-3)
 
 
 def test_every_effect_says_something_of_a_test_without_priors():

@@ -265,7 +265,7 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
         seen.append((accepted, rivals))
         return next_test(accepted, rivals)
 
-    monkeypatch.setattr(conclusion, "next_test", proposing)
+    monkeypatch.setattr(conclusion.next_test, "next_test", proposing)
     noise = (0.002, 0.03)
     result = close_loop(loaded_and_held(1500.0, 1, 9, noise), effects=[HeldAndLoaded()])
     assert result.verdict == "ambiguous"

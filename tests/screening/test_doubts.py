@@ -64,10 +64,6 @@ def test_masses_are_told_in_the_units_of_the_library():
     ]
 
 
-def test_time_in_milliseconds_makes_frequencies_in_kilohertz():
-    assert told(building(frequency=1e-3)) == ["time_unit"]
-
-
 def test_rad_per_second_are_told_from_a_buildings_height():
     stories = 10
     mass, stiffness = np.full(stories, 3e5), np.full(stories, 1.2e9)
