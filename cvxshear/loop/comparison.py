@@ -6,18 +6,16 @@ test that mere extra freedom does not pass.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from cvxshear import backends
 from cvxshear.data.pairing import numbered
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit.efficient import Estimate, fitted_with
-from cvxshear.fit.gauss_newton import ROUGH
+from cvxshear.fit.gauss_newton import FULL, ROUGH
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
 from cvxshear.loop.posterior import Posterior
@@ -129,27 +127,18 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     """
     wanted = (*fitter.assumed, *effects)
     base = fitter.base or final
-    first = final if final.experiment is fitter.experiment else base
-    proposals = [
-        dataclasses.replace(
-            proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
-        )
-        for proposal in (fitter.proposal(start, wanted) for start in (first, base))
-    ]
-    misfit = proposals[0].misfit
+    starts = [final, base] if final.experiment is fitter.experiment else [base]
     fitter.fits += 1
-
-    def fit(by: backends.Backend) -> Estimate:
+    for start, accuracy in (*((each, FULL) for each in starts), (base, ROUGH)):
+        proposal = fitter.proposal(start, wanted)
+        misfit = proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
+        by = partial(fitted_with, misfit, proposal.starts[0], accuracy=accuracy)
         try:
-            return fitted_with(misfit, proposals[0].starts[0], by)
-        except errors.NoModesError:
-            return fitted_with(misfit, proposals[1].starts[0], by)
-
-    try:
-        return with_stand_in(fitter.backend, fit)[0]
-    except errors.NoSolutionError:
-        # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough for a comparison.
-        return fitted_with(misfit, proposals[1].starts[0], backends.get("auto"), ROUGH)
+            return with_stand_in(fitter.backend, by)[0]
+        except (errors.NoModesError, errors.NoSolutionError) as error:
+            # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough here.
+            failure = error
+    raise failure
 
 
 def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter) -> tuple[float | None, float | None]:

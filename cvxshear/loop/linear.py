@@ -83,10 +83,6 @@ class Linearised:
         shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, len(base.theta) :])
         return shift
 
-    def gain(self, placed: LocatedEffect) -> float:
-        """Return the gain in log evidence with an effect, from the linearised model."""
-        return float(self.gains[self.candidates.index(placed)])
-
     @decorators.cached_property
     def gains(self) -> Floats:
         """Gain in log evidence of each candidate, shape (n,)."""

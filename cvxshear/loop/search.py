@@ -374,17 +374,12 @@ class Search:
             self._follow(self._expand, [self.visited[each]])
 
     def _fit_without(self, model: ModelClass, sets: Sequence[Set]) -> None:
-        """Fit subsets of a fitted set, started at its fit, unless they have an equally good fit already."""
+        """Fit subsets of a fitted set that were not visited, started at its fit."""
         assert model.estimate is not None
         assumed = set(self.fitter.assumed)
-        new = [each for each in sets if each not in self.visited or self._untried(self.visited[each])]
+        new = [each for each in sets if each not in self.visited]
         effects_of = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in effects_of]))
-
-    @staticmethod
-    def _untried(model: ModelClass) -> bool:
-        """Whether a set was passed over without a fit."""
-        return model.estimate is None and model.failure is None
 
 
 def _strength(estimate: Estimate, placed: LocatedEffect) -> float:
