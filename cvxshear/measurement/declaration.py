@@ -19,7 +19,7 @@ from cvxshear.util.typing import Bools, Floats, Json
 
 MISTAKES = (
     "sensor_sign", "swapped_sensors", "floors_from_top", "transposed", "mode_order", "missing_mode", "mode_number",
-    "entry_sign", "sensor_floors", "sensor_unit", "drifts", "periods", "masses_from_top", "frequency_unit", "signs",
+    "entry_sign", "sensor_floors", "sensor_unit", "drifts", "periods", "frequency_unit", "signs",
 )  # fmt: skip
 """Findings of `check` that refuse a file unless they are accepted; docs/howto/check-a-file.md says what each means."""
 
@@ -28,7 +28,7 @@ NUMBERS = ("missing_mode", "mode_number")
 
 DOUBTS = (
     "angular_frequency", "heights", "masses", "deviations", "look_alike", "repeated", "gravity",
-    "total_mass", "floor_mass", "added_mass",
+    "total_mass", "added_mass",
 )  # fmt: skip
 """Findings of `check` that are warnings."""
 

@@ -297,7 +297,7 @@ def _implied_total(experiment: Experiment) -> tuple[float, float]:
     readings = [MeasuredModes.of(each) for each in experiment.configurations]
     # Floors as heavy as the added mass.
     begin = np.repeat([np.log(max(float(mass.sum()) for mass in added) / N), 0.0], N)
-    frames = ShearFrames(readings, added, begin, nearest_frame.usual_width(N), centred=True)
+    frames = ShearFrames(readings, added, begin, centred=True)
     found = frames.nearest([begin])
     if not _near(found, frames):
         others = frames.nearest([begin + start for start in nearest_frame.odd_starts(N)], nearest_frame.RANKED)

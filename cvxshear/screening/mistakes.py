@@ -1,17 +1,17 @@
-"""Mistakes in measured modes and declared masses: hypotheses, weighed by the data as they would be if mended.
+"""Mistakes in measured modes: hypotheses, weighed by the data as they would be if mended.
 
-A hypothesis changes one thing: a sign, a sensor's place or unit, an order, a mode's number, a floor mass, the floor of
-a load. The nearest shear frame is fitted to the data as given and as changed. A change that can be made at K places has
-the prior odds q / K against the data as given, q the share of files with a mistake of its kind. The evidence of each
-fit makes them probabilities (`util/odds.py`). A mistake is named if the data as given are improbable, with all changes
-that are needed to make the mistake certain.
+A hypothesis changes one thing: a sign, a sensor's place or unit, an order, a mode's number. The nearest shear frame is
+fitted to the data as given and as changed. A change that can be made at K places has the prior odds q / K against the
+data as given, q the share of files with a mistake of its kind. The evidence of each fit makes them probabilities
+(`util/odds.py`). A mistake is named if the data as given are improbable, with all changes that are needed to make the
+mistake certain.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import comb
 from typing import Any
 
@@ -19,20 +19,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement import reading as readings
-from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.measurement.experiment import Configuration
+from cvxshear.measurement.reading import MeasuredModes
 from cvxshear.model.shear import Modes
-from cvxshear.priors import Nominal
 from cvxshear.screening import nearest_frame
 from cvxshear.screening.doubts import FileFinding, in_words
 from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
-
-SLIP = 0.5
-"""Standard deviation of the logarithm of a floor mass with a wrong declared value: a factor 1.6."""
-
-AS_DECLARED_STD = 0.003
-"""Standard deviation of the logarithm of a floor mass that is declared exactly: a few bolts more or less."""
 
 SHORTLIST = 6
 """Number of changes, the best by a rough fit, that are fitted to the end."""
@@ -52,7 +46,7 @@ class Change:
     ----------
     key : str
         Of the words for the mistake.
-    frames : ShearFrames
+    reading : MeasuredModes
         The data as they would be.
     choices : int
         Number of places where a mistake of this kind can be made.
@@ -63,23 +57,20 @@ class Change:
     """
 
     key: str
-    frames: ShearFrames
-    choices: int = 1
-    gaps: Mapping[str, object] = field(default_factory=dict)
+    reading: MeasuredModes
+    choices: int
+    gaps: Mapping[str, object]
     frame: NearestFrame = UNFITTED
+
+    @property
+    def frames(self) -> ShearFrames:
+        """Shear frames compared with the changed data."""
+        return ShearFrames.of(self.reading)
 
     @property
     def log_prior(self) -> float:
         """Logarithm of the prior odds against the data as given."""
         return float(np.log(nearest_frame.MISTAKEN / self.choices))
-
-    def nearest(self, starts: Sequence[Floats]) -> Change:
-        """Return the change with its nearest frame by a rough fit."""
-        return replace(self, frame=self.frames.nearest(starts, nearest_frame.RANKED))
-
-    def likeliest(self) -> Change:
-        """Return the change with its nearest frame of the most probable tolerance."""
-        return replace(self, frame=self.frames.likeliest([self.frame.theta]))
 
     @property
     def plausible(self) -> bool:
@@ -93,13 +84,13 @@ def needs_no_search(frames: ShearFrames, given: NearestFrame) -> bool:
     return bool(given.misfit + lost < 2 * np.log(quantities.SURE / (1 - quantities.SURE) / nearest_frame.MISTAKEN))
 
 
-def named(given: NearestFrame, tried: Sequence[Change], given_log_prior: float = 0.0) -> list[Change]:
+def named(given: NearestFrame, tried: Sequence[Change]) -> list[Change]:
     """Return the changes that together are certain, the most probable first; none if the data may stand as given."""
     explaining = [each for each in tried if each.plausible]
     if not explaining:
         return []
     evidence = [given.log_evidence, *(each.frame.log_evidence for each in explaining)]
-    probability = odds.weigh(evidence, [given_log_prior, *(each.log_prior for each in explaining)])
+    probability = odds.weigh(evidence, [0.0, *(each.log_prior for each in explaining)])
     if probability[0] > 1 - quantities.SURE:
         return []
     order = ranking.order(probability[1:])
@@ -107,35 +98,23 @@ def named(given: NearestFrame, tried: Sequence[Change], given_log_prior: float =
     return [explaining[place] for place in order[:needed]]
 
 
-def shortlisted(changes: Sequence[Change], starts: Sequence[Sequence[Floats]]) -> list[Change]:
-    """Fit each change roughly, and the most probable ones to the end."""
-    rough = [each.nearest(begin) for each, begin in zip(changes, starts, strict=True)]
-    best = ranking.ranked(rough, lambda item: item.frame.log_evidence + item.log_prior)
-    return [each.likeliest() for each in best[:SHORTLIST]]
-
-
-def _finding(
-    where: str | None, given: tuple[ShearFrames, NearestFrame], explaining: Sequence[Change], before: str
-) -> FileFinding:
-    """Report the changes that are certain together, with how far the nearest frame is before and after."""
-    away, left = given[0].distance(given[1]), explaining[0].frames.distance(explaining[0].frame)
-    words = [in_words(item.key, **item.gaps) for item in explaining]
-    evidence = f"{before} (the nearest frame is {away:.0f} standard deviations away, with the change {left:.0f})"
-    refuses = words[0][0] not in ("floor_mass", "added_mass")
-    return FileFinding.of_changes(where, words, evidence, refuses=refuses)
-
-
 def mistakes(configuration: Configuration) -> list[FileFinding]:
     """Find the mistake in one test's modes, if there is one."""
     if not configuration.measured.any():
         return []
-    reading = readings.MeasuredModes.of(configuration)
+    reading = MeasuredModes.of(configuration)
     broken, tried = readings.violations(reading), reading.stories <= nearest_frame.TALLEST_FITTED
     if tried:
         given, explaining = of_modes(reading)
         if explaining:
-            before = broken[0] if broken else "no shear frame has these modes"
-            return [_finding(configuration.name, (ShearFrames.of(reading), given), explaining, before)]
+            away = ShearFrames.of(reading).distance(given)
+            left = explaining[0].frames.distance(explaining[0].frame)
+            evidence = (
+                f"{broken[0] if broken else 'no shear frame has these modes'} (the nearest frame is {away:.0f} "
+                f"standard deviations away, with the change {left:.0f})"
+            )
+            words = [in_words(item.key, **item.gaps) for item in explaining]
+            return [FileFinding.of_changes(configuration.name, words, evidence, refuses=True)]
     if not broken:
         return []
     change = "no single change mends it: look for more than one mistake" if tried else "look for a mistake"
@@ -145,7 +124,7 @@ def mistakes(configuration: Configuration) -> list[FileFinding]:
     return [FileFinding("signs", configuration.name, found, change, refuses=True)]
 
 
-def of_modes(reading: readings.MeasuredModes) -> tuple[NearestFrame, list[Change]]:
+def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     """Weigh the changes of a reading; return the frame nearest to it as given, and the changes that are named."""
     N = reading.stories
     frames, even = ShearFrames.of(reading), nearest_frame.even_starts(N)
@@ -159,154 +138,53 @@ def of_modes(reading: readings.MeasuredModes) -> tuple[NearestFrame, list[Change
     references = even if given.at is None else [*even, given.theta]
     shapes = [NearestFrame(theta).modes for theta in references]
     changes = [change for kind in KINDS for change in kind(replace(reading, part=readings.FARTHER), shapes)]
-    misfits = np.array(
-        [[nearest_frame.misfit(change.frames.readings[0], each) for each in shapes] for change in changes]
-    )
-    near = np.unique(np.argsort(misfits, axis=0, kind="stable")[:SHORTLIST])
-    usual = [replace(changes[place], frames=changes[place].frames.tolerant(1.0)) for place in near]
-    return given, named(given, shortlisted(usual, [[references[np.argmin(misfits[place])]] for place in near]))
+    misfits = np.array([[nearest_frame.misfit(change.reading, each) for each in shapes] for change in changes])
+    rough = []
+    for place in np.unique(np.argsort(misfits, axis=0, kind="stable")[:SHORTLIST]):
+        change = replace(changes[place], reading=replace(changes[place].reading, part=1.0))
+        begin = references[np.argmin(misfits[place])]
+        rough.append(replace(change, frame=change.frames.nearest([begin], nearest_frame.RANKED)))
+    best = ranking.ranked(rough, lambda item: item.frame.log_evidence + item.log_prior)[:SHORTLIST]
+    return given, named(given, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best])
 
 
-def masses_declared(experiment: Experiment) -> Iterator[FileFinding]:
-    """Find a mistake in declared masses and design values, by the tests of the state with most of them."""
-    states: dict[str, list[Configuration]] = {}
-    for each in experiment.configurations:
-        if each.measured.any():
-            states.setdefault(each.state, []).append(each)
-    if not states or experiment.frame.total_mass_placeholder or experiment.stories > nearest_frame.TALLEST_FITTED:
-        return
-    tests, N = max(states.values(), key=len), experiment.stories
-    declared = _declared(experiment, tests)
-    changes = [] if declared is None else list(_changes(experiment, tests, declared))
-    if declared is None or not changes:
-        return
-    masses = declared.expected[:N]
-    given = declared.likeliest([np.concatenate([masses, each]) for each in (np.zeros(N), np.linspace(0.0, -1.0, N))])
-    if needs_no_search(declared, given):
-        return
-    begin = given.theta[N:]
-    starts = [[np.concatenate([each.frames.expected[:N], begin])] for each in changes]
-    tried = shortlisted(changes, starts)
-    explaining = named(given, tried)
-    if not explaining:
-        return
-    explaining = named(given, tried, _shared(declared, given, explaining[0].frames) / 2)
-    if explaining:
-        before = "no shear frame of the masses as declared has these modes"
-        yield _finding(None, (declared, given), [_valued(each) for each in explaining], before)
-
-
-def _shared(declared: ShearFrames, given: NearestFrame, changed: ShearFrames) -> float:
-    """Return how much less the values that a change exchanges cost as declared if all err by one cause.
-
-    Design values come of one calculation: that all are off is as probable as what the farthest is off by.
-    """
-    if given.at is None:
-        return 0.0
-    exchanged = changed.expected != declared.expected
-    costs = given.at.r[-len(exchanged) :][exchanged] ** 2
-    return float(costs.sum() - costs.max(initial=0.0))
-
-
-def _declared(experiment: Experiment, tests: Sequence[Configuration]) -> ShearFrames | None:
-    """Return the declared floor masses, or equal masses for a declared total; None without a declared mass."""
-    N, frame = experiment.stories, experiment.frame
-    expected, width = np.zeros(2 * N), nearest_frame.usual_width(N)
-    known = frame.known_total is not None
-    if frame.known_total is not None:
-        expected[:N] = np.log(frame.known_total / N)
-    for prior in experiment.priors:
-        if isinstance(prior, Nominal) and prior.quantity in ("floor_mass", "story_stiffness"):
-            part = slice(0, N) if prior.quantity == "floor_mass" else slice(N, 2 * N)
-            values = np.log(prior.values)
-            # Values up to a factor keep the scale that the total gives.
-            expected[part] = values + np.mean(expected[part] - values) if prior.free_scale else values
-            width[part] = AS_DECLARED_STD if prior.std is None else prior.std
-            known |= prior.quantity == "floor_mass" and not prior.free_scale
-    if frame.floor_masses is not None:
-        expected[:N], width[:N] = np.log(frame.floor_masses), AS_DECLARED_STD
-    shown, added = [readings.MeasuredModes.of(each) for each in tests], [each.added_mass for each in tests]
-    return ShearFrames(shown, added, expected, width) if known else None
-
-
-def _changes(experiment: Experiment, tests: Sequence[Configuration], declared: ShearFrames) -> Iterator[Change]:
-    """List every single change of the declaration that can mend it."""
-    N, added = experiment.stories, declared.added
-    for part, key, place in ((slice(0, N), "floor masses", "floor"), (slice(N, 2 * N), "stiffnesses", "story")):
-        if np.ptp(declared.expected[part]) > 0:
-            expected, width = declared.expected.copy(), declared.width.copy()
-            expected[part], width[part] = expected[part][::-1], width[part][::-1]
-            turned = replace(declared, expected=expected, width=width)
-            yield Change("masses_from_top", turned, 1, {"values": key, "place": place})
-    for floor in range(N if experiment.frame.floor_masses is not None else 0):
-        width = np.where(np.arange(2 * N) == floor, SLIP, declared.width)
-        said = quantities.quantity(float(np.exp(declared.expected[floor])), "kg", 3)
-        yield Change("floor_mass", replace(declared, width=width), N, {"floor": floor + 1, "said": said})
-    if len(tests) < 2 or all(np.array_equal(each, added[0]) for each in added):
-        return
-    from_top = [each[::-1] for each in added]
-    if any(not np.array_equal(*pair) for pair in zip(from_top, added, strict=True)):
-        yield Change("added_mass/from_top", replace(declared, added=from_top))
-    loads = [(test, floor) for test, mass in enumerate(added) for floor in np.flatnonzero(mass).tolist()]
-    for (test, floor), other in itertools.product(loads, range(N)):
-        mass = added[test].copy()
-        if not mass[other]:
-            mass[other], mass[floor] = mass[floor], 0.0
-            there = replace(declared, added=[*added[:test], mass, *added[test + 1 :]])
-            gaps = {"load": quantities.quantity(mass[other], "kg", 3), "test": tests[test].name, "there": other + 1}
-            yield Change("added_mass/floor", there, len(loads) * (N - 1), {**gaps, "floor": floor + 1})
-
-
-def _valued(item: Change) -> Change:
-    """Put the mass of the floor that a change leaves open into its words."""
-    if item.key != "floor_mass":
-        return item
-    floor = int(np.argmax(item.frames.width == SLIP))
-    value, std = float(np.exp(item.frame.theta[floor])), float(np.sqrt(item.frame.covariance[floor, floor]))
-    return replace(item, gaps={**item.gaps, "value": quantities.quantity(value, "kg", 3), "percent": 100 * std})
-
-
-Kind = Callable[[readings.MeasuredModes, Sequence[Modes]], Iterator[Change]]
+Kind = Callable[[MeasuredModes, Sequence[Modes]], Iterator[Change]]
 """A kind of mistake: the changes of a reading that would mend it, some by frames of about the right proportions."""
 
 
-def _of_reading(key: str, reading: readings.MeasuredModes, choices: int, gaps: Mapping[str, object]) -> Change:
-    return Change(key, ShearFrames.of(reading), choices, gaps)
-
-
-def _picked(reading: readings.MeasuredModes, which: Any) -> readings.MeasuredModes:
+def _picked(reading: MeasuredModes, which: Any) -> MeasuredModes:
     """Pick entries of the shapes and their standard deviations by an index."""
     return replace(reading, shapes=reading.shapes[which], noise=reading.noise[which])
 
 
-def _scaled(reading: readings.MeasuredModes, column: int, factor: float) -> readings.MeasuredModes:
+def _scaled(reading: MeasuredModes, column: int, factor: float) -> MeasuredModes:
     """Multiply the entries of one sensor by a factor."""
     scale = np.where(np.arange(len(reading.floors)) == column, factor, 1.0)
     return replace(reading, shapes=reading.shapes * scale, noise=reading.noise * np.abs(scale))
 
 
-def sensor_signs(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def sensor_signs(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each sensor reversed in every mode."""
     for column, floor in enumerate(reading.floors + 1):
-        yield _of_reading("sensor_sign", _scaled(reading, column, -1.0), len(reading.floors), {"floor": floor})
+        yield Change("sensor_sign", _scaled(reading, column, -1.0), len(reading.floors), {"floor": floor})
 
 
-def exchanged_sensors(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def exchanged_sensors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each pair of sensors exchanged."""
     width = len(reading.floors)
     for low, high in itertools.combinations(range(width), 2):
         names = f"floors {reading.floors[low] + 1} and {reading.floors[high] + 1}"
         there = _picked(reading, np.s_[:, _exchanged(width, low, high)])
-        yield _of_reading("swapped_sensors", there, comb(width, 2), {"floors": names})
+        yield Change("swapped_sensors", there, comb(width, 2), {"floors": names})
 
 
-def floors_from_top(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def floors_from_top(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """List the floors in the opposite order."""
     if len(reading.floors) > 1:
-        yield _of_reading("floors_from_top", _picked(reading, np.s_[:, ::-1]), 1, {})
+        yield Change("floors_from_top", _picked(reading, np.s_[:, ::-1]), 1, {})
 
 
-def other_floors(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def other_floors(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """All sensors one floor higher or lower, and each of them alone; one on the ground shows no motion."""
     floors, top = reading.floors, reading.stories - 1
     choices = 2 * (len(floors) + 1)
@@ -318,45 +196,45 @@ def other_floors(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterato
             listed = ", ".join(str(floor + 1) for floor in moved)
             but = "" if np.all(on) else " (0 is the ground: leave its entries out)"
             there = replace(_picked(reading, np.s_[:, on]), floors=moved[on])
-            yield _of_reading("sensor_floors/all", there, choices, {"low": word, "floors": listed, "but": but})
+            yield Change("sensor_floors/all", there, choices, {"low": word, "floors": listed, "but": but})
         for column, floor in enumerate(moved.tolist()):
             if 0 <= floor <= top and floor not in floors:
                 there = replace(reading, floors=np.where(np.arange(len(floors)) == column, floor, floors))
                 gaps = {"low": word, "before": floors[column] + 1, "floor": floor + 1}
-                yield _of_reading("sensor_floors/one", there, choices, gaps)
+                yield Change("sensor_floors/one", there, choices, gaps)
 
 
-def other_units(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def other_units(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each sensor in another unit."""
     width = len(reading.floors)
     for column, factor in itertools.product(range(width if width > 1 else 0), UNITS):
         gaps = {"floor": reading.floors[column] + 1, "factor": factor}
-        yield _of_reading("sensor_unit", _scaled(reading, column, factor), width * len(UNITS), gaps)
+        yield Change("sensor_unit", _scaled(reading, column, factor), width * len(UNITS), gaps)
 
 
-def periods(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def periods(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Take the frequencies for periods, which descend from the first mode to the last."""
     if len(reading.modes) > 1:
         turned = _picked(reading, np.s_[::-1])
         logs, noise = -reading.log_frequencies[::-1], reading.frequency_noise[::-1]
-        yield _of_reading("periods", replace(turned, log_frequencies=logs, frequency_noise=noise), 1, {})
+        yield Change("periods", replace(turned, log_frequencies=logs, frequency_noise=noise), 1, {})
 
 
-def drifts(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def drifts(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Drifts of the stories added up to displacements of the floors."""
     width = len(reading.floors)
     if width > 1 and np.array_equal(reading.floors, np.arange(width)):
         noise = np.sqrt(np.cumsum(reading.noise**2, axis=1))
-        yield _of_reading("drifts", replace(reading, shapes=np.cumsum(reading.shapes, axis=1), noise=noise), 1, {})
+        yield Change("drifts", replace(reading, shapes=np.cumsum(reading.shapes, axis=1), noise=noise), 1, {})
 
 
-def transposed(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def transposed(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Rows for columns."""
     if len(reading.floors) == len(reading.modes) > 1:
-        yield _of_reading("transposed", replace(reading, shapes=reading.shapes.T, noise=reading.noise.T), 1, {})
+        yield Change("transposed", replace(reading, shapes=reading.shapes.T, noise=reading.noise.T), 1, {})
 
 
-def other_orders(reading: readings.MeasuredModes, frames: Sequence[Modes]) -> Iterator[Change]:
+def other_orders(reading: MeasuredModes, frames: Sequence[Modes]) -> Iterator[Change]:
     """Each exchange of two shapes, and the best order of the shapes for each frame."""
     count = len(reading.modes)
     orders = {tuple(_exchanged(count, i, j)) for i, j in itertools.combinations(range(count), 2)}
@@ -366,7 +244,7 @@ def other_orders(reading: readings.MeasuredModes, frames: Sequence[Modes]) -> It
         places = [place for place in range(count) if order[place] != place]
         rows, others = (", ".join(str(each + 1) for each in some) for some in (places, [order[at] for at in places]))
         choices = comb(count, 2) * 2 ** (len(places) - 2)
-        yield _of_reading("mode_order", _picked(reading, list(order)), choices, {"rows": rows, "others": others})
+        yield Change("mode_order", _picked(reading, list(order)), choices, {"rows": rows, "others": others})
 
 
 def _exchanged(count: int, i: int, j: int) -> Ints:
@@ -375,7 +253,7 @@ def _exchanged(count: int, i: int, j: int) -> Ints:
     return order
 
 
-def _assigned(reading: readings.MeasuredModes, frame: Modes) -> Ints:
+def _assigned(reading: MeasuredModes, frame: Modes) -> Ints:
     """Find the order of rows with the largest sum of modal assurance criteria with the frame's modes."""
     psi, read, weight = frame.shapes[np.ix_(reading.modes, reading.floors)], reading.scaled, reading.known.astype(float)
     length = np.sum(read**2, axis=1, keepdims=True) * (weight @ (psi**2).T)
@@ -385,7 +263,7 @@ def _assigned(reading: readings.MeasuredModes, frame: Modes) -> Ints:
     return order
 
 
-def other_numbers(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def other_numbers(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Other numbers of the modes: one or two left out where they are 1, 2, 3, ...; else one number changed."""
     count, N = len(reading.modes), reading.stories
     running = bool(np.all(reading.modes == np.arange(count)))
@@ -399,11 +277,11 @@ def other_numbers(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterat
         if running:
             absent = [str(number + 1) for number in range(numbers[-1]) if number not in numbers]
             gaps = {"modes": modes, "s": "s" * (len(absent) > 1), "absent": ", ".join(absent)}
-            yield _of_reading("missing_mode", there, len(numberings), gaps)
+            yield Change("missing_mode", there, len(numberings), gaps)
         else:
             pairs = zip(reading.modes + 1, np.array(numbers) + 1, strict=True)
             wrong = ", ".join(f"what is called mode {called} is mode {new}" for called, new in pairs if called != new)
-            yield _of_reading("mode_number", there, len(numberings), {"modes": modes, "wrong": wrong})
+            yield Change("mode_number", there, len(numberings), {"modes": modes, "wrong": wrong})
 
 
 def _one_changed(numbers: list[int], N: int) -> Iterator[tuple[int, ...]]:
@@ -416,14 +294,14 @@ def _one_changed(numbers: list[int], N: int) -> Iterator[tuple[int, ...]]:
                 yield (*numbers[:place], number, *numbers[place + 1 :])
 
 
-def entry_signs(reading: readings.MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
+def entry_signs(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
     """Each entry reversed."""
     known = np.argwhere(reading.known)
     for row, column in known:
         shapes: Floats = reading.shapes.copy()
         shapes[row, column] *= -1
         place = {"floor": reading.floors[column] + 1, "mode": reading.modes[row] + 1}
-        yield _of_reading("entry_sign", replace(reading, shapes=shapes), len(known), place)
+        yield Change("entry_sign", replace(reading, shapes=shapes), len(known), place)
 
 
 KINDS: tuple[Kind, ...] = (

@@ -104,11 +104,6 @@ class NearestFrame:
         return np.asarray(np.linalg.pinv(self.at.J.T @ self.at.J))
 
 
-def usual_width(stories: int) -> Floats:
-    """Return the standard deviations of the logarithms of masses and stiffnesses about typical ones, shape (2N,)."""
-    return np.repeat([domain.MASS_WIDTH, domain.STIFFNESS_WIDTH], stories)
-
-
 def modes_of(mass: Floats, stiffness: Floats) -> Modes:
     """Return the modes of a frame of these floor masses and story stiffnesses."""
     return modes(mass_matrix(mass), stiffness_matrix(stiffness))
@@ -134,28 +129,23 @@ class ShearFrames:
     readings : sequence of MeasuredModes
     added : sequence of ndarray, shape (N,)
         Added mass of each reading, kg.
-    expected, width : ndarray, shape (2N,)
-        Logarithms of masses and stiffnesses that are expected, the stiffnesses up to a factor, and their standard
-        deviations.
+    expected : ndarray, shape (2N,)
+        Logarithms of masses and stiffnesses that are expected, the stiffnesses up to a factor.
     centred : bool, optional
         Whether masses are compared with their mean, and not with what is expected: where the added masses fix their
         scale.
-    tail : float, optional
-        Degrees of freedom of Student's t about what is expected; infinite for a normal distribution.
     """
 
     readings: Sequence[MeasuredModes]
     added: Sequence[Floats]
     expected: Floats
-    width: Floats
     centred: bool = False
-    tail: float = np.inf
 
     @staticmethod
     def of(reading: MeasuredModes) -> ShearFrames:
         """Compare one reading with frames of usual proportions; one reading leaves the unit of mass free."""
         N = reading.stories
-        return ShearFrames([reading], [np.zeros(N)], np.zeros(2 * N), usual_width(N), tail=ODD_TAIL)
+        return ShearFrames([reading], [np.zeros(N)], np.zeros(2 * N))
 
     @property
     def stories(self) -> int:
@@ -181,7 +171,7 @@ class ShearFrames:
     @property
     def stds(self) -> float:
         """Twice the sum of the logarithms of all standard deviations, but for a constant that repairs do not change."""
-        return sum(each.certainty_lost() for each in self.readings) + 2 * float(np.sum(np.log(self.width)))
+        return sum(each.certainty_lost() for each in self.readings)
 
     def nearest(self, starts: Iterable[Floats], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH) -> NearestFrame:
         """Return the best fit that begins at one of these logarithms, shape (2N,)."""
@@ -253,7 +243,7 @@ class ShearFrames:
             slopes = None if of_shapes is None else of_shapes[:, :, reading.floors]
             parts.append(shape_residual(reading.scaled, psi, reading.weights, slopes))
         rows = self._prior
-        about, slope = gaussian.tailed(rows @ (theta - self.expected), self.tail)
+        about, slope = gaussian.tailed(rows @ (theta - self.expected), ODD_TAIL)
         r = np.concatenate([*(r for r, _ in parts), about])
         if not derivatives:
             return optimality.PlainResiduals(r, np.zeros((0, len(theta))))
@@ -267,7 +257,7 @@ class ShearFrames:
         rows = np.zeros((2 * N, 2 * N))
         rows[:N, :N] = about_mean if self.centred else np.eye(N)
         rows[N:, N:] = about_mean
-        return rows / self.width[:, None]
+        return np.asarray(rows / np.repeat([domain.MASS_WIDTH, domain.STIFFNESS_WIDTH], N)[:, None])
 
 
 def misfit(reading: MeasuredModes, found: Modes) -> float:

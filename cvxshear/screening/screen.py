@@ -82,7 +82,7 @@ def screen(experiment: Measurement) -> tuple[doubts.FileFinding, ...]:
         *(item for each in experiment.configurations for item in mistakes.mistakes(each)),
     ]
     # Frequencies and shapes that are wrong tell no mass.
-    by_modes = () if found else (doubts.total_mass, mistakes.masses_declared, doubts.look_alike)
+    by_modes = () if found else (doubts.total_mass, doubts.look_alike)
     for doubt in (*by_modes, *doubts.DECLARED_DOUBTS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]

@@ -8,6 +8,7 @@ import pytest
 from cvxshear import Experiment
 from cvxshear.measurement.reading import repeated_configurations
 from cvxshear.screening import screen
+from tests.fe.experiments import simulated
 from tests.frames import configuration, experiment
 
 MASS = np.array([2.1e5, 2.0e5, 1.9e5])
@@ -152,3 +153,13 @@ def test_a_story_that_lost_nearly_everything_changes_no_unit():
     declared = building()
     declared["configuration"].append({"name": "after", **configuration(MASS, STIFFNESS * [0.02, 1.0, 1.0])})
     assert "frequency_unit" not in {item.name for item in screen(Experiment.from_dict(declared))}
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("t", 1e-3), ("kN", 9.81e-3), ("N", 9.81)])
+def test_added_masses_in_another_unit_are_named(unit, factor):
+    declared, _ = simulated(None, stories=5, configurations=3, rng=np.random.default_rng(3))
+    assert told(declared) == []
+    for table in declared["configuration"]:
+        table["added_mass"] = [factor * value for value in table["added_mass"]]
+    items = screen(Experiment.from_dict(declared))
+    assert any("added_mass" in item.found and f"like {unit}" in item.found for item in items)
