@@ -50,8 +50,10 @@ def search_for_effects(
     experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
     wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)
     solver = backends.get(backend)
-    assumed = _declared(experiment, solver, hypotheses.assumed_effects(experiment, assume))
-    searches = _prepared(experiment, solver, wanted, assumed)
+    assumed = hypotheses.assumed_effects(experiment, assume)
+    looked_for = hypotheses.hypotheses(experiment, wanted, assumed)
+    start = _first(experiment, solver, assumed)
+    searches = Searches(solver, assumed, looked_for, _expectation(experiment, start.theta, looked_for), start)
     found = searches.run(experiment)
     messages = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
@@ -91,15 +93,6 @@ def _concluded(
     return conclusion.conclude(fits, posterior, wanted, messages=messages, effort=effort)
 
 
-def _prepared(
-    experiment: Experiment, solver: backends.Backend, wanted: Sequence[Effect], assumed: tuple[LocatedEffect, ...]
-) -> Searches:
-    """Fit the shear model, and collect the settings that all searches share."""
-    looked_for = hypotheses.hypotheses(experiment, wanted, assumed)
-    start = _first(experiment, solver, assumed)
-    return Searches(solver, assumed, looked_for, _expectation(experiment, start.theta, looked_for), start)
-
-
 def _excess(result: LoopResult) -> float | None:
     """Return the factor on the noise that makes the residual probable; None if the residual is probable already."""
     judged = result.judged
@@ -109,20 +102,6 @@ def _excess(result: LoopResult) -> float | None:
 def _first(experiment: Experiment, backend: backends.Backend, assumed: tuple[LocatedEffect, ...]) -> Estimate:
     """Make the first fit on the requested backend, so that a failing backend is found at once."""
     return with_stand_in(backend, lambda by: efficient(experiment, by, assumed), (errors.UnsuitableError,))[0]
-
-
-def _declared(
-    experiment: Experiment, backend: backends.Backend, assumed: tuple[LocatedEffect, ...]
-) -> tuple[LocatedEffect, ...]:
-    """Return the assumed effects; an effect that these data do not determine is held at its starting value."""
-    if not assumed:
-        return assumed
-    found = _first(experiment, backend, assumed)
-    known = found.uncertainty.determined
-    return tuple(
-        placed if np.all(known[found.own(placed)]) else LocatedEffect(placed.effect, placed.place, placed.start)
-        for placed in assumed
-    )
 
 
 def _expectation(

@@ -23,9 +23,6 @@ PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
 HEAVIEST = 1000.0
 """Largest added mass on one floor, kg: a practical limit for a test."""
 
-MOST_RIVALS = 4
-"""Number of rival sets that a test should distinguish from the accepted set, the most probable first."""
-
 WORTHWHILE = 1.0
 """Smallest distance, in standard deviations, of a test that is proposed."""
 
@@ -76,7 +73,7 @@ def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None
         added[floor - 1] += mass
         try:
             test = imagined(accepted, first, added)
-            distances.append([distance(accepted, rival, test, first) for rival in rivals[:MOST_RIVALS]])
+            distances.append([distance(accepted, rival, test, first) for rival in rivals])
         except errors.NoModesError:
             # A model buckles under this mass, so the test is not proposed.
             continue

@@ -163,7 +163,7 @@ def angular_frequency(experiment: Experiment) -> Iterator[FileFinding]:
 
 
 def deviations(experiment: Experiment) -> Iterator[FileFinding]:
-    """Doubt standard deviations that no instrument has, of measurements and of soft statements."""
+    """Doubt standard deviations of measurements that no instrument has."""
     for each in experiment.configurations:
         for key, largest in LARGEST_STD.items():
             value = getattr(each, key)
@@ -178,11 +178,6 @@ def deviations(experiment: Experiment) -> Iterator[FileFinding]:
             elif (middle := np.median(std)) > largest:
                 of = "frequencies" if key == "frequency_std" else "shapes"
                 yield doubt("deviations/coarse", each.name, of=of, key=key, std=middle, percent=100 * middle)
-    stated = [("total_mass_std", experiment.frame.total_mass_std)]
-    stated += [(f"std of the prior {prior.describe()}", getattr(prior, "std", None)) for prior in experiment.priors]
-    for words, value in stated:
-        if value is not None and float(value) < BEST_LABORATORY_STD:
-            yield doubt("deviations/stated", words=words, std=float(value))
 
 
 def repeats(experiment: Experiment) -> Iterator[FileFinding]:
@@ -300,7 +295,7 @@ def _implied_total(experiment: Experiment) -> tuple[float, float]:
     frames = ShearFrames(readings, added, begin, centred=True)
     found = frames.nearest([begin])
     if not _near(found, frames):
-        others = frames.nearest([begin + start for start in nearest_frame.odd_starts(N)], nearest_frame.RANKED)
+        others = frames.nearest([begin + start for start in nearest_frame.odd_starts(N)])
         found = frames.nearest([found.theta, others.theta])
     masses = np.exp(found.theta[:N])
     if found.at is None or not _near(found, frames):

@@ -131,7 +131,7 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     given = frames.likeliest([*even, *frames.story_starts(even[:1])])
     if needs_no_search(frames, given):
         return given, []
-    odd = frames.nearest(nearest_frame.odd_starts(N), nearest_frame.RANKED)
+    odd = frames.nearest(nearest_frame.odd_starts(N))
     given = ranking.ranked([given, frames.likeliest([odd.theta])], lambda item: item.log_evidence)[0]
     if needs_no_search(frames, given):
         return given, []
@@ -143,7 +143,7 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     for place in np.unique(np.argsort(misfits, axis=0, kind="stable")[:SHORTLIST]):
         change = replace(changes[place], reading=replace(changes[place].reading, part=1.0))
         begin = references[np.argmin(misfits[place])]
-        rough.append(replace(change, frame=change.frames.nearest([begin], nearest_frame.RANKED)))
+        rough.append(replace(change, frame=change.frames.nearest([begin])))
     best = ranking.ranked(rough, lambda item: item.frame.log_evidence + item.log_prior)[:SHORTLIST]
     return given, named(given, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best])
 

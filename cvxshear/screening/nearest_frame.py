@@ -49,9 +49,6 @@ ODD = 1e-3
 ODD_TAIL = 4.0
 """Degrees of freedom of masses and stiffnesses about typical ones: now and then a frame stands on bearings."""
 
-RANKED = dataclasses.replace(gauss_newton.ROUGH, most_steps=8)
-"""Accuracy of a fit that only ranks starts or repairs; further steps rarely change the order."""
-
 TALLEST_FITTED = 24
 """Largest number of stories for fits of repairs: their number grows with the square of the stories."""
 
@@ -173,7 +170,7 @@ class ShearFrames:
         """Twice the sum of the logarithms of all standard deviations, but for a constant that repairs do not change."""
         return sum(each.certainty_lost() for each in self.readings)
 
-    def nearest(self, starts: Iterable[Floats], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH) -> NearestFrame:
+    def nearest(self, starts: Iterable[Floats]) -> NearestFrame:
         """Return the best fit that begins at one of these logarithms, shape (2N,)."""
         size = len(self.expected)
         found = []
@@ -182,7 +179,7 @@ class ShearFrames:
                 begin = self.tuned(each)
                 within = NamedConstraints("reach", Constraints(lower=begin - FARTHEST_LOG, upper=begin + FARTHEST_LOG))
                 inside = domain.Domain((within,), np.ones(size), np.full(size, np.inf))
-                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), accuracy)
+                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), gauss_newton.ROUGH)
             except errors.CvxshearError:
                 # No step from here can be solved in 64 bits.
                 found.append(NearestFrame(each))

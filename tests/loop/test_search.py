@@ -278,7 +278,7 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
     # Trial masses, relative to the mean floor mass, on every floor.
     mean = np.mean(accepted.theta[:4])
     distances = {
-        (floor, part): min(apart(accepted, rival, floor, part * mean, noise) for rival in rivals[:4])
+        (floor, part): min(apart(accepted, rival, floor, part * mean, noise) for rival in rivals)
         for floor in range(1, 5)
         for part in (0.1, 0.25, 0.5, 1.0)
     }

@@ -43,11 +43,10 @@ def told(declared):
         ({"total_mass": 6e8}, ["masses"]),
         ({"total_mass": 600.0, "story_heights": 3.2}, ["masses"]),
         ({"total_mass": 1.0, "total_mass_placeholder": True, "story_heights": 3.2}, ["total_mass"]),
-        ({"total_mass_std": 1e-8}, ["deviations"]),
     ],
 )
 def test_a_declaration_is_asked_about_where_it_looks_wrong(frame, names):
-    """Units and impossible deviations; a placeholder is no mass in tons."""
+    """Units; a placeholder is no mass in tons."""
     assert told(building(frame=frame)) == names
 
 
@@ -92,13 +91,6 @@ def test_deviations_that_no_instrument_has_and_percent_are_asked_about(key, valu
     declared = building()
     declared["configuration"][1][key] = value
     assert told(declared) == names
-
-
-def test_so_are_those_of_soft_statements():
-    prior = {"kind": "value", "quantity": "story_stiffness", "at": 1, "value": float(STIFFNESS[0])}
-    assert told(building(prior=[{**prior, "std": 1e-12}])) == ["deviations"]
-    assert told(building(prior=[{**prior, "std": 1e-3}])) == []
-    assert told(building(prior=[prior])) == []
 
 
 def test_a_copied_configuration_is_found():
