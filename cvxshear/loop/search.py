@@ -290,12 +290,14 @@ class Search:
         model : ModelClass
         barred : frozenset of LocatedEffect, optional
         behind : float, optional
-            Distance in log probability that the further effects must close. Default: the distance from the best set.
+            Distance in log probability that the further effects must close. Default: the distance from the best set;
+            none for the shear model, so that rivals of an effect tried first are found.
         """
         if model.estimate is None or not self.candidates(model):
             return
         linear = self.linearised(model)
-        behind = self.best.score - model.score if behind is None else behind
+        if behind is None:
+            behind = 0.0 if model is self.base else self.best.score - model.score
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if each not in self.visited and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
