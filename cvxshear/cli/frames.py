@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -29,7 +28,7 @@ from cvxshear.cli.options import (
 from cvxshear.cli.output import as_typed, deliver, doubts_of, heading_of, names, numbers, progress, show
 from cvxshear.report import terminal
 from cvxshear.report.describe import describe
-from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
+from cvxshear.util.errors import NoScaleError, UnsuitableError
 from cvxshear.util.quantities import Units
 from cvxshear.util.results import as_json
 from cvxshear.util.writing import write_file
@@ -38,8 +37,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear import Identification
-    from cvxshear.response import IdentifiedDamping, Reconstruction, RecordPrediction
-    from cvxshear.response.sources import ModelSource
+    from cvxshear.response import IdentifiedDamping, Models, Reconstruction, RecordPrediction
     from cvxshear.screening import FileFinding
 
 
@@ -187,7 +185,6 @@ def loop(
         "information": [*result.information, *filter(None, [without])],
         **records_in_json(found),
         "damping": as_json(damping),
-        "model": models.to_dict(),
     }
     if tried is not None:
         said["validation"] = tried.to_dict()
@@ -251,7 +248,7 @@ class Motion:
     Parameters
     ----------
     file
-        What the model is made of: a measurement file, a record file, or what 'loop --json' wrote.
+        What the model is made of: a measurement file or a record file.
     damping
         modal, story or rayleigh; default: the kind that FILE declares.
     configuration
@@ -282,18 +279,12 @@ class Motion:
             written.append(partial(_write_page, self.report))
         return written
 
-    def screened(self) -> tuple[ModelSource, Sequence[FileFinding] | None]:
-        """Close the loop on a measurement; return its models and warnings, or the result of a loop without warnings."""
+    def screened(self) -> tuple[Models, Sequence[FileFinding]]:
+        """Close the loop on a measurement; return its models and warnings."""
         from cvxshear.response import models_of_loop
         from cvxshear.response.sources import load_unscaled
         from cvxshear.screening import close_loop
 
-        if Path(self.file).suffix.lower() == ".json":
-            if self.assume:
-                raise InputError(
-                    f"{self.file} holds a model that the loop ended with; --assume belongs to 'cvxshear loop'"
-                )
-            return self.file, None
         try:
             experiment, found = measured([self.file])
         except NoScaleError:
@@ -370,7 +361,7 @@ def reconstruct(
 
 
 def _deliver_motion(
-    result: RecordPrediction | Reconstruction, doubts: Sequence[FileFinding] | None, out: str | None, *files: Writer
+    result: RecordPrediction | Reconstruction, doubts: Sequence[FileFinding], out: str | None, *files: Writer
 ) -> None:
     from cvxshear.screening import in_json
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.fit.paper_methods import MOST_ITERATIONS, TOLERANCE
-from cvxshear.model.shear import transformation
+from cvxshear.model import transformation
 from cvxshear.programs.pair_rows import pair_normal
 from cvxshear.util.typing import Bools, Floats, Ints
 

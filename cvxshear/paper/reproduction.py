@@ -12,7 +12,7 @@ from cvxshear.fit.identification import identify
 from cvxshear.fit.paper_methods import identified_stiffness
 from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
 from cvxshear.paper.setups import three_story
 from cvxshear.paper.tables import MISPRINT, PRINTED, PaperRow, PaperSection, Reproduction, note, rows, value, values

@@ -7,7 +7,7 @@ from scipy import linalg
 
 from cvxshear.fit.misfit import Misfit
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.util import checks, ranking
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats, Ints

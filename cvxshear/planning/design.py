@@ -16,7 +16,7 @@ from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.io.toml import is_built_in, load, read_result, read_tables
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame, Measurement, Prior, opened
-from cvxshear.model.shear import modes
+from cvxshear.model import modes
 from cvxshear.priors import Value, check_prior
 from cvxshear.screening import close_loop
 from cvxshear.util import checks

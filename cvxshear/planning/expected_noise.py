@@ -24,8 +24,8 @@ from typing import ClassVar
 import numpy as np
 
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD, Configuration
-from cvxshear.model.shear import Modes
-from cvxshear.records.deviations import SENSOR_STD
+from cvxshear.model import Modes
+from cvxshear.records.result import SENSOR_STD
 from cvxshear.util import checks, ranking
 from cvxshear.util.typing import Floats, Ints
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.effects import LocatedEffect, Place, Scale, named
-from cvxshear.fit.expected_test import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
 from cvxshear.fit.gaussian import separation
+from cvxshear.fit.misfit import ExpectedTest, data_rows, expected_configuration, predicted_modes, tested_model
 from cvxshear.measurement.experiment import Frame
 from cvxshear.planning.criteria import Candidates, candidates, free_changes
 from cvxshear.planning.design import UNKNOWN_STD, Design

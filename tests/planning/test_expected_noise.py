@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning.expected_noise import BAND_WIDTH, SAMPLES_A_PERIOD, Declared, Recorded, band_factors
 from cvxshear.records.simulate import PAPER_FRAME
 from cvxshear.util.errors import InputError

@@ -28,7 +28,7 @@ from cvxshear.util.errors import InputError
 from tests.report.test_figures import assert_readable
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
-DRAWN = [figures.response_histories, figures.response_peaks, figures.transfer_functions, figures.floor_spectra]
+DRAWN = [figures.response_histories, figures.response_peaks, figures.transfer_functions]
 
 
 @pytest.fixture(scope="module", params=[2, 20])
@@ -87,7 +87,7 @@ def test_the_floor_of_the_largest_peak_is_drawn_and_those_left_out_are_counted(p
         shown = panel_numbers(draw(found))
         assert min(largest, count) in shown
         assert shown == sorted(shown, reverse=True)
-    for name in ("history", "transfer", "spectra"):
+    for name in ("history", "transfer"):
         caption = figures_of(RecordPrediction)[name].caption_of(found)
         assert ("not drawn" in caption) == (count > 4)
         assert count <= 4 or f"16 of {count}" in caption

@@ -435,16 +435,6 @@ def test_warnings_stand_before_the_numbers(softened):
     assert (describe(found).sections[-1].title, always.texts) == ("What to bear in mind", found.remarks)
 
 
-def test_a_model_that_misses_a_part_of_the_motion_makes_drifts_provisional(softened):
-    """The innovations of the second sensor have a correlation of 0.3 between samples."""
-    found = softened[-1]
-    assert "provisional" not in describe(found).headline
-    white, other = found.whiteness
-    missed = dataclasses.replace(found, whiteness=(white, dataclasses.replace(other, correlation=0.3, p_value=1e-6)))
-    assert f"drifts are provisional: the model of {found.fitted.experiment.name}" in describe(missed).headline
-    assert f"misses a part of how floor {other.floor} moved" in describe(missed).headline
-
-
 def test_base_motion_that_nobody_measured_is_estimated(softened):
     models, motion, drift, _, _ = softened
     y = motion.runs[0].responses

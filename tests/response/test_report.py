@@ -73,7 +73,7 @@ def test_the_page_stands_by_itself(text):
 
 
 def test_pictures_and_numbers(prediction, text):
-    expected = ["figure-transfer", "figure-history", "figure-peaks", "figure-spectra"]
+    expected = ["figure-transfer", "figure-history", "figure-peaks"]
     if prediction.after.comparison is None:
         expected.remove("figure-transfer")
     assert figures_of(Page(text)) == expected

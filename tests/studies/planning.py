@@ -17,7 +17,7 @@ from cvxshear.fit.efficient import fitted
 from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.fit.misfit import Misfit
 from cvxshear.io.toml import parse, read_text
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
 from cvxshear.planning.choice import choose, equally_spaced, values_of
 from cvxshear.planning.criteria import CRITERIA, criterion_named

@@ -9,7 +9,7 @@ from scipy import signal
 
 from cvxshear import Experiment, backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.model.shear import modes
+from cvxshear.model import modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response

@@ -34,7 +34,6 @@ from cvxshear.util.quantities import (
     counted,
     numbered,
     percent,
-    probability,
     scaled,
     significant,
     with_std,
@@ -215,7 +214,7 @@ def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Documen
         *checks,
         Section("motion", "What the stories did", (*_sensor_drifts(result), stories(result), *peaks(result.peaks))),
         Section("frame", "The frame in this record", tuple(_frame_parts(result))),
-        Section("evidence", "Sensors", (whiteness(result),)),
+        Section("evidence", "Sensors", (sensors(result),)),
         Section("remarks", "What to bear in mind", (Points("remarks", result.remarks),)),
     )
     frame = result.frame
@@ -256,12 +255,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
     if result.undetermined:
         yield "the tests do not determine the frame: drifts are rough, and what changed since cannot be told"
     yield _largest_drift(result.peaks).replace("drifts", "drifted")
-    if result.names_changes and result.coloured:
-        yield (
-            f"drifts are provisional: the model of {result.fitted.experiment.name} misses a part of how "
-            f"{numbered('floor', result.coloured)} moved, so it is not quite the building in this record"
-        )
-    elif result.provisional:
+    if result.provisional:
         yield "drifts are provisional: the record needs changes of three kinds at once"
     yield from _limits(result)
     yield from _whole_frame(result)
@@ -292,7 +286,7 @@ def _findings(result: Reconstruction) -> Iterator[str]:
 
 def _whole_frame(result: Reconstruction) -> Iterator[str]:
     """Yield the change of the lowest frequency and the common change of the stories, if their signs are known."""
-    if not result.names_changes or result.coloured:
+    if not result.names_changes:
         return
     before = float(result.frame.errors.varied.centre.model.modes.frequencies[0])
     now, relative = float(result.model.modes.frequencies[0]), float(result.frame.modal_std[0][0])
@@ -386,16 +380,12 @@ def _frame_parts(result: Reconstruction) -> Iterator[Sentence | Table]:
     )
 
 
-def whiteness(result: Reconstruction) -> Table:
-    """Tabulate the noise and innovations of each sensor."""
+def sensors(result: Reconstruction) -> Table:
+    """Tabulate the noise of each sensor, and its samples that are spikes or missing."""
     noise = result.frame.errors.noise_at(result.frame.p).sensors
-    return table("whiteness", "innovations of the filter", {
-        "floor": [str(each.floor) for each in result.whiteness],
+    return table("sensors", "noise and faulty samples", {
+        "floor": [str(floor) for floor in result.recording.floors],
         "sensor noise, m/s²": [significant(float(own), 3) for own in noise],
-        "innovations / stated": [f"{each.size:.2f}" for each in result.whiteness],
-        "largest correlation": [f"{each.correlation:+.2f}" for each in result.whiteness],
-        "at lag, s": [significant(each.lag, 3) for each in result.whiteness],
-        "white": [f"no, p {probability(each.p_value)}" if each.coloured else "yes" for each in result.whiteness],
-        "spikes": [str(each.spikes) for each in result.whiteness],
-        "missing": [str(each.missing) for each in result.whiteness],
+        "spikes": [str(count) for count in result.spikes],
+        "missing": [str(count) for count in result.missing],
     }, top_first=True)  # fmt: skip

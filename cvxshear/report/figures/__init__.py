@@ -10,7 +10,6 @@ from cvxshear.report.figures.charts import convergence, noise_boxes, noise_varia
 from cvxshear.report.figures.frequency_figures import coherence, functions, stabilization
 from cvxshear.report.figures.drawn_shapes import mac, modal_mac, modal_shapes, shapes
 from cvxshear.report.figures.response import (
-    floor_spectra,
     reconstructed_histories,
     response_histories,
     response_peaks,
@@ -21,8 +20,8 @@ from cvxshear.report.figures.style import FigureEntry, drawn_figure, figure, fig
 # isort: on
 
 __all__ = [
-    "FigureEntry", "coherence", "convergence", "drawn_figure", "figure", "figures_of", "findings", "floor_spectra",
-    "frame", "functions", "mac", "modal_mac", "modal_shapes", "noise_boxes", "noise_variation", "plan",
+    "FigureEntry", "coherence", "convergence", "drawn_figure", "figure", "figures_of", "findings", "frame",
+     "functions", "mac", "modal_mac", "modal_shapes", "noise_boxes", "noise_variation", "plan",
     "reconstructed_histories", "residual", "response_histories", "response_peaks", "save", "shapes", "stabilization",
     "story_drifts", "transfer_functions",
 ]  # fmt: skip

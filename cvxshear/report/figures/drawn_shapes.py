@@ -12,13 +12,13 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.data import Model, Shapes
-from cvxshear.data.pairing import mac as mac_of
+from cvxshear.data.kinds import mac as mac_of
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
-from cvxshear.records.mode_shapes import scaled_to_one
+from cvxshear.records.picking import scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure

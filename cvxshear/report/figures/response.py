@@ -1,11 +1,11 @@
-"""Draw predicted and measured responses: histories with a band, peaks over height, transfer functions, spectra."""
+"""Draw predicted and measured responses: histories with a band, peaks over height, transfer functions."""
 
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import (
@@ -236,36 +236,6 @@ def transfer_functions(result: RecordPrediction) -> Figure:
     axes.set_xlabel("frequency, Hz")
     unit = "(m/s²)/(m/s²)" if result.motion.input == "base" else "(m/s²)/N"
     figure.supylabel(f"acceleration over excitation, {unit}", fontsize="medium")
-    style.legend(figure, axes, left=True)
-    return figure
-
-
-@figure(
-    "spectra",
-    RecordPrediction,
-    title="Floor spectra",
-    caption=lambda result: (
-        "Peak acceleration of an oscillator on each floor: what equipment there has to bear." + _floors_left_out(result)
-    ),
-    section="peaks",
-    narrow=True,
-)
-def floor_spectra(result: RecordPrediction) -> Figure:
-    """Response spectra of the floors."""
-    floors = _floors(result)
-    spectra = result.spectra
-    figure = new_figure(page_width(), 3.2)
-    axes = figure.subplots()
-    for floor, look in zip(floors, style.looks(len(floors)), strict=True):
-        look = {**look, "marker": "", "label": f"floor {floor}"}  # noqa: PLW2901
-        axes.semilogx(spectra.frequencies, spectra.acceleration[floor - 1], **look)
-    axes.set_xlabel("natural frequency of the oscillator, Hz")
-    axes.set_ylabel(f"peak acceleration, m/s², {100 * spectra.damping:g} % damping")
-    axes.set_ylim(bottom=0)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter("")
-    axes.grid(visible=True)
     style.legend(figure, axes, left=True)
     return figure
 
