@@ -96,13 +96,13 @@ def loop(
     assume
         Effects that are in the model from the start, such as gravity.
     jobs
-        Processes that fit candidates; -1 takes every core.
+        Processes that identify the modes of records; -1 takes every core.
     strict
         Status 3 where the verdict is not one to rely on, such as ambiguous.
     """
     from cvxshear import effects as known
     from cvxshear import response, screening
-    from cvxshear.loop.verdicts import VERDICTS
+    from cvxshear.loop.results import VERDICTS
 
     if effects == options.LIST:
         rows = ((effect.name, effect.summary) for effect in known.catalogue())
@@ -119,7 +119,6 @@ def loop(
             effects=names(effects),
             assume=names(assume) or (),
             backend=backend,
-            jobs=jobs,
             weighed=[each.name for each in experiment.configurations if found],
         )
         models = response.models_of_loop(result)

@@ -8,7 +8,6 @@ from cvxshear.data import Deviation, Frequencies, noise_kinds
 from cvxshear.effects import compose
 from cvxshear.effects.state import State
 from cvxshear.loop import LoopResult
-from cvxshear.loop.next_test import NextTest
 from cvxshear.loop.results import AddedEffect, EffectSet, by_part
 from cvxshear.report import blocks, headline, identified
 from cvxshear.util import quantities
@@ -380,7 +379,7 @@ def _next(result: LoopResult, units: quantities.Units) -> str:
         mass = f"{quantities.significant(test.added_mass / factor, 3)} {unit}"
         return (
             f'Put {mass} more on floor {test.floor} of "{test.state}" and '
-            f"measure again{_with_sensors(result, test)}: the rivals would then differ by "
+            "measure again: the rivals would then differ by "
             f"{test.standard_deviations:.1f} standard deviations"
             f"{'' if test.tells_all else ', but for those that no added mass tells'}.{_reference(result)}"
         )
@@ -420,14 +419,3 @@ def _besides(result: LoopResult) -> str:
     first = "No rival is left in the place of what was found" if added else "Nothing has to be added"
     averaged = "The averaged masses and stiffnesses allow for that; use those."
     return f"{first}, but something may be there besides: {named}. {averaged}"
-
-
-def _with_sensors(result: LoopResult, test: NextTest) -> str:
-    """Name the additional floors that the next test measures."""
-    if test.measured_floors is None:
-        return ""
-    first = next(each for each in result.experiment.configurations if each.state == test.state)
-    more = [str(floor) for floor in test.measured_floors if floor not in first.measured_floors]
-    return (
-        f", with {'a sensor' if len(more) == 1 else 'sensors'} at floor{'s' * (len(more) > 1)} {' and '.join(more)} too"
-    )

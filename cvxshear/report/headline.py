@@ -7,8 +7,7 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import LoopResult
 from cvxshear.loop.hypotheses import Changes
 from cvxshear.loop.posterior import ADDED, MANY_CAUSES
-from cvxshear.loop.results import AddedEffect, by_part
-from cvxshear.loop.verdicts import VERDICTS, Verdict
+from cvxshear.loop.results import VERDICTS, AddedEffect, Verdict, by_part
 from cvxshear.report.blocks import Section, table_of_rows
 from cvxshear.util import ranking
 from cvxshear.util.quantities import SURE, chance, listed, percent, percents, significant, with_std

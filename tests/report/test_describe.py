@@ -14,7 +14,7 @@ from cvxshear import close_loop
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
-from cvxshear.loop.verdicts import VERDICTS, Verdict
+from cvxshear.loop.results import VERDICTS, Verdict
 from cvxshear.report import terminal
 from cvxshear.report.blocks import Table, describe, table_of_rows
 from cvxshear.report.headline import carried_by, chi2_by_kind, headline

@@ -14,7 +14,7 @@ import pytest
 
 import cvxshear
 from cvxshear import close_loop
-from cvxshear.loop.verdicts import VERDICTS
+from cvxshear.loop.results import VERDICTS
 from cvxshear.report.blocks import describe
 from cvxshear.report.html import drawings, render
 from cvxshear.report.terminal import notebook_html
