@@ -15,8 +15,8 @@ from cvxshear.util.typing import Bools, Floats
 
 
 @blocks.describe.register
-def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
-    units = identified.units_for(result.experiment, units)
+def _closure(result: LoopResult) -> blocks.Document:
+    units = identified.units_for(result.experiment)
     fits, programs = quantities.counted(result.fits, "fit"), quantities.counted(result.programs, "step program")
     effort = f"Backend {result.backend}: {fits}, {programs}."
     modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
@@ -34,7 +34,7 @@ def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC)
         residual_section(result),
         blocks.section("next", "What to test next", _next(result, units)),
         identified.declared(result.experiment, units),
-        blocks.section("frequencies", "Measured and modelled frequencies", modes, below=True, appendix=True),
+        blocks.section("frequencies", "Frequencies", modes, below=True, appendix=True),
         not_considered(result),
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
@@ -254,7 +254,7 @@ def _set_label(effects: EffectSet, first: EffectSet) -> str:
         return f"the first, with {come} in place of {gone}"
     if gone:
         return f"the first, without {gone}"
-    return f"the first, and {come}" if come else "the first"
+    return f"the first, with {come}" if come else "the first"
 
 
 def candidates_section(result: LoopResult) -> blocks.Section:

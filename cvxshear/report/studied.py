@@ -1,6 +1,5 @@
 """Describe a planned test, the recomputed figures of the paper, the noise study, and the comparison of backends."""
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from itertools import groupby
@@ -21,13 +20,13 @@ from cvxshear.util.typing import Floats
 
 
 @blocks.describe.register
-def _plan(result: Plan, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _plan(result: Plan) -> blocks.Document:
     design = result.model.design
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
         blocks.section("choice", "", typical(result), sure(result), noise),
-        blocks.section("tests", "The tests", expected_modes(result), added_masses(result, units), *grid(result)),
-        blocks.section("accuracy", "What they will determine", accuracy(result, units), counts(result)),
+        blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
+        blocks.section("accuracy", "What they will determine", accuracy(result), counts(result)),
     ]
     return blocks.Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
 
@@ -107,21 +106,19 @@ def expected_modes(result: Plan) -> blocks.Table:
     return blocks.table("expected-modes", f"expected modes ({result.names[0]})", shown)
 
 
-def added_masses(result: Plan, units: quantities.Units) -> blocks.Table:
+def added_masses(result: Plan) -> blocks.Table:
     """Tabulate the added mass of each test, the top floor first."""
-    # People place these masses by hand; the default unit is kg for every size.
-    factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
     rows = []
     for floor in range(result.model.design.stories, 0, -1):
-        masses = (quantities.significant(float(test[floor - 1]) / factor) for test in result.tests)
+        masses = (quantities.significant(float(test[floor - 1])) for test in result.tests)
         rows.append((str(floor), *masses, "x" if floor in result.sensors else ""))
-    return blocks.table_of_rows("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
+    return blocks.table_of_rows("added-mass", "tests: added mass, kg", ("floor", *result.names, "sensor"), rows)
 
 
-def accuracy(result: Plan, units: quantities.Units) -> blocks.Table:
+def accuracy(result: Plan) -> blocks.Table:
     """Tabulate the expected deviations of masses and stiffnesses, the top first."""
     design, chosen = result.model.design, result.chosen
-    units = dataclasses.replace(units, relative=True) if design.frame.total_mass_placeholder else units
+    units = quantities.Units(relative=design.frame.total_mass_placeholder)
     mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
     factor, unit = units.of_stiffness(design.story_stiffness.tolist())
     return blocks.table("accuracy-table", "expected standard deviations (of the shear model)", {
@@ -167,7 +164,7 @@ Cells = tuple[str, ...]
 
 
 @blocks.describe.register
-def _reproduction(result: printed.Reproduction, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _reproduction(result: printed.Reproduction) -> blocks.Document:
     parts = tuple(
         blocks.section(f"section-{place}", section.title, printed_beside_recomputed(section), *section.notes)
         for place, section in enumerate(result.sections, 1)
@@ -208,7 +205,7 @@ def _number(value: float, count: int, *, sign: bool = False) -> str:
 
 
 @blocks.describe.register
-def _study(result: NoiseStudy, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _study(result: NoiseStudy) -> blocks.Document:
     levels = [list(alike) for _, alike in groupby(result.scatters, key=lambda each: each.setup)]
     tables = tuple(noise_level(alike, place) for place, alike in enumerate(levels, 1))
     levels_section = blocks.section("levels", "Scatter", *tables, note(result))
@@ -218,13 +215,13 @@ def _study(result: NoiseStudy, units: quantities.Units = quantities.AUTOMATIC) -
 def scatter_data(result: NoiseStudy) -> blocks.Table:
     """Tabulate the relative scatter of every mass and stiffness by setup and method, for programs."""
     rows = [
-        (each.setup.name, each.method, f"{quantity} {number}")
+        (each.setup.name, each.setup.mode_shape_std, each.method, f"{quantity} {number}")
         for each in result.scatters
         for quantity in UNITS_OF_FRAME
         for number in range(1, each.setup.stories + 1)
     ]
-    words = zip(*rows, strict=True)
-    columns = [blocks.exact(name, cells) for name, cells in zip(("setup", "method", "unknown"), words, strict=True)]
+    names = ("setup", "mode_shape_std", "method", "unknown")
+    columns = list(map(blocks.exact, names, zip(*rows, strict=True)))
     figures = ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio")
     values = ([getattr(each, name) for each in result.scatters] for name in figures)
     columns += map(blocks.exact, figures, map(np.concatenate, values))
@@ -281,7 +278,7 @@ def note(result: NoiseStudy) -> str:
 
 
 @blocks.describe.register
-def _comparison(result: Comparison, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _comparison(result: Comparison) -> blocks.Document:
     without = [f"Without the paper's programs: {result.left_out}."] if result.left_out else []
     tables = (part for kind in result.kinds for part in _kind(result, kind))
     programs_section = blocks.section("programs", "Programs", *without, *tables)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from cvxshear.data import Model, Shapes, kinds
 from cvxshear.fit.efficient import Estimate
@@ -370,6 +370,9 @@ def functions(*results: ModalResult) -> Figure:
                 lines, np.abs(made[shown, output, column]), color=style.BEFORE, ls="--", lw=1.1, label="of the modes"
             )
             axes.set_yscale("log")
+            # Names may contain dollars, so that no text is parsed as a formula.
+            axes.yaxis.set_major_formatter(LogFormatter())
+            axes.yaxis.set_minor_formatter(LogFormatter())
             _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
     style.legend(figure, groups[0][0], 2)
     return figure
