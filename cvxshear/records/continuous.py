@@ -50,9 +50,6 @@ MOST_UNKNOWNS = 0.1
 LARGEST_GROWTH = 1.002
 """A sample; a lightly damped pole may come out that much unstable by chance."""
 
-PANEL = 16
-"""Columns that LAPACK takes at a time; the time hardly depends on it."""
-
 
 def lags_for(stories: int, outputs: int, samples: int) -> int:
     """Choose the number of lags of an observer of a frame's responses.
@@ -120,7 +117,7 @@ class Triangles:
 def _joined(first: Floats, second: Floats) -> Floats:
     """Triangle of two one above the other, which LAPACK makes without a look at their zeros."""
     size = len(first)
-    triangle: Floats = linalg.lapack.dtpqrt(size, min(PANEL, size), first, second)[0]
+    triangle: Floats = linalg.lapack.dtpqrt(size, size, first, second)[0]
     return triangle
 
 

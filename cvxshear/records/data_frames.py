@@ -200,23 +200,16 @@ SAME_RATE = 0.01
 UNEVEN_STEP = 0.25
 """Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate."""
 
-COARSE = 0.1
-"""Largest fraction of unusual steps that gaps explain."""
-
-FINEST, COARSEST = -9, 0
-"""Powers of ten, s, that loggers round to."""
+FINEST = -9
+"""Power of ten, s, of the finest rounding that is looked for; the coarsest is a second."""
 WHOLE = 1e-4
 """Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step."""
-SLACK = 0.1
-"""Width added to the band of stamps on either side for the line's own error, as a fraction of the rounding step."""
 SHORTEST = 0.75
 """Shortest interval between samples that still shows when one is missing, as a fraction of the rounding step."""
 LONGEST_IN_BAND = 1.5
 """Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too."""
 LEAST_SHARE = 0.02
 """Unusual steps are gaps, and not rounding, if they are a smaller fraction of the steps."""
-DIGITS = 1e-12
-"""Rounding of the binary number itself, as a fraction of the largest stamp."""
 
 
 class Stamped(Protocol):
@@ -269,28 +262,23 @@ def _rate_of_steps(time: Floats, table: Stamped, name: str, declared: float | No
     odd = np.flatnonzero(np.abs(steps - step) > UNEVEN_STEP * abs(step))
     if step > 0 and not odd.size:
         return float((len(time) - 1) / (time[-1] - time[0]))
-    rounded = rate_within_rounding(time, declared)
-    if rounded is None:
-        if step <= 0 or odd.size > COARSE * len(steps):
-            _refuse_coarse(time, step, table, name)
-        _refuse_uneven(steps, step, odd, table, name)
-    return rounded
+    rate = rate_within_rounding(time, declared)
+    if rate is None:
+        _refuse_uneven(time, steps, step, odd, table, name, declared)
+    return rate
 
 
-def _refuse_coarse(time: Floats, step: float, table: Stamped, name: str) -> None:
-    """Refuse stamps that repeat because they are rounded to more than a sample, where they do."""
-    rounding = rounding_of(time)
-    repeats = bool(np.any(np.isclose(step, (0.0, rounding), atol=1e-9))) and bool(np.all(np.diff(time) >= 0))
-    if repeats and time[-1] > time[0]:
+def _refuse_uneven(
+    time: Floats, steps: Floats, step: float, odd: Ints, table: Stamped, name: str, declared: float | None
+) -> NoReturn:
+    repeated = int(np.count_nonzero(steps == 0))
+    if declared is None and repeated > 1 and np.all(steps >= 0) and time[-1] > time[0]:
         raise InputError(
-            f"{table.source}: {name} is rounded to {rounding:g} s, more than a sample, so that stamps repeat; give "
-            "sampling_rate, in Hz"
+            f"{table.source}: {name} is rounded to {rounding_of(time):g} s, more than a sample, so that stamps repeat; "
+            "give sampling_rate, in Hz"
         )
     if step <= 0:
         raise InputError(f"{table.source}: {name} must ascend; its median step is {step:g} s")
-
-
-def _refuse_uneven(steps: Floats, step: float, odd: Ints, table: Stamped, name: str) -> NoReturn:
     first = int(odd[0])
     if steps[first] <= 0:
         raise InputError(
@@ -320,10 +308,9 @@ def rounding_of(time: Floats) -> float:
     time : array, shape (samples,)
         s.
     """
-    for power in range(COARSEST, FINEST - 1, -1):
+    for power in range(0, FINEST - 1, -1):
         in_steps = time * 10.0**-power
-        error = np.abs(in_steps - np.round(in_steps)).max()
-        if error < WHOLE + DIGITS * np.abs(in_steps).max():
+        if np.abs(in_steps - np.round(in_steps)).max() < WHOLE:
             return 10.0**power
     return 0.0
 
@@ -349,7 +336,7 @@ def rate_within_rounding(time: Floats, declared: float | None = None) -> float |
     places = np.arange(len(time)) - (len(time) - 1) / 2
     interval = float(places @ (time - time.mean()) / (places @ places))
     residual = time - time.mean() - interval * places
-    if interval <= 0 or np.ptp(residual) > (1 + 2 * SLACK) * rounding:
+    if interval <= 0 or np.ptp(residual) > (1 + UNEVEN_STEP) * rounding:
         return None
     if declared is None and interval < SHORTEST * rounding:
         return None

@@ -362,21 +362,6 @@ def hit_start(run: Run) -> int:
     return max(0, start - RINGING)
 
 
-APART = 0.5
-"""Least time, s, between separate hits: a hammer that bounces comes back sooner."""
-
-AHEAD = 0.1
-"""Seconds of quiet that a hit parted from others keeps ahead of its blow."""
-
-
-def hit_times(run: Run, sampling_rate: float) -> list[float]:
-    """Find when the hits of a run begin, s since its first sample, a little ahead of each blow."""
-    force = np.abs(_excitation(run))
-    loud = np.flatnonzero(force > 0.25 * force.max()) / sampling_rate
-    first = loud[np.append(True, np.diff(loud) > APART)]
-    return [float(time) for time in np.maximum(first - AHEAD, 0.0)]
-
-
 def _quiet_after_blow(force: Floats) -> Floats:
     """Set the noise of the force's sensor to zero once the hammer has left the frame.
 

@@ -266,12 +266,10 @@ def _repaired(
         order = list(range(len(record.channels)))
         low, high = best.places
         order[low], order[high] = high, low
-        record = prepare.scaled(record, {record.channels[place].name: -1.0 for place in best.turned})
         return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
     if findings and findings[0].numbers["corrected"]:
         factor = -1.0 if best.kind == "sign" else best.factor
         factors = dict.fromkeys(best.places, factor)
-        factors |= {place: -factors.get(place, 1.0) for place in best.turned}
         record = prepare.scaled(record, {record.channels[place].name: value for place, value in factors.items()})
         found = settled(record, wanted, attempt, highest=highest)
     return record, found, findings

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from cvxshear.records import continuous
-from cvxshear.records.frf import FrfSource, ImpulseSource, hit_spectra, hit_times, reach, table_spectra
+from cvxshear.records.frf import FrfSource, ImpulseSource, hit_spectra, reach, table_spectra
 from cvxshear.records.pole_sweep import Impulse, Source
 from cvxshear.records.record import Channel, FrfRecord, Record, Run, TimeRecord
 from cvxshear.util import checks
@@ -161,6 +161,8 @@ BLOCKS = 20
 """Pieces of a continuous record: Student's t of 19 degrees of freedom widens the deviations by 7 % only, and a piece
 still holds many periods of the lowest mode."""
 
+APART = 0.5
+"""Least time, s, between separate hits: a hammer that bounces comes back sooner."""
 LONGEST_PULSE = 0.25
 """Part of a run between its first and last hit that asks to part them: half of it would otherwise go unused."""
 
@@ -231,12 +233,14 @@ def _hits(record: TimeRecord) -> FrfSource:
 def _refuse_several_hits(record: TimeRecord) -> None:
     """Hits in one run act as one pulse as long as the time between them, which leaves little after it."""
     for run in record.runs:
-        times = hit_times(run, record.sampling_rate)
-        if times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
+        force = np.abs(np.zeros(1) if run.excitation is None else run.excitation)
+        loud = np.flatnonzero(force > 0.25 * force.max()) / record.sampling_rate
+        times = loud[np.append(True, np.diff(loud) > APART)].tolist()
+        if times and times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
             raise InputError(
                 f"{run.name} holds {len(times)} hits, at {listed([f'{time:.4g}' for time in times])} s: give each a "
-                f"[[run]] of its own in the record file, the first with start = {times[0]:.4g}, end = {times[1]:.4g}, "
-                f"the last with start = {times[-1]:.4g}, each with the same file and its input_floor"
+                f"[[run]] of its own in the record file, with its start (a little before the hit), its end, the same "
+                "file and its input_floor"
             )
 
 
