@@ -62,10 +62,12 @@ def overlooked_modes(
     return findings
 
 
-def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate]) -> list[PoleCandidate]:
+def left_out(
+    candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate], *, shaky: bool = True
+) -> list[PoleCandidate]:
     """List the candidates that are resonances of something, and not among those chosen."""
     taken = {item.members for item in chosen}
-    return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
+    return [item for item in candidates if (item.physical or (shaky and item.shaky)) and item.members not in taken]
 
 
 LEAST_TURN = 1.0

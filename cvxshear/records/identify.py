@@ -9,10 +9,9 @@ from threadpoolctl import threadpool_limits
 
 from cvxshear.records import diagnostics, estimate, picking, placement, prepare
 from cvxshear.records.examination import Examined, examined
-from cvxshear.records.functions import measured_functions
 from cvxshear.records.picking import Sweep
 from cvxshear.records.pole_sweep import Criteria, Source
-from cvxshear.records.record import Finding, FrfRecord, Record, finding
+from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
@@ -158,7 +157,7 @@ def identify_modes(
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
             if functions:
                 result = dataclasses.replace(
-                    result, functions=measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=prepare.measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
                 )
             return result
     except np.linalg.LinAlgError as error:
@@ -225,17 +224,12 @@ def _identified(
         sweep = sweep.without(doubts)
     else:
         raise NoSolutionError(method, _nothing(sweep))
-    twice = []
     if len(source.groups):
         # Report other stable poles only if every piece of the record has them: models of noise have stable poles as
         # well.
-        modes = {item.members for item in sweep.chosen}
-        others = [item for item in sweep.candidates if item.members not in modes]
-        twice = [item for item in others if item.twin in modes and not scattering([item])]
-        sweep = sweep.without(scattering([item for item in others if item.physical]))
+        sweep = sweep.without(scattering(diagnostics.left_out(sweep.candidates, sweep.chosen, shaky=False)))
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage
-    findings += [finding("split mode", {"frequency": item.frequency}, why=item.reason) for item in twice]
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     sizes = {"floors": len(record.channels), "stories": record.stories}
     left = diagnostics.left_out(sweep.candidates, sweep.chosen)
@@ -300,16 +294,15 @@ def _nothing(sweep: Sweep) -> str:
 
 
 def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
-    """Widen the entries of floors without a sensor at their center, or with an unknown center."""
-    unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
+    """Widen the entries of floors whose center lies somewhere between their sensors."""
+    unknown = {item.numbers["floor"] for item in looked.findings if item.numbers.get("placed") is False}
     if looked.turning is None or not unknown:
         return result
     shares = np.array([looked.turning(frequency) for frequency in result.frequencies.tolist()])
     # Half the sensors' difference over their mean; a center that may be anywhere between them is off by a uniform part.
     off = np.sqrt(shares / np.maximum(1.0 - shares, 1e-9) / 3.0)
     shapes = np.abs(result.mode_shapes) / np.abs(result.mode_shapes).max(axis=1, keepdims=True)
-    arms = np.array([unknown[floor].get("arm", 1.0) if floor in unknown else 0.0 for floor in result.floors.tolist()])
-    std = off[:, None] * shapes * arms
+    std = off[:, None] * shapes * np.isin(result.floors, list(unknown))
     added = np.concatenate([np.zeros(len(result.modes)), std.ravel()])
     return dataclasses.replace(
         result,

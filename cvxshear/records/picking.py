@@ -60,8 +60,6 @@ class PoleCandidate:
         Whether that is because pieces of the record give it another shape, at nearly the same frequency.
     number : int
         Which mode of the frame it is, where its changes of sign tell; 0 else.
-    twin : tuple of (int, int)
-        Members of the candidate whose frequency and shape it repeats; none else.
     """
 
     members: tuple[tuple[int, int], ...]
@@ -73,7 +71,6 @@ class PoleCandidate:
     reason: str = ""
     shaky: bool = False
     number: int = 0
-    twin: tuple[tuple[int, int], ...] = ()
 
     @property
     def frequency(self) -> float:
@@ -240,7 +237,7 @@ def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandid
         if twins and item.physical:
             alike = mac(item.shape, twins[0].shape)
             reason = f"a mode found twice: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
-            kept.append(dataclasses.replace(item, physical=False, reason=reason, twin=twins[0].members))
+            kept.append(dataclasses.replace(item, physical=False, reason=reason))
         elif not twins:
             kept.append(item)
     return sorted(kept, key=lambda item: item.frequency)

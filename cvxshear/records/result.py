@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.records.functions import Functions
 from cvxshear.records.picking import Sweep
+from cvxshear.records.prepare import Functions
 from cvxshear.records.record import Finding
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError

@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from cvxshear.io.record_file import write_pick
 from cvxshear.records import ModalResult
 from cvxshear.records.adapters import band_of, synthesized
-from cvxshear.records.functions import Functions
 from cvxshear.records.picking import Sweep
+from cvxshear.records.prepare import Functions
 from cvxshear.report.describe.from_records import method_in_words
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import figure
