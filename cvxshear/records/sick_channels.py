@@ -16,7 +16,8 @@ from cvxshear.util.typing import Bools, Floats
 DEAD = 1e-4
 """Share of the median channel's standard deviation; a channel below it measures nothing."""
 CLIPPED = 5
-"""Times as many samples at the extreme value as at the next one make a clip. A rounded peak has 3 times as many."""
+"""Times as many samples at the extreme value as at the next one, and as many once more, make a clip. The rounded peak
+of a slow motion has 2.4 times as many."""
 STUCK = 0.5
 """s, and at least 20 samples, for which a converter that works does not repeat one value while the others move."""
 STUCK_SHARE = 0.02
@@ -226,7 +227,7 @@ def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
     for extreme, beside in ((-1, -2), (0, 1)) if len(levels) > 1 else ():
         level, count = levels[extreme], int(times[extreme])
         far = abs(level - np.median(values)) > values.std()
-        if far and CLIPPED * times[beside] < count < 0.5 * len(values):
+        if far and CLIPPED * (1 + times[beside]) <= count < 0.5 * len(values):
             numbers = {"channel": name, "level": float(level), "samples": count, "share": count / len(values)}
             first = int(np.argmax(values == level)) + 1
             yield finding("clipped channel", numbers, where=where, length=len(values), first=first)

@@ -75,7 +75,9 @@ def test_several_hits_in_one_run_are_counted_with_how_to_part_them():
     )
     with pytest.raises(InputError, match=r"holds 3 hits, at .* s: give each a") as error:
         identify_modes(dataclasses.replace(record, runs=(one,)))
-    times = [float(time) for time in re.search(r"at (.*) s:", str(error.value))[1].replace(" and", ",").split(", ")]
+    times = [
+        float(time) for time in re.search(r"hits, at (.*) s:", str(error.value))[1].replace(" and", ",").split(", ")
+    ]
     np.testing.assert_allclose(np.diff(times), record.runs[0].samples / record.sampling_rate, atol=0.1)
 
 
