@@ -169,15 +169,11 @@ def _turned_back(products: Complexes, eigenvalue: complex, seconds: Floats) -> C
 
 
 def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
-    impulse = setting.source.impulse(keep)
-    if impulse is None or not (setting.base or np.all(impulse.driven > 0)):
+    found = setting.source.residues(values.eigenvalues, keep)
+    if found is None:
         return None, np.zeros(0, dtype=np.int64)
     rate = setting.source.sampling_rate
-    amplitudes = frf.residues(impulse.sequence, values.eigenvalues, rate, impulse.start)
-    if impulse.wrapped:
-        amplitudes = frf.unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
-    amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
-    return frf.modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
+    return frf.modal_products(found[0], values.eigenvalues, rate, setting.quantity, base=setting.base), found[1]
 
 
 def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, str, int]:
@@ -246,7 +242,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
 
 def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
     """Return the chosen modes' part of the impulse responses, from their start on."""
-    amplitudes = frf.residues(impulse.sequence, eigenvalues, rate, impulse.start)
+    amplitudes = impulse.amplitudes(eigenvalues, rate)
     powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))
 

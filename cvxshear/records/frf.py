@@ -20,30 +20,6 @@ DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 """How often each quantity is a displacement differentiated by time."""
 
 
-def residues(sequence: Floats, eigenvalues: Complexes, sampling_rate: float, start: int) -> Complexes:
-    """Complex amplitudes c of a sequence Y_k = sum_r 2 Re(c_r z_r^k), k >= start, by least squares.
-
-    Parameters
-    ----------
-    sequence : array, shape (samples, outputs, inputs)
-    eigenvalues : array of complex, shape (modes,)
-        1/s.
-    sampling_rate : float
-        Hz.
-    start : int
-
-    Returns
-    -------
-    array of complex, shape (modes, outputs, inputs)
-    """
-    count = len(sequence) - start
-    powers = np.exp(np.outer(np.arange(start, start + count), eigenvalues) / sampling_rate)
-    design = np.hstack([2 * powers.real, -2 * powers.imag])
-    flat = np.linalg.lstsq(design, sequence[start:].reshape(count, -1), rcond=None)[0]
-    modes = len(eigenvalues)
-    return np.asarray((flat[:modes] + 1j * flat[modes:]).reshape(modes, *sequence.shape[1:]))
-
-
 def modal_products(
     amplitudes: Complexes, eigenvalues: Complexes, sampling_rate: float, quantity: str, *, base: bool
 ) -> Complexes:
@@ -56,11 +32,6 @@ def modal_products(
     factor = 2j * np.abs(eigenvalues.imag) / eigenvalues ** DERIVATIVES[quantity]
     sign = -1.0 if base else 1.0
     return np.asarray(sign * amplitudes * (factor * sampling_rate)[:, None, None])
-
-
-def unwrapped(amplitudes: Complexes, eigenvalues: Complexes, length: float) -> Complexes:
-    """Compute the amplitudes of a response from its copy folded onto itself after `length` seconds."""
-    return np.asarray(amplitudes * (1 - np.exp(eigenvalues * length))[:, None, None])
 
 
 def participations(products: Complexes, shapes: Complexes) -> Complexes:

@@ -269,8 +269,6 @@ def _release(responses: Floats) -> int:
 
 
 def _driven(record: TimeRecord, blocks: int) -> Source:
-    samples = sum(run.samples for run in record.runs)
-    lags = continuous.lags_for(record.stories, len(record.channels), samples)
     rows = continuous.rows_for(record.stories, len(record.channels))
     before = 2 * rows - 1
     pieces = []
@@ -278,7 +276,7 @@ def _driven(record: TimeRecord, blocks: int) -> Source:
         if run.excitation is None:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
-    return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
+    return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows)
 
 
 def _one_floor(record: TimeRecord) -> int:
