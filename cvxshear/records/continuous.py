@@ -33,8 +33,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg, signal
 
-from cvxshear.records.frf import RINGING
-from cvxshear.records.pole_sweep import Source, block_hankel, left_factor
+from cvxshear.records import frf, pole_sweep
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
@@ -102,7 +101,7 @@ SILENCE = 1e-4
 hum, 40 dB below the motion, otherwise give poles."""
 
 
-class SubspaceSource(Source):
+class SubspaceSource(pole_sweep.Source):
     """A record with measured input, in blocks, for PO-MOESP.
 
     The projection gives the poles and shapes; noise is not correlated with its instruments.
@@ -138,11 +137,11 @@ class SubspaceSource(Source):
         explained, rest = self._future(keep)
         weight = _root(explained @ explained.T + rest @ rest.T, SILENCE)
         weighted = linalg.solve_triangular(weight, explained, lower=True, check_finite=False)
-        return np.asarray(weight @ left_factor(weighted))
+        return np.asarray(weight @ pole_sweep.left_factor(weighted))
 
     def data(self) -> Floats:
         """Left factor of the future outputs as the past explains them."""
-        return left_factor(self._future(None)[0])
+        return pole_sweep.left_factor(self._future(None)[0])
 
     def _future(self, keep: Bools | None) -> tuple[Floats, Floats]:
         """Split the future outputs, the future inputs projected out, into what the past explains and what is left."""
@@ -167,12 +166,12 @@ def _on_modes(excitation: Floats, response: Floats, poles: Complexes) -> Floats:
     An input starts with a step; sampled, it rings at half the sampling rate, and residues of the first samples would be
     0.1 to 0.7 % low in the highest modes.
     """
-    lags = [excitation[RINGING - lag : len(excitation) - lag] for lag in range(RINGING)]
-    late = excitation[: len(excitation) - RINGING]
-    driven = [pole**RINGING * signal.lfilter([1.0], [1.0, -pole], late) for pole in poles]
+    lags = [excitation[frf.RINGING - lag : len(excitation) - lag] for lag in range(frf.RINGING)]
+    late = excitation[: len(excitation) - frf.RINGING]
+    driven = [pole**frf.RINGING * signal.lfilter([1.0], [1.0, -pole], late) for pole in poles]
     free = poles[:, None] ** np.arange(len(late))
     modes = [*(2 * each.real for each in driven), *(-2 * each.imag for each in driven)]
-    rows = np.column_stack([*lags, *modes, response[RINGING:]])
+    rows = np.column_stack([*lags, *modes, response[frf.RINGING :]])
     basis = linalg.qr(np.vstack([free.real, free.imag]).T, mode="economic", check_finite=False)[0]
     return np.asarray(rows - basis @ (basis.T @ rows))
 
@@ -195,7 +194,7 @@ LEAST_NOISE = 1e-8
 """Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular."""
 
 
-class CovarianceSource(Source):
+class CovarianceSource(pole_sweep.Source):
     """An ambient record, in blocks, for covariance-driven SSI.
 
     Parameters
@@ -232,14 +231,14 @@ class CovarianceSource(Source):
         covariances = self.markov(keep)
         future = _root(_toeplitz(covariances, self.rows))
         past = _root(_toeplitz(covariances.transpose(0, 2, 1), self.columns))
-        hankel = block_hankel(covariances, self.rows, self.columns)
+        hankel = pole_sweep.block_hankel(covariances, self.rows, self.columns)
         half = linalg.solve_triangular(future, hankel, lower=True, check_finite=False)
         weighted = linalg.solve_triangular(past, half.T, lower=True, check_finite=False).T
-        return np.asarray(future @ left_factor(weighted))
+        return np.asarray(future @ pole_sweep.left_factor(weighted))
 
     def data(self) -> Floats:
         """Left factor of the block Hankel matrix as it is."""
-        return left_factor(block_hankel(self.markov(), self.rows, self.columns))
+        return pole_sweep.left_factor(pole_sweep.block_hankel(self.markov(), self.rows, self.columns))
 
 
 def _covariances(response: Floats, lags: int) -> Floats:

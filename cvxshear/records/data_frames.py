@@ -7,9 +7,8 @@ from typing import Any, NoReturn, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cvxshear.util import checks
+from cvxshear.util import checks, quantities
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import counted
 from cvxshear.util.typing import Bools, Floats, Ints
 
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
@@ -225,7 +224,7 @@ def _refuse_uneven(
         )
     raise InputError(
         f"{table.at(first + 1)}: {name} has a gap of {steps[first]:g} s where the step is {step:g} s "
-        f"({counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
+        f"({quantities.counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
     )
 
 

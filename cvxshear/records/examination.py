@@ -17,10 +17,8 @@ from cvxshear.records.clocks import SEGMENT, with_right_clocks
 from cvxshear.records.prepare import AnyRecord, only, scaled
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
-from cvxshear.util import ranking
+from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.errors import InputError
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import IN_SI, STANDARD_GRAVITY, SURE
 from cvxshear.util.typing import Floats, Ints
 
 ACROSS = 30.0
@@ -154,7 +152,7 @@ def _rotation(record: Record, group: Ints) -> Finding:
     if ratio > SAME_SCALE:
         raise InputError(
             f"{most} and {least} are on one floor and contradict each other: {what} {ratio:.1f} times as large in the "
-            f"first; is one of them in another unit (g is {STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
+            f"first; is one of them in another unit (g is {quantities.STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
         )
     if against > CONTRADICTING * together:
         raise InputError(
@@ -259,21 +257,21 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     if gains is None:
         return record, []
     level, std = gains
-    units = {size: name for name, size in reversed(IN_SI["acceleration"].items())}
+    units = {size: name for name, size in reversed(quantities.IN_SI["acceleration"].items())}
     factors = np.array([sign * size for sign in (1.0, -1.0) for size in sorted(units, key=lambda size: size != 1.0)])
     priors = np.where(factors > 0, 1.0, REVERSED) * np.where(np.abs(factors) == 1.0, 1.0, OTHER_UNIT)
     # Rows: the input as declared, and reversed; then the channels; then the factors that mend a channel.
     spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))
     off = (np.outer([1.0, -1.0], level)[:, :, None] - 1.0 / factors) / spread
     likely = np.exp(-0.5 * off**2) / spread * priors + NEITHER
-    turned = int(weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, REVERSED]))[1] >= SURE)
+    turned = int(odds.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, REVERSED]))[1] >= quantities.SURE)
     findings, changes = [], {}
     if turned:
         findings.append(finding("sign/input", {"channel": "input", "corrected": True}))
         changes["input"] = -1.0
     for channel, value, error, each in zip(record.channels, level * (1 - 2 * turned), std, likely[turned], strict=True):
         best = ranking.first_largest(each)
-        if best == 0 or each[0] > (1.0 - SURE) * each.sum():
+        if best == 0 or each[0] > (1.0 - quantities.SURE) * each.sum():
             continue
         factor = float(factors[best])
         changes[channel.name] = factor
@@ -293,14 +291,14 @@ def unit_of(gain: float) -> str | None:
 
 def _nearest_unit(size: float) -> str | None:
     """Name the unit of acceleration of this size in m/s2; None without a near unit."""
-    off = {name: abs(np.log(size / each)) for name, each in IN_SI["acceleration"].items()}
+    off = {name: abs(np.log(size / each)) for name, each in quantities.IN_SI["acceleration"].items()}
     nearest = min(off, key=lambda name: off[name])
     return nearest if off[nearest] < SAME_RATIO else None
 
 
 def unit_in_truth(channel: Channel, factor: float) -> str | None:
     """Name the unit of a channel whose values need a factor: declared unit or m/s2, times factor; None if unknown."""
-    return _nearest_unit(IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+    return _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
 
 
 def in_unit(channel: Channel, factor: float, why: str) -> Finding:

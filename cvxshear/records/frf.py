@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.records.pole_sweep import Impulse, Source, block_hankel, left_factor
+from cvxshear.records import pole_sweep
 from cvxshear.records.record import FrfRecord, Run, TimeRecord
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
@@ -102,7 +102,7 @@ class Spectra:
     floor: int
 
 
-class FrfSource(Source):
+class FrfSource(pole_sweep.Source):
     """Responses to forces at one or several floors, for the eigensystem realization algorithm.
 
     The cross-spectra of response and force, summed over the hits at a floor, are divided by the root of the force's
@@ -197,7 +197,7 @@ class FrfSource(Source):
             shares = [
                 self.weights[used & (at == floor)].sum() / self.weights[at == floor].sum() for floor in impulse.driven
             ]
-            return left_factor(markov_hankel(impulse.sequence / shares, self._start))
+            return pole_sweep.left_factor(markov_hankel(impulse.sequence / shares, self._start))
         total = np.zeros(self._own.shape[1:])
         for floor, sequence in zip(impulse.driven, np.moveaxis(impulse.sequence, 2, 0), strict=True):
             left = used & (at == floor)
@@ -207,10 +207,10 @@ class FrfSource(Source):
         positive = values > 0
         return np.asarray((vectors[:, positive] * np.sqrt(values[positive]))[:, ::-1])
 
-    def impulse(self, keep: Bools | None = None) -> Impulse:
+    def impulse(self, keep: Bools | None = None) -> pole_sweep.Impulse:
         """Find the responses to pulses, of all hits or of some."""
         responses, pulses, floors = self._answered(keep)
-        return Impulse(responses, self._start, floors, self.wrapped, pulses[: self._start])
+        return pole_sweep.Impulse(responses, self._start, floors, self.wrapped, pulses[: self._start])
 
     def _answered(self, keep: Bools | None) -> tuple[Floats, Floats, Ints]:
         """Return the responses, the pulses that they answer to, and the floors where these act."""
@@ -236,7 +236,7 @@ def _pairs(energies: Floats) -> float:
     return float(energies.sum() ** 2 - np.sum(energies**2))
 
 
-class ImpulseSource(Source):
+class ImpulseSource(pole_sweep.Source):
     """Impulse responses or free decays as they stand, for the eigensystem realization algorithm.
 
     Parameters
@@ -248,7 +248,7 @@ class ImpulseSource(Source):
         Whether the columns are decays from several releases; three or more can be left out one at a time.
     """
 
-    def __init__(self, impulse: Impulse, sampling_rate: float, *, releases: bool = False) -> None:
+    def __init__(self, impulse: pole_sweep.Impulse, sampling_rate: float, *, releases: bool = False) -> None:
         self._impulse = impulse
         self.sampling_rate = sampling_rate
         _, self.outputs, columns = impulse.sequence.shape
@@ -260,9 +260,9 @@ class ImpulseSource(Source):
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix."""
         impulse = self.impulse(keep)
-        return left_factor(markov_hankel(impulse.sequence, impulse.start))
+        return pole_sweep.left_factor(markov_hankel(impulse.sequence, impulse.start))
 
-    def impulse(self, keep: Bools | None = None) -> Impulse:
+    def impulse(self, keep: Bools | None = None) -> pole_sweep.Impulse:
         """Return the impulse responses, or the decays kept."""
         whole = self._impulse
         if keep is None:
@@ -274,7 +274,7 @@ def markov_hankel(sequence: Floats, start: int) -> Floats:
     """Arrange an impulse response or a decay that starts at sample `start` as a block Hankel matrix."""
     rows = min(ERA_ROWS, (len(sequence) - start) // 3)
     columns = min(ERA_COLUMNS, len(sequence) - start - rows)
-    return block_hankel(sequence, rows, columns, start)
+    return pole_sweep.block_hankel(sequence, rows, columns, start)
 
 
 def table_spectra(record: FrfRecord, highest: float = np.inf) -> tuple[list[Spectra], int]:

@@ -12,7 +12,6 @@ import numpy as np
 from cvxshear.data.kinds import mac
 from cvxshear.measurement.reading import fewest_changes, most_changes
 from cvxshear.records import clocks, pole_sweep
-from cvxshear.records.pole_sweep import Criteria, Poles, Source
 from cvxshear.util import ranking
 from cvxshear.util.typing import Bools, Complexes, Floats
 
@@ -113,7 +112,7 @@ class Sweep:
         The frame's modes, ascending.
     """
 
-    poles: list[Poles]
+    poles: list[pole_sweep.Poles]
     stable: list[list[int]]
     candidates: tuple[PoleCandidate, ...]
     chosen: tuple[PoleCandidate, ...]
@@ -155,7 +154,7 @@ class ModeChoice:
     picked: tuple[float, ...] = ()
     order: Sequence[int] | None = None
 
-    def __call__(self, poles: list[Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
+    def __call__(self, poles: list[pole_sweep.Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
         """Choose the modes among the candidates, which are ascending in frequency."""
         if self.picked:
             return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
@@ -171,8 +170,8 @@ class ModeChoice:
 
 
 def sweep_orders(
-    source: Source,
-    criteria: Criteria,
+    source: pole_sweep.Source,
+    criteria: pole_sweep.Criteria,
     choose: ModeChoice,
     *,
     band: tuple[float, float] | None = None,
@@ -216,7 +215,7 @@ def sweep_orders(
     return choose(poles, stable, _set_aside(found, criteria, turning))
 
 
-def _lasting(cluster: pole_sweep.Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
+def _lasting(cluster: pole_sweep.Cluster, share: float, criteria: pole_sweep.Criteria) -> tuple[bool, str]:
     if len(cluster) < criteria.least_orders:
         return False, f"stable in {len(cluster)} orders only"
     if share < criteria.least_persistence:
@@ -224,7 +223,7 @@ def _lasting(cluster: pole_sweep.Cluster, share: float, criteria: Criteria) -> t
     return True, ""
 
 
-def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
+def _distinct(found: list[PoleCandidate], criteria: pole_sweep.Criteria) -> list[PoleCandidate]:
     """Of clusters with nearly one frequency and one shape the one that first appeared; lasting others named as such."""
     kept: list[PoleCandidate] = []
     for item in sorted(found, key=lambda item: (not item.physical, item.members[0][0])):
@@ -264,7 +263,7 @@ def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
 
 
 def _set_aside(
-    found: list[PoleCandidate], criteria: Criteria, turning: Callable[[float], float] | None
+    found: list[PoleCandidate], criteria: pole_sweep.Criteria, turning: Callable[[float], float] | None
 ) -> list[PoleCandidate]:
     """Set candidates aside that are no sway modes: of scattered phases, or mostly rotation.
 
@@ -401,9 +400,9 @@ class Parts:
         Of all the data, one an order.
     """
 
-    def __init__(self, source: Source, poles: Sequence[Poles]) -> None:
+    def __init__(self, source: pole_sweep.Source, poles: Sequence[pole_sweep.Poles]) -> None:
         self.source, self._whole = source, poles
-        self._found: dict[bytes, list[Poles]] = {}
+        self._found: dict[bytes, list[pole_sweep.Poles]] = {}
 
     def found_again(self, item: PoleCandidate, keep: Bools | None) -> tuple[complex, Complexes] | None:
         """Eigenvalue and shape of a candidate on a part of the data; None where it is not found there.

@@ -16,9 +16,7 @@ import numpy as np
 
 from cvxshear.records.examination import OTHER_UNIT, REVERSED, in_unit, unit_in_truth
 from cvxshear.records.record import Channel, Finding, finding
-from cvxshear.util import ranking
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import STANDARD_GRAVITY, SURE, chance, listed
+from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
 PRIOR_EXCHANGED = 0.02
@@ -97,7 +95,7 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     prior += [
         (ChannelMistake("unit", (i,), factor), OTHER_UNIT)
         for i in range(count)
-        for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
+        for factor in (quantities.STANDARD_GRAVITY, 1.0 / quantities.STANDARD_GRAVITY)
     ]
     likely = [
         [_likelihood(frequencies, item.undone(shapes), floors, stories, numbers) for numbers in FREQUENCY_RATIOS]
@@ -105,7 +103,7 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     ]
     of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
     log_priors = np.log([[before] for _, before in prior]) + of_numbers
-    probabilities = weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
+    probabilities = odds.weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
     found = [
         dataclasses.replace(item, probability=float(row.sum()), missed=float(row[1:].sum() / max(row.sum(), 1e-300)))
         for (item, _), row in zip(prior, probabilities, strict=True)
@@ -189,25 +187,26 @@ def findings_of(hypotheses: Sequence[ChannelMistake], channels: Sequence[Channel
     """
     best = hypotheses[0]
     sound = next(item.probability for item in hypotheses if item.kind == "sound")
-    if best.kind != "sound" and best.probability >= SURE:
+    if best.kind != "sound" and best.probability >= quantities.SURE:
         return [_said(best, channels, first, sound)]
     rivals = [item for item in hypotheses if item.kind != "sound" and item.probability > best.probability / 3]
     if not rivals or rivals[0].probability < DOUBTFUL:
         return []
     names = list(dict.fromkeys(name for item in rivals for name in _named(item, channels)))
-    options = [f"{_in_words(item, channels)} ({chance(item.probability)})" for item in rivals]
+    options = [f"{_in_words(item, channels)} ({quantities.chance(item.probability)})" for item in rivals]
     missed = next(item.missed for item in hypotheses if item.kind == "sound")
     otherwise = "a mode was missed and " if missed > 0.5 else ""
-    options.append(f"{otherwise}the channels are as declared ({chance(sound)})")
+    options.append(f"{otherwise}the channels are as declared ({quantities.chance(sound)})")
     rest = max(1.0 - sound - sum(item.probability for item in rivals), 0.0)
-    options.append(f"something else is wrong ({chance(rest)})")
+    options.append(f"something else is wrong ({quantities.chance(rest)})")
     # Where one is more probable than all others together the modes do tell, only not surely enough to change anything.
     said = (
-        f"by the lowest modes {options[0]}, or {listed(options[1:], 'or')}"
+        f"by the lowest modes {options[0]}, or {quantities.listed(options[1:], 'or')}"
         if rivals[0].probability > 0.5
-        else f"the lowest modes cannot tell what is wrong: {listed(options, 'or')}"
+        else f"the lowest modes cannot tell what is wrong: {quantities.listed(options, 'or')}"
     )
-    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {100 * SURE:.0f} %"
+    sure = 100 * quantities.SURE
+    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {sure:.0f} %"
     numbers = {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False}
     return [Finding(rivals[0].kind, said, numbers)]
 
@@ -220,9 +219,9 @@ def _named(item: ChannelMistake, channels: Sequence[Channel]) -> list[str]:
 
 
 def _in_words(item: ChannelMistake, channels: Sequence[Channel]) -> str:
-    named = listed([str(channels[place]) for place in item.places])
+    named = quantities.listed([str(channels[place]) for place in item.places])
     if item.kind == "sign" and len(channels) == 2:
-        return f"{listed(list(map(str, channels)), 'or')} is reversed"
+        return f"{quantities.listed(list(map(str, channels)), 'or')} is reversed"
     if item.kind == "sign":
         return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
     if item.kind == "unit":

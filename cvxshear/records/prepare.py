@@ -16,13 +16,10 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy
 
-from cvxshear.records import continuous
-from cvxshear.records.frf import FrfSource, ImpulseSource, Spectra, hit_spectra, reach, table_spectra
-from cvxshear.records.pole_sweep import Impulse, Source
+from cvxshear.records import continuous, frf, pole_sweep
 from cvxshear.records.record import Channel, FrfRecord, Record, Run, TimeRecord
-from cvxshear.util import checks
+from cvxshear.util import checks, quantities
 from cvxshear.util.errors import InputError, UnsuitableError
-from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Complexes, Floats, Ints
 
 AnyRecord = TypeVar("AnyRecord", bound=TimeRecord | FrfRecord)
@@ -174,7 +171,7 @@ def default_method(record: Record) -> str:
     return _suited(record)[0]
 
 
-def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
+def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_sweep.Source:
     """Bring the record's data into the form the method needs.
 
     Parameters
@@ -202,8 +199,8 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
         raise UnsuitableError(f'method "{method}" cannot use {kind}; use "{suited[0]}"')
     if isinstance(record, FrfRecord):
         highest = np.inf if record.band is None else 1.25 * record.band[1]
-        spectra, samples = table_spectra(record, highest)
-        return FrfSource(spectra, samples * record.step, samples, wrapped=not record.truncated)
+        spectra, samples = frf.table_spectra(record, highest)
+        return frf.FrfSource(spectra, samples * record.step, samples, wrapped=not record.truncated)
     if method == "era":
         return _decays(record) if record.input == "free_decay" else _hits(record)
     record = decimated(detrended(record))
@@ -223,13 +220,13 @@ def _suited(record: Record) -> tuple[str, ...]:
     return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace",)}[record.input]
 
 
-def _hits(record: TimeRecord) -> FrfSource:
+def _hits(record: TimeRecord) -> frf.FrfSource:
     record = without_offset(record)
     _refuse_several_hits(record)
     lowest, highest = (0.0, np.inf) if record.band is None else record.band
-    record = decimated(dataclasses.replace(record, band=(lowest, min(highest, reach(record)))))
-    spectra, samples = hit_spectra(record)
-    return FrfSource(spectra, record.sampling_rate, samples, samples // 2)
+    record = decimated(dataclasses.replace(record, band=(lowest, min(highest, frf.reach(record)))))
+    spectra, samples = frf.hit_spectra(record)
+    return frf.FrfSource(spectra, record.sampling_rate, samples, samples // 2)
 
 
 def _refuse_several_hits(record: TimeRecord) -> None:
@@ -239,18 +236,19 @@ def _refuse_several_hits(record: TimeRecord) -> None:
         loud = np.flatnonzero(force > 0.25 * force.max()) / record.sampling_rate
         times = loud[np.append(True, np.diff(loud) > APART)].tolist()
         if times and times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
+            said = quantities.listed([f"{time:.4g}" for time in times])
             raise InputError(
-                f"{run.name} holds {len(times)} hits, at {listed([f'{time:.4g}' for time in times])} s: give each a "
+                f"{run.name} holds {len(times)} hits, at {said} s: give each a "
                 f"[[run]] of its own in the record file, with its start (a little before the hit), its end, the same "
                 "file and its input_floor"
             )
 
 
-def _decays(record: TimeRecord) -> ImpulseSource:
+def _decays(record: TimeRecord) -> frf.ImpulseSource:
     record = decimated(without_offset(record))
     decays, _ = releases_of(record)
-    impulse = Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
-    return ImpulseSource(impulse, record.sampling_rate, releases=True)
+    impulse = pole_sweep.Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
+    return frf.ImpulseSource(impulse, record.sampling_rate, releases=True)
 
 
 def releases_of(record: TimeRecord) -> tuple[Floats, Ints]:
@@ -268,7 +266,7 @@ def _release(responses: Floats) -> int:
     return int(np.flatnonzero(size > 0.9 * size.max())[-1])
 
 
-def _driven(record: TimeRecord, blocks: int) -> Source:
+def _driven(record: TimeRecord, blocks: int) -> pole_sweep.Source:
     rows = continuous.rows_for(record.stories, len(record.channels))
     before = 2 * rows - 1
     pieces = []
@@ -383,11 +381,11 @@ def measured_functions(record: Record, highest: float) -> Functions:
     """
     rate = record.sampling_rate
     if isinstance(record, FrfRecord):
-        spectra, _ = table_spectra(record)
+        spectra, _ = frf.table_spectra(record)
         lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
         found = _of_spectra(record, spectra, lines, averaged=False)
     elif struck(record):
-        spectra, samples = hit_spectra(without_offset(record))
+        spectra, samples = frf.hit_spectra(without_offset(record))
         several = min(np.unique([item.floor for item in spectra], return_counts=True)[1]) > 1
         found = _of_spectra(record, spectra, _lines(samples, rate), averaged=several)
     elif record.input in ("force", "base"):
@@ -396,14 +394,14 @@ def measured_functions(record: Record, highest: float) -> Functions:
         for run in record.runs:
             assert run.excitation is not None
             cross, power = welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
-            spectra.append(Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
+            spectra.append(frf.Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
         found = _of_spectra(record, spectra, _lines(segment, rate), averaged=True)
     else:
         found = _of_undriven(detrended(record), _segment(record, highest))
     return found.up_to(highest)
 
 
-def _of_spectra(record: Record, spectra: list[Spectra], lines: Floats, *, averaged: bool) -> Functions:
+def _of_spectra(record: Record, spectra: list[frf.Spectra], lines: Floats, *, averaged: bool) -> Functions:
     """Functions of a driven record, summed over what was recorded at each driving floor."""
     floors = np.unique([item.floor for item in spectra]).astype(np.int64)
     values, coherence = [], []
