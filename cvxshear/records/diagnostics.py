@@ -57,11 +57,11 @@ def overlooked_modes(
 
 
 def left_out(
-    candidates: Sequence[picking.PoleCandidate], chosen: Sequence[picking.PoleCandidate], *, shaky: bool = True
+    candidates: Sequence[picking.PoleCandidate], chosen: Sequence[picking.PoleCandidate]
 ) -> list[picking.PoleCandidate]:
     """List the candidates that are resonances of something, and not among those chosen."""
     taken = {item.members for item in chosen}
-    return [item for item in candidates if (item.physical or (shaky and item.shaky)) and item.members not in taken]
+    return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
 
 LEAST_TURN = 1.0
@@ -230,10 +230,8 @@ def _mode_findings(
             were="was" if len(absent) == 1 else "were", asked="not asked for" if asked else "not found in the record",
         )  # fmt: skip
     if len(record.channels) < record.stories and len(sweep.chosen) < record.stories:
-        numbers, were = (
-            quantities.listed([str(mode) for mode in result.modes]),
-            "were asked for" if asked else "were found",
-        )
+        numbers = quantities.listed([str(mode) for mode in result.modes])
+        were = "were asked for" if asked else "were found"
         sizes = {"measured": len(record.channels), "stories": record.stories}
         yield finding("missing mode/few sensors", sizes, count=len(sweep.chosen), were=were, numbers=numbers)
     stories = quantities.counted(record.stories, "story")

@@ -225,7 +225,8 @@ def _identified(
     if len(source.groups):
         # Report other stable poles only if every piece of the record has them: models of noise have stable poles as
         # well.
-        sweep = sweep.without(scattering(diagnostics.left_out(sweep.candidates, sweep.chosen, shaky=False)))
+        others = diagnostics.left_out(sweep.candidates, sweep.chosen)
+        sweep = sweep.without(scattering([item for item in others if item.physical]))
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
