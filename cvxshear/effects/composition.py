@@ -10,15 +10,7 @@ import numpy as np
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model import (
-    FloorObservation,
-    ShearSystem,
-    System,
-    mass_matrix,
-    shear_system,
-    stiffness_matrix,
-    transformation,
-)
+from cvxshear.model import Observation, ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -86,7 +78,7 @@ def composed(
         joint_flexibility=np.zeros(n + 1),
         d_joint_flexibility=np.zeros((size, n + 1)),
         system=system,
-        observation=FloorObservation(n),
+        observation=Observation(np.eye(n)),
     )
     frame = [item for item in acting if item[0].effect.stage in OF_THE_FRAME]
     for placed, own in frame:

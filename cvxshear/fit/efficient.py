@@ -181,12 +181,7 @@ class Estimate:
     @property
     def frame(self) -> IdentifiedFrame:
         """The frame, nan where the data do not determine a value."""
-        n = self.experiment.stories
-        values = np.where(self.uncertainty.determined, self.theta, np.nan)
-        std = self.std
-        at_bounds = self._held_by_bounds(std)
-        mass, mass_std = self._corrected(values[:n], std)
-        return IdentifiedFrame(mass, values[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
+        return self._frame(np.where(self.uncertainty.determined, self.theta, np.nan), self.std)
 
     def own(self, placed: LocatedEffect) -> slice:
         """Return the places of an effect's parameters in theta."""
@@ -196,32 +191,25 @@ class Estimate:
     def expected_frame(self) -> IdentifiedFrame:
         """The frame with its own prior, so that every value is determined."""
         names = parameter_names(self.experiment, self.effects)
-        n = self.experiment.stories
-        std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
-        at_bounds = self._held_by_bounds(std)
-        mass, mass_std = self._corrected(self.theta[:n], std)
-        return IdentifiedFrame(mass, self.theta[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
+        return self._frame(self.theta, uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std())
 
-    def _corrected(self, mass: Floats, std: Floats) -> tuple[Floats, Floats]:
-        """Floor masses and their standard deviations with what effects put right of declared ones."""
-        variance = std[: len(mass)] ** 2
-        for placed, own in slices(self.effects, 2 * len(mass)):
-            unit = placed.effect.corrects(placed.place, self.theta[: len(mass)])
-            if unit.any():
-                mass, variance = mass + unit @ self.theta[own], variance + unit**2 @ std[own] ** 2
-        return mass, np.sqrt(variance)
+    def _frame(self, values: Floats, std: Floats) -> IdentifiedFrame:
+        """Return the frame with its standard deviations, and with what effects put right of declared masses.
 
-    def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
-        """List the masses and stiffnesses on a bound of their own.
-
-        A value in an active constraint on several of them, such as a ratio, still has a deviation and is not listed.
+        A value on a bound of its own is listed. One in an active constraint on several values, such as a ratio, still
+        has a deviation and is not listed.
         """
         n = self.experiment.stories
         names = parameter_names(self.experiment, self.effects)[: 2 * n]
-        active = set(self.uncertainty.active)
         # A value on a bound has a standard deviation of rounding size.
-        none_left = std[: 2 * n] <= 1e-9 * np.abs(self.theta[: 2 * n])
-        return tuple(name for name, at_bounds in zip(names, none_left, strict=True) if at_bounds and name in active)
+        none_left = dict(zip(names, std[: 2 * n] <= 1e-9 * np.abs(self.theta[: 2 * n]), strict=True))
+        at_bounds = tuple(name for name in names if none_left[name] and name in self.uncertainty.active)
+        mass, variance = values[:n], std[:n] ** 2
+        for placed, own in slices(self.effects, 2 * n):
+            unit = placed.effect.corrects(placed.place, self.theta[:n])
+            if unit.any():
+                mass, variance = mass + unit @ self.theta[own], variance + unit**2 @ std[own] ** 2
+        return IdentifiedFrame(mass, values[n : 2 * n], np.sqrt(variance), std[n : 2 * n], at_bounds)
 
     @property
     def free_directions(self) -> Floats:

@@ -24,7 +24,7 @@ from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
-from cvxshear.fit.optimality import triangular
+from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
@@ -36,7 +36,7 @@ between half and twice the default, nineteen in twenty between a quarter and fou
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class Evaluation(PlainResiduals):
     """Residuals at one point.
 
     Parameters
@@ -56,8 +56,6 @@ class Evaluation:
         For each row with an estimated standard deviation its place in `Misfit.unknown`, -1 for the others.
     """
 
-    r: Floats
-    J: Floats
     models: tuple[data.Model, ...]
     measured: int
     known: int
@@ -65,22 +63,9 @@ class Evaluation:
     unknown: Ints
 
     @property
-    def objective(self) -> float:
-        """Sum of squares of all residuals."""
-        return float(self.r @ self.r)
-
-    @property
     def chi2(self) -> float:
         """Sum of squares of the residuals of data and soft priors."""
         return float(self.r[: self.measured] @ self.r[: self.measured])
-
-    @cached_property
-    def triangle(self) -> tuple[Floats, Floats]:
-        """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x: J = Q U, c = Q' r, at most P rows.
-
-        A step and its uncertainty need no more of J; there are many more data than parameters.
-        """
-        return triangular(self.J, self.r)
 
     @cached_property
     def known_triangle(self) -> Floats:

@@ -27,6 +27,7 @@ from cvxshear.programs import LeastSquares
 from cvxshear.programs.certificate import Point
 from cvxshear.programs.constraints import constrained
 from cvxshear.util.checks import DERIVATIVE_ERROR
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
@@ -97,17 +98,15 @@ class PlainResiduals:
         """Sum of squares of the residuals."""
         return float(self.r @ self.r)
 
-    @property
+    @cached_property
     def triangle(self) -> tuple[Floats, Floats]:
-        """Triangular factor U of J and the residual c turned with it, see `Residuals`."""
-        return triangular(self.J, self.r)
+        """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x: J = Q U, c = Q' r, at most P rows.
 
-
-def triangular(J: Floats, r: Floats) -> tuple[Floats, Floats]:
-    """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x, by one QR factorization."""
-    whole = np.asarray(np.linalg.qr(np.column_stack([J, r]), mode="r"))
-    P = J.shape[1]
-    return whole[:P, :P], whole[:P, P]
+        A step and its uncertainty need no more of J; there are many more data than parameters.
+        """
+        whole = np.asarray(np.linalg.qr(np.column_stack([self.J, self.r]), mode="r"))
+        P = self.J.shape[1]
+        return whole[:P, :P], whole[:P, P]
 
 
 @dataclass(frozen=True)
