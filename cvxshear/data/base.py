@@ -295,7 +295,7 @@ class Datum(ABC):
     def residual(self, model: Model) -> Residual:
         """Model less measurement, in the declared or the default standard deviations."""
 
-    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+    def inflated_residual(self, model: Model, factor: Floats) -> Residual:
         """`residual` with each standard deviation times a factor, shape (d,)."""
         found = self.residual(model)
         return Residual(found.r / factor, found.J / factor[:, None] if model.derivatives else found.J)

@@ -223,9 +223,9 @@ class Shapes(_OfModes):
 
     def residual(self, model: Model) -> Residual:
         """Differences of entries over their standard deviations; zero for missing entries."""
-        return self.widened_residual(model, np.ones(len(self.floors)))
+        return self.inflated_residual(model, np.ones(len(self.floors)))
 
-    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+    def inflated_residual(self, model: Model, factor: Floats) -> Residual:
         """Compute `residual`, the scale of each shape following the entries that have become less certain."""
         measured = self.tested.known_shapes[self.used]
         weights = self.tested.entry_weights[self.used] / factor.reshape(measured.shape)

@@ -1,7 +1,5 @@
 """Composition of the frame in one tested state with its effects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

@@ -16,8 +16,6 @@ end of it. The interval then counts as a prior with the standard deviation of a 
 (upper - lower) / sqrt(12), and the end is not held.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -269,32 +267,30 @@ class Uncertainty:
     names: tuple[str, ...]
 
     @cached_property
-    def _divided(self) -> tuple[Floats, tuple[tuple[Floats, Floats], Floats]]:
-        """Units of the parameters, and the free directions of the equalities as `_split` divides them.
+    def _open(self) -> Floats:
+        """Directions that no datum and no equality determines, shape (P, o), in units of each parameter.
 
         A parameter with an interval is determined by it, without any data.
         """
         known = _with_intervals(self.J, self.interval_std)
         unit = _units(known, self.least_units)
-        return unit, _split(known * unit, _null_space(self.equalities * unit))
+        return _split(known * unit, _null_space(self.equalities * unit))[1]
 
     @property
     def determined(self) -> Bools:
         """Mask of the determined parameters, shape (P,)."""
-        return np.asarray(np.linalg.norm(self._divided[1][1], axis=1) < 1e-4)
+        return np.asarray(np.linalg.norm(self._open, axis=1) < 1e-4)
 
     @property
     def null_directions(self) -> tuple[tuple[str, ...], ...]:
         """For each direction that is left open, the parameters that take part in it, largest share first."""
-        return tuple(_words(column, self.names) for column in self._divided[1][1].T)
+        return tuple(_words(column, self.names) for column in self._open.T)
 
     @property
     def free(self) -> int:
         """Number of free directions that the data determine, those held only by an active bound included."""
-        unit, ((basis, _), _) = self._divided
-        if np.any(np.isfinite(self.interval_std)):
-            (basis, _), _ = _split(self.J * unit, _null_space(self.equalities * unit))
-        return int(basis.shape[1])
+        unit = _units(self.J, self.least_units)
+        return len(_split(self.J * unit, _null_space(self.equalities * unit))[0][1])
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -308,7 +304,7 @@ class Uncertainty:
 
         Shape (P, f); J root has orthonormal columns.
         """
-        return self.root_of(self.J) if np.any(np.isfinite(self.interval_std)) else self.reach
+        return self.root_of(self.J)
 
     @cached_property
     def reach(self) -> Floats:
@@ -316,11 +312,7 @@ class Uncertainty:
 
         Parameters at an end of their interval may then move off it, and each interval acts as a prior.
         """
-        if len(self.touching):
-            known = _with_intervals(self.J, self.interval_std)
-            return self._unit_directions(known, self.equalities, self.touching)
-        unit, ((basis, values), _) = self._divided
-        return unit[:, None] * (basis / values)
+        return self._unit_directions(_with_intervals(self.J, self.interval_std), self.equalities, self.touching)
 
     def root_of(self, J: Floats) -> Floats:
         """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""

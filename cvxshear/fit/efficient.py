@@ -1,7 +1,5 @@
 """The efficient estimator: one fit to all configurations together, weighted by their noise."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field

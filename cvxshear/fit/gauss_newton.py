@@ -6,8 +6,6 @@ relative to its sensitivity. Their weight rises after a step that failed and fal
 (Nielsen 1999).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum

@@ -17,8 +17,6 @@ holds for effects before any fit: d is then the change of the data by each effec
 frame's masses and stiffnesses.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

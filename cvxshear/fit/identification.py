@@ -8,8 +8,6 @@ probability of a frame is the prior density of its logarithms (`fit/domain.py:Ef
 relative to the sum over all frames that were found.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -86,7 +86,7 @@ class Misfit:
         Factors on the default standard deviations of undeclared noise.
     expectation : EffectPrior, optional
         Priors of the effects and of the frame. Default: none.
-    widened : float, optional
+    noise_inflation : float, optional
         Factor on all standard deviations of the data, declared ones too, for a residual without explanation.
     """
 
@@ -97,14 +97,14 @@ class Misfit:
         leave_out: dict[str, Bools] | None = None,
         noise: data.NoiseFactors | None = None,
         expectation: EffectPrior | None = None,
-        widened: float = 1.0,
+        noise_inflation: float = 1.0,
     ) -> None:
         self.experiment = experiment
         self.effects = tuple(effects)
         self.leave_out = leave_out or {}
         self.noise = noise or data.NoiseFactors()
         self.expectation = expectation or EffectPrior()
-        self.widened = widened
+        self.noise_inflation = noise_inflation
         self.data = [
             datum.without(self.leave_out[datum.tested.name]) if datum.tested.name in self.leave_out else datum
             for datum in data.data_of(experiment)
@@ -114,7 +114,7 @@ class Misfit:
         self,
         effects: Sequence[LocatedEffect] | None = None,
         noise: data.NoiseFactors | None = None,
-        widened: float | None = None,
+        noise_inflation: float | None = None,
     ) -> Misfit:
         """Return the same data with other effects, another noise, or another noise inflation."""
         return Misfit(
@@ -123,7 +123,7 @@ class Misfit:
             self.leave_out,
             noise or self.noise,
             self.expectation,
-            self.widened if widened is None else widened,
+            self.noise_inflation if noise_inflation is None else noise_inflation,
         )
 
     @property
@@ -224,7 +224,7 @@ class Misfit:
         places, of_data, factors = self._deviations
         parts, rows = [np.zeros(0)], []
         for datum, factor in zip(self.data, factors, strict=True):
-            found = datum.widened_residual(models[id(datum.tested)], factor)
+            found = datum.inflated_residual(models[id(datum.tested)], factor)
             parts.append(found.r)
             rows.append(found.J)
         soft = self._soft(theta)
@@ -250,7 +250,7 @@ class Misfit:
         places = {item.key: place for place, item in enumerate(self.unknown)}
         # Shapes of a single sensor have neither a declared deviation nor information about it.
         unknown = [np.array([places.get(key, -1) for key in keys])[which] for keys, which in self._keys]
-        factors = [np.array([self.widened * self.noise.of(key) for key in keys])[which] for keys, which in self._keys]
+        factors = [np.array([self.noise_inflation * self.noise.of(key) for key in keys])[which] for keys, which in self._keys]
         return places, unknown, factors
 
     @cached_property

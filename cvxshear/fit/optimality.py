@@ -14,8 +14,6 @@ a nonnegative least-squares problem with one unknown per constraint (the dual of
 deviations of the residuals; its square is the predicted decrease of the sum of squares.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 

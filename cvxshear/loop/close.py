@@ -100,7 +100,7 @@ def search_for_effects(
         if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
             break
         # The residual refutes the noise, so the evidence is invalid: judge the sets again under sufficient noise.
-        searches = dataclasses.replace(searches, widened=searches.widened * excess)
+        searches = dataclasses.replace(searches, noise_inflation=searches.noise_inflation * excess)
         again = searches.run(experiment)
         numbered = [each.fitter.numbering.changes for each in found]
         # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
@@ -227,7 +227,7 @@ class Searches:
         The shear model with the modes as given.
     jobs : int
         Processes over which sets of effects are fitted.
-    widened : float
+    noise_inflation : float
         Factor on the standard deviations of the data.
     """
 
@@ -237,7 +237,7 @@ class Searches:
     expectation: EffectPrior
     start: Estimate
     jobs: int = 1
-    widened: float = 1.0
+    noise_inflation: float = 1.0
 
     def run(self, experiment: Experiment) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
@@ -279,7 +279,7 @@ class Searches:
     def _search(self, numbering: Numbering, theta: Floats, accuracy: Accuracy) -> Search:
         fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation, jobs=self.jobs)
         noise = self.start.misfit.noise
-        misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.widened)
+        misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.noise_inflation)
         try:
             found = fitter.fit(misfit, theta, accuracy)
         except NoSolutionError:
@@ -370,7 +370,7 @@ class Searches:
                 for each in experiment.configurations
                 if each.state != state
             }
-            misfit = Misfit(experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.widened)
+            misfit = Misfit(experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.noise_inflation)
             frame = search.fitter.fit(misfit, base.theta, ROUGH).theta[: 2 * n]
             frames += [frame, dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]

@@ -93,8 +93,8 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
     judged = model.estimate
     assert judged is not None, "a set without a fit has no probability"
     final = judged
-    if judged.misfit.widened != 1.0:
-        final = fitter.fit(judged.misfit.replaced(widened=1.0), judged.theta)
+    if judged.misfit.noise_inflation != 1.0:
+        final = fitter.fit(judged.misfit.replaced(noise_inflation=1.0), judged.theta)
     effects = [placed for placed in judged.effects if placed not in fitter.assumed]
     steps = _steps(final, posterior.ranked(effects), fitter, as_given)
     chi2_without = {
@@ -137,7 +137,7 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     first = final if final.experiment is fitter.experiment else base
     proposals = [
         dataclasses.replace(
-            proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
+            proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise, noise_inflation=final.misfit.noise_inflation)
         )
         for proposal in (fitter.proposal(start, wanted) for start in (first, base))
     ]

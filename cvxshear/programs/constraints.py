@@ -1,7 +1,5 @@
 """Convert exact and soft prior knowledge of a quantity to constraints and rows of a program."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Each configuration has its own programs, which need all modes at all floors and 
 masses and exact priors are constraints. Soft priors are further rows, linearized at given values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
