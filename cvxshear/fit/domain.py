@@ -22,9 +22,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects import LocatedEffect, Scale
+from cvxshear.effects import LocatedEffect, Scale, heights_of
 from cvxshear.effects.composition import slices
-from cvxshear.effects.state import heights_of
 from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints

@@ -25,8 +25,7 @@ from cvxshear.fit.optimality import (
     optimality,
     sensitivities,
 )  # fmt: skip
-from cvxshear.programs import LeastSquares
-from cvxshear.programs.constraints import constrained
+from cvxshear.programs import LeastSquares, constrained
 from cvxshear.util.checks import DERIVATIVE_ERROR
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats

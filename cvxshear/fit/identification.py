@@ -15,7 +15,7 @@ from scipy import linalg, special
 
 from cvxshear import backends
 from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder, SolvedProgram
-from cvxshear.effects.state import Scale, heights_of
+from cvxshear.effects import Scale, heights_of
 from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior, domain_of
 from cvxshear.fit.efficient import Estimate, efficient, parameter_names
 from cvxshear.fit.gauss_newton import Fit, gauss_newton, step_program

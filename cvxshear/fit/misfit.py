@@ -250,7 +250,9 @@ class Misfit:
         places = {item.key: place for place, item in enumerate(self.unknown)}
         # Shapes of a single sensor have neither a declared deviation nor information about it.
         unknown = [np.array([places.get(key, -1) for key in keys])[which] for keys, which in self._keys]
-        factors = [np.array([self.noise_inflation * self.noise.of(key) for key in keys])[which] for keys, which in self._keys]
+        factors = [
+            np.array([self.noise_inflation * self.noise.of(key) for key in keys])[which] for keys, which in self._keys
+        ]
         return places, unknown, factors
 
     @cached_property

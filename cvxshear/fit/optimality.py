@@ -21,9 +21,8 @@ import numpy as np
 from scipy import linalg, optimize
 
 from cvxshear.fit.domain import ON_BOUND, Domain
-from cvxshear.programs import LeastSquares
+from cvxshear.programs import LeastSquares, constrained
 from cvxshear.programs.certificate import Point
-from cvxshear.programs.constraints import constrained
 from cvxshear.util.checks import DERIVATIVE_ERROR
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError

@@ -370,7 +370,9 @@ class Searches:
                 for each in experiment.configurations
                 if each.state != state
             }
-            misfit = Misfit(experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.noise_inflation)
+            misfit = Misfit(
+                experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.noise_inflation
+            )
             frame = search.fitter.fit(misfit, base.theta, ROUGH).theta[: 2 * n]
             frames += [frame, dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]

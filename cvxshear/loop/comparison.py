@@ -137,7 +137,8 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     first = final if final.experiment is fitter.experiment else base
     proposals = [
         dataclasses.replace(
-            proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise, noise_inflation=final.misfit.noise_inflation)
+            proposal,
+            misfit=proposal.misfit.replaced(noise=final.misfit.noise, noise_inflation=final.misfit.noise_inflation),
         )
         for proposal in (fitter.proposal(start, wanted) for start in (first, base))
     ]
