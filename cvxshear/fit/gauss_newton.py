@@ -120,8 +120,6 @@ class Fit(Generic[E]):
     reason : Ending
     steps : int
         Number of step programs handed to the backend.
-    evaluations : int
-        Number of evaluations of residuals and derivatives.
     optimality : Optimality or None
         Certificate of the final point; None for a rough fit, and for one that did not converge.
     """
@@ -130,7 +128,6 @@ class Fit(Generic[E]):
     at: E
     reason: Ending
     steps: int
-    evaluations: int = 0
     optimality: Optimality | None = None
 
     @property
@@ -231,7 +228,7 @@ def _descended(
     """Follow the steps to their end; return the last failure of the backend on an undamped program, too."""
     feasible = made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else problem.evaluate(feasible)
-    theta, evaluations = feasible, 1
+    theta = feasible
     damping, flat, failures = StepDamping(accuracy), 0, 0
     refused: NoSolutionError | None = None
     solution: Solution | None = None
@@ -252,13 +249,12 @@ def _descended(
         rms = np.sqrt(float(at.r @ at.r) / max(len(at.r), 1))
         least = accuracy.step * max(1.0, rms) + RESIDUAL_ROUNDING * (np.abs(at.J) @ np.abs(theta))
         if not damping.active and np.all(np.abs(at.J @ d) < least):
-            return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
-        taken, trials = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
-        evaluations += trials
+            return Fit(theta, at, Ending.STATIONARY, step), refused
+        taken = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
         promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
         if taken is None:
             if damping.exhausted or (damping.active and promised < accuracy.no_gain * at.objective):
-                return Fit(theta, at, Ending.NO_BETTER_STEP, step, evaluations), refused
+                return Fit(theta, at, Ending.NO_BETTER_STEP, step), refused
             damping.heavier()
             continue
         gain, before = at.objective - taken[1].objective, at
@@ -266,10 +262,10 @@ def _descended(
         given_up = rms**2 > HOPELESS and gain < accuracy.least_gain * before.objective
         flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
         if flat == accuracy.flat_steps:
-            return Fit(theta, at, Ending.FLAT, step, evaluations), refused
+            return Fit(theta, at, Ending.FLAT, step), refused
         if damping.active:
             damping.lighter(gain / promised if promised > 0 else 0.0)
-    return Fit(theta, at, Ending.STEP_LIMIT, accuracy.most_steps, evaluations), refused
+    return Fit(theta, at, Ending.STEP_LIMIT, accuracy.most_steps), refused
 
 
 def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> Optimality:
@@ -292,7 +288,7 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
     if found.step > 10.0 * FULL.step * rms * np.sqrt(len(fit.at.r)):
         # The model is not linear along directions that the data hardly determine, so the step is tried.
         d, _ = best_step(fit.theta, fit.at, domain, LEAST_DAMPING)
-        trial, _ = halved(problem, fit.theta, d, fit.at, domain, FULL.halvings)
+        trial = halved(problem, fit.theta, d, fit.at, domain, FULL.halvings)
         if trial is not None and fit.at.objective - trial[1].objective > FLAT * rms**2:
             raise NoSolutionError(name, "the fit ended where a step of another solver lowers the misfit further")
     return found
@@ -300,14 +296,12 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
 
 def halved(
     problem: Problem[E], theta: Floats, d: Floats, at: Residuals, domain: Domain, halvings: int
-) -> tuple[tuple[Floats, E] | None, int]:
-    """Try theta + d, theta + d/2, ...: return the first point that lowers the misfit, or None, and the evaluations."""
-    evaluations = 0
+) -> tuple[Floats, E] | None:
+    """Try theta + d, theta + d/2, ...: return the first point that lowers the misfit, or None."""
     for power in range(halvings + 1):
         trial = theta + 0.5**power * d
         if domain.farthest is not None and np.any(trial > domain.farthest):
             continue
-        evaluations += 1
         try:
             # With derivatives, since the first trial is nearly always accepted.
             found = problem.evaluate(trial)
@@ -315,8 +309,8 @@ def halved(
             # The step is too long: a mass is not positive, or the frame buckles.
             continue
         if found.objective < at.objective:
-            return (trial, found), evaluations
-    return None, evaluations
+            return trial, found
+    return None
 
 
 def made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:

@@ -17,11 +17,10 @@ from cvxshear.effects import (
     open_classes,
     register,
 )
-from cvxshear.effects.state import STAGES
 from cvxshear.loop.hypotheses import hypotheses
 from cvxshear.measurement.experiment import Experiment, Frame
 from cvxshear.util.errors import InputError, NoModesError
-from tests.effects.common import ADDED, HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, modes_with, placed, theta
+from tests.effects.common import HEIGHTS, MASS, NAMES, STIFFNESS, composed, experiment, modes_with, placed, theta
 from tests.effects.test_derivatives import CASES
 from tests.frames import configuration
 from tests.frames import experiment as declared
@@ -68,18 +67,6 @@ RATIOS_OF_HEIGHTS = ["joint_rotation", "axial_columns", "base_rocking", "joint_r
 FOUR = [1, 2, 3, 4]
 
 
-def shear_stiffness(k):
-    """Assemble the stiffness matrix story by story."""
-    K = np.zeros((len(k), len(k)))
-    for story, value in enumerate(k):
-        K[story, story] += value
-        if story:
-            K[story - 1, story - 1] += value
-            K[story - 1, story] -= value
-            K[story, story - 1] -= value
-    return K
-
-
 def one(name):
     (effect,) = named([name])
     return effect
@@ -88,17 +75,6 @@ def one(name):
 def test_each_effect_is_there_once():
     names = [effect.name for effect in catalogue()]
     assert sorted(names) == sorted(ALL)
-
-
-@pytest.mark.parametrize("name", sorted(set(ALL) - {"wrong_prior", "wrong_exact_prior", *WITH_A_MOTION}))
-def test_parameters(name):
-    effect = one(name)
-    for parameter in effect.parameters:
-        assert parameter.null == 0.0
-        assert parameter.lower <= parameter.start <= parameter.upper
-        assert name == "gravity" or parameter.lower <= parameter.null <= parameter.upper
-    assert effect.stage in STAGES
-    assert all((effect.summary, effect.formula, effect.source))
 
 
 @pytest.mark.parametrize("name", NEVER_NEGATIVE)
@@ -126,16 +102,6 @@ def test_a_frame_has_modes_at_the_ends_of_what_an_effect_may_be(name):
         values = tuple(getattr(item, end) for item in there.effect.parameters)
         if np.all(np.isfinite(values)):
             assert modes_with([there], values, number=1).eigenvalues[0] > 0
-
-
-@pytest.mark.parametrize("number", range(len(NAMES)))
-@pytest.mark.parametrize("name", [*ACTING, *BESIDE_OTHERS])
-def test_null_value_leaves_the_shear_frame(name, number):
-    effect, _ = CASES[name]
-    state = composed([effect], tuple(item.null for item in effect.effect.parameters), number=number)
-    np.testing.assert_allclose(state.system.M, np.diag(MASS + ADDED[number]), rtol=1e-14, atol=0)
-    np.testing.assert_allclose(state.system.K, shear_stiffness(STIFFNESS), rtol=0, atol=1e-14 * STIFFNESS.max() * 10)
-    np.testing.assert_array_equal(state.gain, np.ones(4))
 
 
 @pytest.mark.parametrize("name", ACTING)
