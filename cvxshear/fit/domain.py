@@ -29,15 +29,14 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import NamedConstraints, constrained, exact_frame, statements
+from cvxshear.programs.formulations import LEAST_POSITIVE
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
-SMALLEST_VALUE = 1e-3
-"""Smallest positive mass or stiffness, relative to the mean declared floor mass or to the median at the start."""
-
 PART_OF_START = 0.1
-"""The same relative to the smallest value at the start, if that is below half of it: stiffnesses can differ by 1e6."""
+"""Smallest positive mass or stiffness, relative to the smallest value at the start, if that is below twice the usual
+smallest one (`LEAST_POSITIVE`): stiffnesses can differ by 1e6."""
 
 FARTHEST = 1e5
 """Largest mass or stiffness relative to its start. A less determined value is practically infinite, and larger values
@@ -135,7 +134,7 @@ def domain_of(experiment: Experiment, effects: Sequence[LocatedEffect], theta: F
 
 def _least(start: Floats, typical: float) -> float:
     """Return the least mass, or the least stiffness, that counts as positive."""
-    least, smallest = SMALLEST_VALUE * typical, float(start.min())
+    least, smallest = LEAST_POSITIVE * typical, float(start.min())
     return PART_OF_START * smallest if smallest < 0.5 * least else least
 
 

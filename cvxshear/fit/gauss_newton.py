@@ -26,6 +26,7 @@ from cvxshear.fit.optimality import (
     sensitivities,
 )  # fmt: skip
 from cvxshear.programs import LeastSquares, constrained
+from cvxshear.programs.constraints import REMAINDER_ROUNDING
 from cvxshear.util.checks import DERIVATIVE_ERROR
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
@@ -33,9 +34,6 @@ from cvxshear.util.typing import Floats
 RESIDUAL_ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Rounding of a residual, relative to the sizes of its terms, |J| |theta|. In 64 bits a ratio that is declared to 1e-12
 is known to 1e-3 of its standard deviation."""
-
-CONSTRAINT_ROUNDING = 1e-13
-"""Rounding of a constraint, relative to its row."""
 
 FLAT = 0.1
 """Smallest decrease of chi-square that matters, for a mean chi-square of one per datum."""
@@ -325,6 +323,6 @@ def satisfied(program: LeastSquares, scale: Floats) -> bool:
     G, h = program.inequalities
     A, b = program.equalities
     return bool(
-        np.all(h >= -CONSTRAINT_ROUNDING * np.linalg.norm(G * scale, axis=1))
-        and np.all(np.abs(b) <= CONSTRAINT_ROUNDING * np.linalg.norm(A * scale, axis=1))
+        np.all(h >= -REMAINDER_ROUNDING * np.linalg.norm(G * scale, axis=1))
+        and np.all(np.abs(b) <= REMAINDER_ROUNDING * np.linalg.norm(A * scale, axis=1))
     )
