@@ -288,13 +288,13 @@ def derivative_error(problem: Problem[Residuals], theta: Floats, at: Residuals, 
 
 
 def _slope_error(problem: Problem[Residuals], theta: Floats, at: Residuals, d: Floats) -> float:
-    """Relative difference of the mean slope of |r|^2 along d from its quotient, the least of three ever shorter d."""
+    """Relative difference of the slope of |r|^2 at the end of d from its quotient, the least of three ever shorter d."""
     errors = [np.inf]
     while errors[-1] > DERIVATIVE_ERROR and len(errors) <= 3:
         there = problem.evaluate(theta + d)
         seen = there.J @ d
         here, slope = 2.0 * float(at.r @ (at.J @ d)), 2.0 * float(there.r @ seen)
         size = max(abs(slope), 2.0 * float(seen @ seen)) or 1.0
-        errors.append(abs(there.objective - at.objective - 0.5 * (here + slope)) / size)
+        errors.append(abs(2.0 * (there.objective - at.objective) - here - slope) / size)
         d = AWAY * d
     return min(errors)
