@@ -77,15 +77,10 @@ def test_each_effect_is_there_once():
     assert sorted(names) == sorted(ALL)
 
 
-@pytest.mark.parametrize("name", NEVER_NEGATIVE)
-def test_what_cannot_be_negative(name):
-    assert one(name).parameters[0].lower == 0.0
-
-
-@pytest.mark.parametrize("name", EITHER_SIGN)
-def test_what_may_have_either_sign(name):
-    (parameter,) = one(name).parameters
-    assert parameter.lower < 0 < parameter.upper
+@pytest.mark.parametrize("name", [*NEVER_NEGATIVE, *EITHER_SIGN])
+def test_which_signs_are_possible(name):
+    parameter = one(name).parameters[0]
+    assert parameter.lower == 0.0 if name in NEVER_NEGATIVE else parameter.lower < 0 < parameter.upper
 
 
 @pytest.mark.parametrize("name", sorted({*EITHER_SIGN, "total_mass"} - {"added_mass", "floor_mass"}))
@@ -176,17 +171,11 @@ def test_what_is_looked_for_only_where_it_could_be_told():
 
 
 @pytest.mark.parametrize("name", ACTING)
-def test_several_states_where_they_are_needed(name):
-    lacking = one(name).lacks(experiment(configurations=1))
-    expected = "several states" if name in SEVERAL_STATES else "added_mass" if name == "load_scale" else ""
-    assert lacking == expected
+def test_what_an_effect_needs(name):
+    """Gravity needs heights in meters. Effects that need only height ratios assume equal heights and state this."""
     assert one(name).lacks(experiment()) == ""
-
-
-@pytest.mark.parametrize("name", ACTING)
-def test_heights_where_they_are_needed(name):
-    """Gravity needs heights in meters. Effects that need only height ratios assume equal heights and state this
-    assumption."""
+    alone = "several states" if name in SEVERAL_STATES else "added_mass" if name == "load_scale" else ""
+    assert one(name).lacks(experiment(configurations=1)) == alone
     assert one(name).lacks(experiment(heights=False)) == ("story_heights" if name == "gravity" else "")
     assert one(name).uses_heights == (name in RATIOS_OF_HEIGHTS)
 
