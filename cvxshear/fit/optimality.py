@@ -288,7 +288,7 @@ def derivative_error(problem: Problem[Residuals], theta: Floats, at: Residuals, 
 
 
 def _slope_error(problem: Problem[Residuals], theta: Floats, at: Residuals, d: Floats) -> float:
-    """Relative difference of the slope of |r|^2 at the end of d from its quotient, the least of three ever shorter d."""
+    """Relative difference of the slope of |r|^2 at the end of d from its quotient, the least of three lengths of d."""
     errors = [np.inf]
     while errors[-1] > DERIVATIVE_ERROR and len(errors) <= 3:
         there = problem.evaluate(theta + d)
