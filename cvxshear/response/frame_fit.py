@@ -36,16 +36,16 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
-FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
-"""Samples of the strongest segment of each run in the first and in the last fit. The time of a fit is proportional to
-this number; model errors limit the accuracy with more samples."""
+FITTED_SAMPLES, PROBED_SAMPLES = 10_000, 2_000
+"""Samples of the strongest segment of each run for the fit, and for the choice of its directions. The time of a fit is
+proportional to this number; model errors limit the accuracy with more samples."""
 
-LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
-"""Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
-with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
+LEAST_INFORMATION = 0.5
+"""Minimum information, relative to the prior, for a direction to be fitted. A record with less information reduces the
+variance by less than a fifth, and the prior of the direction remains."""
 
-FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, most_steps=12)
-"""Accuracy of the last and of the first fit; four to eight steps are usual."""
+FITTED = Accuracy(step=0.1, most_steps=20)
+"""Accuracy of the fit; four to eight steps are usual."""
 
 MOST_DECISIONS = 3
 """Maximum number of selections of the changes; the second usually repeats the first."""
@@ -267,7 +267,7 @@ def fit_frame(
     backend : Backend
         Solver of the steps.
     start : ndarray, shape (P,), optional
-        End of an earlier fit; without `start`, a rough fit to a short part comes first.
+        End of an earlier fit; by default, the identified frame.
     free : bool, optional
         Whether the frame is fitted; otherwise only the noise is fitted.
     """
@@ -281,10 +281,6 @@ def fit_frame(
         covariance = prior.gaussian(*answer.prior).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
-    if start is None:
-        along = informative(errors, prior, p, FIRST_INFORMATION)
-        rough = _Posterior(errors.shortened(FIRST_SAMPLES, p), along, prior.widest)
-        p = rough.maximum(p, backend, FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
     # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
     # story, and rarely return, because base motion does not determine this scale.
@@ -310,12 +306,11 @@ def _nearer(errors: PredictionErrors, likelihood: Likelihood, prior: Gaussian, p
     return nearer
 
 
-def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
+def informative(errors: PredictionErrors, prior: FramePrior, p: Floats) -> Directions:
     """Find the directions on which the record has information, for all possible changes and errors of form."""
-    # An unknown first state would hide information in a short part that the whole record has.
-    short = errors.shortened(FIRST_SAMPLES, p, free=False)
+    short = errors.shortened(PROBED_SAMPLES)
     root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
-    return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
+    return short.informed(p, root, LEAST_INFORMATION * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, *, free: bool) -> FittedFrame:

@@ -16,10 +16,10 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.records.motion import DrivenRun
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
+from cvxshear.response.frame_fit import FITTED_SAMPLES, PROBED_SAMPLES, FittedFrame, fit_frame
 from cvxshear.response.frame_prior import FramePrior, VariedFrame
-from cvxshear.response.innovations import DIFFERENCE, FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
-from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
+from cvxshear.response.innovations import DIFFERENCE, FIRST_NOISE, PredictionErrors, Segment
+from cvxshear.response.recording import RecordedRun, Recording, rms
 from cvxshear.response.state_space import (
     Dynamics,
     Filter,
@@ -36,7 +36,6 @@ from cvxshear.response.state_space import (
 )
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
-from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats, T
 
@@ -50,9 +49,6 @@ SAME_FIT = 0.1
 
 MOVED_ALIKE = 1e-3
 """Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
-
-PROBED_SAMPLES = 1000
-"""Number of samples of the strongest motion that compare the directions of the frame's uncertainty."""
 
 MOST_DIRECTIONS = 8
 """Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
@@ -137,7 +133,7 @@ class FrameMotion:
             float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
         driven = rms(np.concatenate([run.excitation for run in recording.runs])) if known else 0.0
-        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, FIRST_SENSOR * driven if known else float(level.min()))
+        noise = Noise(FIRST_NOISE * level, FIRST_NOISE * driven if known else float(level.min()))
         # If the base motion is unknown, a softer first story and another base motion are equivalent.
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
@@ -153,14 +149,13 @@ class FrameMotion:
     def fitted(self, *, detrend: bool) -> tuple[FrameMotion, FittedFrame, list[Smoothed]]:
         """Fit the frame and find its motion; with `detrend`, remove straight lines from the residuals of the record.
 
-        First the identified frame, then the fitted one fills in gaps, spikes, and the initial state of a record that
-        begins while the frame moves.
+        First the identified frame, then the fitted one fills in gaps and spikes.
         """
-        errors = self.errors(None, None)
+        errors = self.errors()
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
         p = np.zeros(errors.size)
-        if self.moves_at_first or any(np.isnan(run.measured).any() for run in self.recording.runs):
-            errors = self.errors(self.smoothed(errors, p), p)
+        if any(np.isnan(run.measured).any() for run in self.recording.runs):
+            errors = self.errors(self.smoothed(errors, p))
         fitted = fit_frame(errors, prior, self.backend, free=self.free)
         work, smoothed = self, self.smoothed(errors, fitted.p)
         if detrend:
@@ -169,14 +164,12 @@ class FrameMotion:
                 found.states @ model.H.T + model.shown(run.drive)
                 for run, found in zip(self.recording.runs, smoothed, strict=True)
             ]
-            lines = self.recording.lines(shown)
-            if any(np.any(line) for line in lines):
-                work = dataclasses.replace(self, recording=self.recording.less(lines))
-                smoothed = work.smoothed(errors, fitted.p)
-        if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):
-            return work, fitted, smoothed
+            work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
+            smoothed = work.smoothed(errors, fitted.p)
         for _ in range(MOST_REFITS):
-            errors = work.errors(smoothed, fitted.p)
+            if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
+                break
+            errors = work.errors(smoothed)
             before, fitted = fitted, fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
             std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
@@ -184,33 +177,14 @@ class FrameMotion:
                 break
         return work, fitted, smoothed
 
-    @cached_property
-    def moves_at_first(self) -> bool:
-        """Whether some run begins while the frame moves; its initial state is then found with the motion."""
-        level, first = self.recording.rms(), self.varied.first_samples(self.recording.step)
-        return any(rms(run.measured[:first] / level) > AT_REST for run in self.recording.runs)
-
-    def errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
+    def errors(self, smoothed: list[Smoothed] | None = None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run; the smoother fills in spikes and short gaps."""
-        stretches, begins = [], []
+        stretches = []
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
-            for part, channels in self.pieces(run):
-                start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[part.start]
-                if channels.any():
-                    stretches.append(Segment(run.drive[part], y[part], channels, start))
-                    begins.append(self.moves_at_first or part.start > 0)
-        errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
-        at = np.zeros(errors.size) if p is None else p
-        if any(begins):
-            model = errors.dynamics(at)
-            stretches = [
-                dataclasses.replace(each, spread=errors.spread(model.seen_by(each.channels), each.seen))
-                if moving else each
-                for each, moving in zip(stretches, begins, strict=True)
-            ]  # fmt: skip
-            errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
-        return errors.shortened(FITTED_SAMPLES, at)
+            parts = [each for each in self.pieces(run) if each[1].any()]
+            stretches += [Segment(run.drive[part], y[part], channels) for part, channels in parts]
+        return PredictionErrors(self.varied, self.setting, stretches, self.noise).shortened(FITTED_SAMPLES)
 
     def pieces(self, run: RecordedRun) -> list[Piece]:
         """Split a run at the ends of gaps of a sensor that last a period of the frame or longer."""
@@ -222,11 +196,11 @@ class FrameMotion:
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
         found = []
-        for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.varied.period), strict=True):
+        for run in self.recording.runs:
             begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
-            scale = max(float(envelope[0]), moved / rms(stationary))
-            found.append(smooth(model, Observed(run.drive, run.measured, envelope, scale), asked))
+            scale = max(1.0, moved / rms(stationary))
+            found.append(smooth(model, Observed(run.drive, run.measured, scale), asked))
         return found
 
     def runs(self, fitted: FittedFrame, wider: float) -> list[ReconstructedRun]:
@@ -278,7 +252,7 @@ class FrameMotion:
         system = fitted.errors.dynamics(fitted.p)
         # Starting at rest in the middle of the motion would give other directions.
         filtered = Filter.settled(system.seen_by(run.channels))
-        start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
+        start = filtered.predicted(run.excitation, run.seen, np.zeros(setting.states))[0][part.start]
         probed = run.excitation[part], run.y[part], start, [(slice(0, part.stop - part.start), run.channels)]
 
         def model_at(weights: Floats, size: float) -> DampedModel:

@@ -14,10 +14,9 @@ from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Segment
-from cvxshear.response.recording import Recording, earlier, rms
+from cvxshear.response.recording import Recording, rms
 from cvxshear.response.state_space import Response, Smoothed
 from cvxshear.util.quantities import NORMAL_95
-from cvxshear.util.typing import Floats
 
 CHECKED_DIRECTIONS = 4
 """Number of directions propagated to a floor without its sensor."""
@@ -52,15 +51,12 @@ class SensorCheck:
 def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     """Return a recording corrected by the prediction of the identified model.
 
-    A channel is inverted if it alone moves opposite to its prediction. A removed delay is restored if the sensor was
-    nearer to its prediction with the delay: dampers shift phases as clocks do, and the model includes dampers. Other
-    contradictions are added to the remarks.
+    A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
     """
     responses = predicted_responses(model, recording)
     if responses is None:
         return recording
     shown = shown_by(model, responses, recording)
-    recording = _with_delays(recording, shown)
     measured = [run.measured - trend(run.measured) for run in recording.runs]
     predicted = [
         np.where(np.isfinite(values), own - trend(own), 0.0) for values, own in zip(measured, shown, strict=True)
@@ -79,31 +75,6 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     return dataclasses.replace(turned, remarks=remarks)
 
 
-def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording:
-    """Restore the delays of sensors that are nearer to their prediction with the delay."""
-    late = np.zeros((len(recording.floors), 2)) if recording.late is None else recording.late
-    measured, remarks = [run.measured.copy() for run in recording.runs], list(recording.remarks)
-    for column in np.flatnonzero(late.any(axis=1)):
-        started, delayed = 0, []
-        for values in measured:
-            delayed.append(earlier(values[:, column], -late[column], recording.sampling_rate, started))
-            started += len(values)
-        own = [values[:, column] for values in predicted]
-        if _misfit(delayed, own) < _misfit([values[:, column] for values in measured], own):
-            for values, with_delay in zip(measured, delayed, strict=True):
-                values[:, column] = with_delay
-            message = recording.late_remarks[column]
-            remarks = [each for each in remarks if each != message]
-            if recording.late_remarks.count(message) > 1:
-                # A delay of the input belongs to all sensors; the other sensors may stay corrected.
-                remarks.append(f"{message}; left in for floor {recording.floors[column]}")
-    return dataclasses.replace(recording.replaced(measured=measured), remarks=tuple(remarks))
-
-
-def _misfit(measured: Sequence[Floats], predicted: Sequence[Floats]) -> float:
-    return sum(rms(seen - trend(seen) - own + trend(own)) for seen, own in zip(measured, predicted, strict=True))
-
-
 def checked(
     work: FrameMotion, fitted: FittedFrame, smoothed: Sequence[Smoothed], channel: int,
     predicted: Sequence[Response] | None,
@@ -120,8 +91,7 @@ def checked(
         Motion predicted from the excitation alone.
     """
     every = np.ones(len(work.recording.floors), dtype=bool)
-    whole = [Segment(run.drive, each.completed, every, each.states[0])
-             for run, each in zip(work.recording.runs, smoothed, strict=True)]  # fmt: skip
+    whole = [Segment(run.drive, each.completed, every) for run, each in zip(work.recording.runs, smoothed, strict=True)]
     parts = [each.strongest(FITTED_SAMPLES) for each in whole]
     other = work.without(channel, parts)
     others = np.arange(len(every)) != channel

@@ -9,8 +9,7 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response import DampedModel, response, sources, uncertain
 from cvxshear.response import compare as comparing
 from cvxshear.response.compare import Transfer, contradiction, moved_against
-from cvxshear.response.recording import RecordedRun, Recording, sensor_line
-from cvxshear.response.sensor_checks import _with_delays
+from cvxshear.response.recording import RecordedRun, Recording
 from tests.response.common import damped_frame, matrices
 
 LINES = np.arange(0.0, 10.0, 0.1)
@@ -77,18 +76,18 @@ def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_predi
     assert not moved_against([np.column_stack([p[:, :2] * [1, -1], other[:, 2:]])], [p]).any()
 
 
-def test_lines_are_taken_off_that_chance_does_not_make():
-    """A motion of period T in a record of length L has a line by chance; a much larger line belongs to the sensor."""
+def test_lines_beside_an_expected_motion_are_taken_off():
+    """The vibration itself, with an incomplete cycle at its end, has a line; the expected motion explains it."""
     time = np.linspace(-1.0, 1.0, 4000)
-    motion = np.sin(200 * time + 0.3)
-    line = 0.3 + 0.2 * time
-    np.testing.assert_allclose(sensor_line(motion + line), line, atol=0.01)
-    run = RecordedRun(np.column_stack([motion + line, motion]), motion, "a")
+    motion, line = np.sin(20 * time + 0.3), 0.3 + 0.2 * time
+    run = RecordedRun(np.column_stack([motion + line, motion]), motion + 2 * line, "a")
     recording = Recording((run,), 100.0, np.array([1, 2]), "base")
-    (found,) = recording.lines([np.column_stack([motion, motion * 0.9])])
-    np.testing.assert_allclose(found[:, 0], line, atol=1e-9)
-    np.testing.assert_array_equal(found[:, 1], 0.0)
-    np.testing.assert_allclose(recording.less([found]).runs[0].measured[:, 0], motion, atol=1e-9)
+    (found,) = recording.without_lines([np.column_stack([motion, motion])]).runs
+    np.testing.assert_allclose(found.measured, np.column_stack([motion, motion]), atol=1e-9)
+    (plain,) = recording.detrended().runs
+    own = np.polyval(np.polyfit(time, motion, 1), time)
+    np.testing.assert_allclose(plain.measured[:, 1], motion - own, atol=1e-9)
+    np.testing.assert_allclose(plain.excitation, motion - own, atol=1e-9)
 
 
 def estimated(p_value, chi2=30.0, dof=10, shape=0.04):
@@ -230,24 +229,3 @@ def test_each_unit_is_told_to_a_fifth(factor, said):
     p = np.random.default_rng(3).standard_normal((100, 2))
     for times in (0.8, 1.25):
         assert said in contradiction([p * factor * times], [p], np.array([1, 2]))
-
-
-@pytest.mark.parametrize(("late", "kept"), [(0.0, False), (0.03, True)])
-@pytest.mark.parametrize("shared", [False, True])
-def test_a_delay_is_put_back_without_which_a_sensor_is_farther_from_its_prediction(late, kept, shared):
-    """The delay of 0.03 s removed from floor 3 belongs to the prediction in one case, and not in the other."""
-    time = np.arange(500) / 100
-
-    def at(shift):
-        return np.column_stack([np.sin(9 * time), np.sin(9 * (time + shift) + 1.0)])
-
-    said = ("x" if shared else "", "x")
-    runs = tuple(RecordedRun(at(0.03), np.zeros(500), name) for name in "ab")
-    recording = Recording(runs, 100.0, np.array([1, 3]), "base", remarks=("x", "y"),
-                          late=np.array([[0.0, 0.0], [0.03, 0.0]]), late_remarks=said)  # fmt: skip
-    found = _with_delays(recording, [at(late)] * 2)
-    inner = slice(100, 400)
-    for run in found.runs:
-        np.testing.assert_allclose(run.measured[inner], at(0.03 if kept else 0.0)[inner], atol=1e-4)
-    left_in = ["x; left in for floor 3"] if shared else []
-    assert list(found.remarks) == (["x", "y"] if kept else ["y", *left_in])

@@ -97,8 +97,7 @@ def test_the_noise_has_the_deviations_that_were_asked_for(case):
     powers = [linalg.expm(rates * STEP * (1 + node) / 2) for node in nodes]
     integral = sum(w * STEP / 2 * (e * density) @ e.T for w, e in zip(weights, powers, strict=True))
     own = np.zeros(n) if case == "unknown ground" else 0.7 * (found.before + found.after)
-    np.testing.assert_allclose(found.Q_input, np.outer(own, own), rtol=1e-12)
-    np.testing.assert_allclose(found.Q - found.Q_input, integral, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(found.Q, integral + np.outer(own, own), rtol=1e-6, atol=1e-12)
     settled = linalg.solve_discrete_are(found.A.T, found.H.T, found.Q, np.diag(found.R))
     np.testing.assert_allclose(Filter.settled(found).P, settled, rtol=1e-5, atol=1e-10)
 
