@@ -13,7 +13,7 @@ from cvxshear.io.spreadsheets import Sheet
 from cvxshear.report.describe import describe
 from cvxshear.response import Reconstruction, RecordPrediction, Response
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.peaks import RESPONSES, histories
+from cvxshear.response.predicted import RESPONSES, histories
 from cvxshear.response.uncertain import Damped
 from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.results import as_json

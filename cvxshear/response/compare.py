@@ -6,15 +6,17 @@ leakage and resolution are the same in both and cancel in the comparison.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from cvxshear.records.motion import DrivenRecord
+from cvxshear.records.motion import DrivenRecord, DrivenRun, trend
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.state_space import Response
+from cvxshear.response.recording import Recording, rms
+from cvxshear.response.state_space import Response, response
 from cvxshear.util.quantities import ranged
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
@@ -31,9 +33,6 @@ AROUND = 0.1
 SHIFTED = 0.25
 """Half width of the search for a resonance, relative to the natural frequency, unless the next mode is nearer. A frame
 that lost two fifths of its stiffness has this shift."""
-
-AS_MUCH = 0.5
-"""Report shifts larger than half the smallest significant one: the modes of one frame have similar shifts."""
 
 COHERENT = 0.6
 """Minimum mean coherence of a floor that responds to the excitation."""
@@ -153,11 +152,6 @@ class Shift:
     measured: float
     modelled: float
 
-    @property
-    def size(self) -> float:
-        """Relative size of the shift."""
-        return abs(self.measured / self.modelled - 1)
-
     def __str__(self) -> str:
         change = 100 * (self.measured / self.modelled - 1)
         return (
@@ -258,21 +252,19 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_m
     """Find the modes whose resonance differs from the model's.
 
     The shift must exceed a line of the spectrum, and both transfer functions must be below `FALLEN` at the other's
-    peak. If one mode has such a shift, other modes with similar relative shifts are found, too.
+    peak.
     """
     line = measured.frequencies[1] - measured.frequencies[0]
-    found, sure = [], []
+    found = []
     for mode in range(len(natural)):
         if measured_modes is not None and mode + 1 not in measured_modes:
             continue
         seen, made = peak(measured, natural, mode), peak(predicted, natural, mode)
         if seen is None or made is None or abs(seen - made) <= line:
             continue
-        left = power_at(measured, natural, mode, made), power_at(predicted, natural, mode, seen)
-        found.append(Shift(mode + 1, seen, made))
-        if max(left) < FALLEN:
-            sure.append(found[-1].size)
-    return tuple(each for each in found if sure and each.size >= AS_MUCH * min(sure))
+        if max(power_at(measured, natural, mode, made), power_at(predicted, natural, mode, seen)) < FALLEN:
+            found.append(Shift(mode + 1, seen, made))
+    return tuple(found)
 
 
 def moved_alike(measured: Floats, predicted: Floats) -> Floats:
@@ -334,3 +326,57 @@ larger error, and all factors differ by more."""
 
 LIKE = 0.5
 """Least correlation in time of two motions that belong together; floors of one frame in step have 0.8."""
+
+
+MOVED_ALIKE = 1e-3
+"""Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
+
+
+def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
+    """Compute the motion of a frame from the excitation alone; None if the excitation was not measured."""
+    if recording.input == "none":
+        return None
+    runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
+    return [response(model, drive, recording.step) for drive in runs]
+
+
+def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
+    """List versions of a measured excitation between its samples: linear and band-limited.
+
+    Return only one version if both give the same motion.
+    """
+    straight = predicted_responses(model, recording)
+    if straight is None:
+        return [recording]
+    other = recording.band_limited()
+    smooth_one = predicted_responses(model, other)
+    assert smooth_one is not None, "the excitation was measured"
+    motion, moved = (np.concatenate([each.acceleration for each in runs]) for runs in (straight, smooth_one))
+    return [recording, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [recording]
+
+
+def as_predicted(model: DampedModel, recording: Recording) -> Recording:
+    """Return a recording corrected by the prediction of the identified model.
+
+    A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
+    """
+    responses = predicted_responses(model, recording)
+    if responses is None:
+        return recording
+    shown = [seen(model, each, recording.floors) for each in responses]
+    measured = [run.measured - trend(run.measured) for run in recording.runs]
+    predicted = [
+        np.where(np.isfinite(values), own - trend(own), 0.0) for values, own in zip(measured, shown, strict=True)
+    ]
+    measured = [np.nan_to_num(values) for values in measured]
+    against = moved_against(measured, predicted)
+    signs = np.where(against, -1.0, 1.0)
+    said = [
+        f"the sensor of floor {floor} is reversed: it moves against the prediction, where all others move with it; "
+        "turned round, check its sign in the record file"
+        for floor in recording.floors[against]
+    ]
+    contradicted = contradiction([signs * values for values in measured], predicted, recording.floors)
+    remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
+    turned = recording.replaced(measured=(signs * run.measured for run in recording.runs))
+    return dataclasses.replace(turned, remarks=remarks)

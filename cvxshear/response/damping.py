@@ -206,9 +206,6 @@ LEAST_RATIO = 1e-3
 SETTLED_DASHPOTS = 1e-5
 """Largest change of a ratio, in its standard deviation, at convergence."""
 
-ZERO = 1e-9
-"""Largest dashpot that counts as zero, relative to the largest dashpot: the accuracy of the solvers."""
-
 
 @dataclass(frozen=True, eq=False)
 class Dashpots:
@@ -338,8 +335,7 @@ class _Fit:
             f"the dashpots of stories {', '.join(each)}" if len(each) > 1 else f"the dashpot of {each[0]}"
             for each in told.null_directions
         )
-        c = np.where(c > ZERO * c.max(), c, 0.0)
-        return Dashpots(c, tuple(words), told.determined)
+        return Dashpots(np.maximum(c, 0.0), tuple(words), told.determined)
 
 
 def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Motion of a frame in a record, with standard deviations: a fit of the frame, then the motion, then variations.
+"""Motion of a frame in a record, with standard deviations, and its check by sensors that are left out.
 
 A standard deviation has two parts: the smoother's own for a given frame, and the effect of the frame's uncertainty,
 along the directions that change the motion most.
@@ -7,19 +7,20 @@ along the directions that change the motion most.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.records.motion import DrivenRun
+from cvxshear.response.compare import predicted_responses
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_fit import FITTED_SAMPLES, PROBED_SAMPLES, FittedFrame, fit_frame
-from cvxshear.response.frame_prior import FramePrior, VariedFrame
-from cvxshear.response.innovations import DIFFERENCE, FIRST_NOISE, PredictionErrors, Segment
+from cvxshear.response.frame_fit import FITTED_SAMPLES, MOST_ROUNDS, PROBED_SAMPLES, FittedFrame, fit_frame, refitted
+from cvxshear.response.frame_prior import DIFFERENCE, FramePrior, VariedFrame
+from cvxshear.response.innovations import FIRST_NOISE, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, rms
+from cvxshear.response.sources import covariance_root
 from cvxshear.response.state_space import (
     Dynamics,
     Filter,
@@ -30,25 +31,17 @@ from cvxshear.response.state_space import (
     Setting,
     Smoothed,
     dynamics,
-    response,
     settled_states,
     smooth,
 )
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
+from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Floats, T
 
-MOST_REFITS = 4
-"""Maximum number of fits after the first. Each fit uses gaps, spikes and the first state as filled in by the previous
-fit. Each time, an error of the filled-in part decreases by the missing share of the information: to a tenth if a tenth
-of the strong motion is missing."""
-
 SAME_FIT = 0.1
-"""Largest change of an unknown at convergence of these fits, in its standard deviations."""
-
-MOVED_ALIKE = 1e-3
-"""Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
+"""Largest change of an unknown, in its standard deviations, at convergence of the fits that fill in gaps and spikes."""
 
 MOST_DIRECTIONS = 8
 """Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
@@ -166,7 +159,7 @@ class FrameMotion:
             ]
             work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
             smoothed = work.smoothed(errors, fitted.p)
-        for _ in range(MOST_REFITS):
+        for _ in range(MOST_ROUNDS):
             if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
                 break
             errors = work.errors(smoothed)
@@ -241,11 +234,10 @@ class FrameMotion:
         there, back = (system.outputs.of(settled_states(system, *of_run), run.drive) for system in systems)
         return 0.5 * sides[2] * (there - back)
 
-    def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> FrameDirections:
+    def directions(self, fitted: FittedFrame) -> FrameDirections:
         """Find the directions of the frame's uncertainty that change its motion most, one standard deviation long."""
         frame = fitted.errors.frame
-        values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
-        own = vectors * np.sqrt(np.maximum(values, 0.0))
+        own = covariance_root(fitted.covariance[frame, frame])
         noise, setting = fitted.errors.noise_at(fitted.p), self.setting
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
         part = run.strongest(PROBED_SAMPLES)
@@ -268,11 +260,11 @@ class FrameMotion:
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        near = (_with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(len(own)))
+        near = (_with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(own.shape[1]))
         slopes = np.array([(moved(dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near])
-        flat = slopes.reshape(len(own), -1)
+        flat = slopes.reshape(len(slopes), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
-        chosen = ranking.order(strength)[:most]
+        chosen = ranking.order(strength)[:MOST_DIRECTIONS]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
         pairs = (_with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
         sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
@@ -288,37 +280,6 @@ def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
             size *= 0.25
 
 
-def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
-    """Compute the motion of a frame from the excitation alone; None if the excitation was not measured."""
-    if recording.input == "none":
-        return None
-    runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
-    return [response(model, drive, recording.step) for drive in runs]
-
-
-def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
-    """List versions of a measured excitation between its samples: linear and band-limited.
-
-    Return only one version if both give the same motion.
-    """
-    straight = predicted_responses(model, recording)
-    if straight is None:
-        return [recording]
-    other = recording.band_limited()
-    smooth_one = predicted_responses(model, other)
-    assert smooth_one is not None, "the excitation was measured"
-    motion, moved = (np.concatenate([each.acceleration for each in runs]) for runs in (straight, smooth_one))
-    return [recording, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [recording]
-
-
-def shown_by(model: DampedModel, responses: list[Response] | None, recording: Recording) -> list[Floats]:
-    """Return the accelerations of responses at the sensors, one array (samples, m) per run; zeros without responses."""
-    at = recording.floors - 1
-    if responses is None:
-        return [np.zeros_like(run.measured) for run in recording.runs]
-    return [model.gain[at] * item.acceleration[:, at] for item in responses]
-
-
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
     """Compute the rms drift of each story: predicted, or from the first mode scaled to the sensors' size."""
     responses = predicted_responses(model, recording)
@@ -328,3 +289,89 @@ def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
     amplitude = float(np.linalg.norm(recording.rms()) / np.linalg.norm(first[at] * model.gain[at]))
     drift: Floats = np.abs(np.diff(first, prepend=0.0)) * amplitude / float(model.modes.eigenvalues[0])
     return drift
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """One sensor's acceleration, predicted from all other sensors.
+
+    Parameters
+    ----------
+    error : float
+        Root mean square over time of the prediction's error, m/s2.
+    stated : float
+        Root mean square of the stated standard deviation, with the sensor's own noise, m/s2.
+    measured : float
+        Root mean square of the measurement, m/s2.
+    prediction_error : float or None
+        Error of the model's prediction from the excitation alone; None if the excitation was not measured.
+    within : float
+        Fraction of samples within 1.96 stated standard deviations.
+    """
+
+    floor: int
+    error: float
+    stated: float
+    measured: float
+    prediction_error: float | None
+    within: float
+
+
+def checked(
+    work: FrameMotion, fitted: FittedFrame, smoothed: Sequence[Smoothed], channel: int,
+    predicted: Sequence[Response] | None,
+) -> SensorCheck:  # fmt: skip
+    """Predict one sensor from the others in the strongest part of each run, with a fit without this sensor.
+
+    Parameters
+    ----------
+    fitted : FittedFrame
+        Fit with all sensors.
+    smoothed : sequence of Smoothed
+        Motion with all sensors.
+    predicted : sequence of Response or None
+        Motion predicted from the excitation alone.
+    """
+    every = np.ones(len(work.recording.floors), dtype=bool)
+    whole = [Segment(run.drive, each.completed, every) for run, each in zip(work.recording.runs, smoothed, strict=True)]
+    parts = [each.strongest(FITTED_SAMPLES) for each in whole]
+    other = work.without(channel, parts)
+    others = np.arange(len(every)) != channel
+    stretches = [
+        dataclasses.replace(each, y=each.y[:, others], channels=each.channels[others])
+        for each in fitted.errors.stretches if each.channels[others].any()
+    ]  # fmt: skip
+    errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
+    at = fitted.errors.frame.stop + channel
+    again = refitted(fitted, errors, at, work.backend, free=work.free)
+    directions, noise = other.directions(again), errors.noise_at(again.p)
+    outputs = errors.dynamics(again.p).outputs
+    place = int(work.recording.floors[channel]) - 1
+    gain = float(fitted.model.gain[place])
+    row, direct = gain * outputs.rows[place], gain * outputs.direct[place]
+    sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
+    left, stated, measured, alone = [], [], [], []
+    found = other.smoothed(errors, again.p, row[None, :])
+    for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
+        variance = each.output_std[:, 0] ** 2 + sigma**2
+        for sides in directions.sides:
+            moved = other.moved_by(sides, noise, run, each)[:, place]
+            variance += directions.allowance[place] * (gain * moved) ** 2
+        there = smoothed[number].weights[part, channel] == 1.0
+        seen = work.recording.runs[number].measured[part, channel]
+        left.append((each.states @ row + direct * run.excitation - seen)[there])
+        stated.append(variance[there])
+        measured.append(seen[there])
+        if predicted is not None:
+            alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
+    error, variances = np.concatenate(left), np.concatenate(stated)
+    return SensorCheck(
+        place + 1, rms(error), float(np.sqrt(np.mean(variances))), rms(np.concatenate(measured)),
+        rms(np.concatenate(alone)) if alone else None,
+        float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variances))),
+    )  # fmt: skip
+
+
+def widening(checks: Sequence[SensorCheck]) -> float:
+    """Compute the factor on all bands: errors of left-out sensors relative to their stated deviations; at least 1."""
+    return max(1.0, float(np.sqrt(np.mean([(each.error / each.stated) ** 2 for each in checks])))) if checks else 1.0

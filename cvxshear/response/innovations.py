@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
+from cvxshear.response.frame_prior import DIFFERENCE, NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
+from cvxshear.response.sources import covariance_root
 from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
@@ -43,9 +44,6 @@ LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
 smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
 reconstruction allows: beyond it, the innovations show that the record is not that of a linear frame."""
-
-DIFFERENCE = 1e-5
-"""Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +148,7 @@ class PredictionErrors:
         """Find the root L of a covariance L L' of the state at the beginning that explains the first period's rms."""
         begins = y[: self.varied.first_samples(self.setting.step)]
         shown = np.sum(model.H @ model.P0 * model.H, axis=1)
-        unit = np.sqrt(np.diag(model.P0))
-        values, vectors = np.linalg.eigh(model.P0 / np.outer(unit, unit))
-        root: Floats = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        return root * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
+        return covariance_root(model.P0) * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
 
     @cached_property
     def spreads(self) -> list[Floats]:

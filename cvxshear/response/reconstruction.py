@@ -20,12 +20,12 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
+from cvxshear.response.compare import as_predicted, predicted_responses, readings_of
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
-from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of
-from cvxshear.response.peaks import Peaks, peaks_of
+from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, SensorCheck, checked, widening
+from cvxshear.response.predicted import Peaks, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.sensor_checks import SensorCheck, as_predicted, checked, widening
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
@@ -35,8 +35,8 @@ from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Ints, Json
 
-SIGN_KNOWN = 1.645
-"""Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
+SIGN_KNOWN = float(special.ndtri(SURE))
+"""Minimum change of a reported story, in standard deviations: its sign is certain."""
 
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
@@ -65,8 +65,6 @@ class Reconstruction(Shown):
     frame_fitted : bool
         Whether the frame is the one fitted to the record: not if the base motion was not measured, if `fit` was False,
         or in a fallback.
-    model : DampedModel
-        Matrices of the frame in this record.
     fallback : str
         Reason why the motion is the identified frame's although a fit was asked for; empty if the fitted frame stands.
     runs : tuple of ReconstructedRun
@@ -76,9 +74,6 @@ class Reconstruction(Shown):
     checks : tuple of SensorCheck
     spikes, missing : ndarray of int, shape (m,)
         Numbers of samples of each sensor with a weight reduced by Huber's loss, and of missing samples.
-    limits : Limits or None
-    passed : ndarray, shape (L, N), or None
-        Probability that the drift ratio of each story passed each limit; nan if it is unknown.
     remarks : tuple of str
     """
 
@@ -89,7 +84,6 @@ class Reconstruction(Shown):
     kind: str
     frame: FittedFrame
     frame_fitted: bool
-    model: DampedModel
     fallback: str
     runs: tuple[ReconstructedRun, ...]
     peaks: Peaks
@@ -97,8 +91,6 @@ class Reconstruction(Shown):
     checks: tuple[SensorCheck, ...]
     spikes: Ints
     missing: Ints
-    limits: Limits | None
-    passed: Floats | None
     remarks: tuple[str, ...]
 
     json_keys = (
@@ -106,6 +98,30 @@ class Reconstruction(Shown):
         "configuration=configuration.name backend effects=fitted.effects measured_floors=recording.floors checks "
         "widening spikes missing"
     )
+
+    @property
+    def model(self) -> DampedModel:
+        """Matrices of the frame in this record."""
+        return self.frame.model
+
+    @property
+    def limits(self) -> Limits | None:
+        """The declared limits of drift ratios."""
+        return self.fitted.experiment.limits
+
+    @property
+    def passed(self) -> Floats | None:
+        """Probability that the drift ratio of each story passed each limit, shape (L, N).
+
+        It is nan in a fallback, because the drift of a story that yields is unknown; None without story heights or
+        limits.
+        """
+        name = "story_drift_ratio"
+        if self.limits is None or name not in self.peaks.values:
+            return None
+        away = self.peaks.values[name] - self.limits.story_drift[:, None]
+        passed: Floats = special.ndtr(away / np.maximum(self.peaks.std[name], 1e-300))
+        return np.full_like(passed, np.nan) if self.fallback else passed
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -401,31 +417,16 @@ def reconstruct(
     runs = work.runs(fitted, widening(checks))
     weights = np.concatenate([each.weights for each in smoothed])
     peaks = peaks_of((run.response, run.std) for run in runs)
-    limits = experiment.limits
     found = Reconstruction(
-        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, fallback,
+        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fallback,
         tuple(runs), peaks, None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
-        np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), limits,
-        None if limits is None else _passed(limits, peaks, told=not fallback), (),
+        np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), (),
     )  # fmt: skip
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)
     if len(evidences) > 1:
         said.append(_reading_remark(DRIVING[recording.input], *evidences))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
-
-
-def _passed(limits: Limits, peaks: Peaks, *, told: bool) -> Floats | None:
-    """Compute the probability that each drift ratio passed each limit, shape (L, N); None without story heights.
-
-    In a fallback it is nan: the drift of a story that yields is unknown.
-    """
-    name = "story_drift_ratio"
-    if name not in peaks.values:
-        return None
-    away = peaks.values[name] - limits.story_drift[:, None]
-    passed: Floats = special.ndtr(away / np.maximum(peaks.std[name], 1e-300))
-    return passed if told else np.full_like(passed, np.nan)
 
 
 _Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]

@@ -11,7 +11,7 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
-from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.io.modes import experiment_from_file
 from cvxshear.io.record_file import read_motion
@@ -32,8 +32,15 @@ from cvxshear.util.typing import Floats
 NO_VARIANCE = 1e-12
 """Largest eigenvalue of a correlation matrix, relative to its maximum, that counts as rounding."""
 
-IMPROBABLE = 0.01
-"""Largest p-value of the fit's residual for which the modes contradict the model."""
+
+def covariance_root(covariance: Floats) -> Floats:
+    """Return L with L L' = covariance, shape (P, r); directions of rounding have no column."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
+    root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+    return root
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,20 +111,12 @@ class Fitted:
     @cached_property
     def root(self) -> Floats:
         """Factor L with L L' = covariance, shape (P, r); r is 0 if the covariance is unknown."""
-        size = len(self.theta)
-        if self.covariance is None:
-            return np.zeros((size, 0))
-        std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        unit = np.where(std > 0, std, 1.0)
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(unit, unit))
-        kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
-        root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
-        return root
+        return np.zeros((len(self.theta), 0)) if self.covariance is None else covariance_root(self.covariance)
 
 
 def _misfit(estimate: Estimate) -> tuple[float, float]:
     """Return chi-square per degree of freedom and the largest shape error if the fit is improbable, else 1 and 0."""
-    if estimate.p_value is None or estimate.p_value > IMPROBABLE or not estimate.dof:
+    if estimate.p_value is None or estimate.p_value > RESIDUAL_LEVEL or not estimate.dof:
         return 1.0, 0.0
     return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 

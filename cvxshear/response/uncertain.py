@@ -30,7 +30,7 @@ from cvxshear.response.damping import (
     rayleigh,
     story_dashpots,
 )
-from cvxshear.response.sources import Fitted
+from cvxshear.response.sources import Fitted, covariance_root
 from cvxshear.util import checks, ranking
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.quantities import NORMAL_95, percent, ranged
@@ -126,13 +126,8 @@ class UncertainFrame:
         if covariance is None:
             return np.zeros((len(self.fitted.theta), 0))
         rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
-        std = np.sqrt(np.maximum(np.diag(covariance)[rest], 0.0))
-        unit = np.where(std > 0, std, 1.0)
-        values, vectors = np.linalg.eigh(covariance[np.ix_(rest, rest)] / np.outer(unit, unit))
-        kept = values > 1e-10 * max(float(values[-1]), 1e-300)
-        scaled = vectors[:, kept] / np.sqrt(values[kept])
-        root: Floats = np.sqrt(self.fitted.misfit) * (covariance[:, rest] / unit) @ scaled
-        return root
+        root = np.linalg.pinv(covariance_root(covariance[np.ix_(rest, rest)])).T
+        return np.asarray(np.sqrt(self.fitted.misfit) * covariance[:, rest] @ root)
 
     def at(self, xi: Floats, near: Damped | None = None) -> Damped:
         """Build the damped model at one value of xi; the programs of dashpots start from the model `near`.

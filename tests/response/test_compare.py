@@ -37,7 +37,7 @@ def test_errors_of_functions_are_rms_around_each_mode_where_something_drives_it(
     np.testing.assert_allclose(comparing.errors(part, predicted, natural), [[0.1, np.nan], [0.2, 0.2]])
 
 
-@pytest.mark.parametrize(("moved", "told"), [([0.25, 0.0], [1]), ([0.11, 0.0], []), ([0.15, 0.7], [1, 2]),
+@pytest.mark.parametrize(("moved", "told"), [([0.25, 0.0], [1]), ([0.11, 0.0], []), ([0.15, 0.7], [2]),
                                              ([0.13, 0.7], [2]), ([0.0, -0.7], [2])])  # fmt: skip
 def test_a_shift_is_told_where_the_peak_has_fallen_and_others_that_moved_as_much(moved, told):
     """At a distance d, a resonance of half width 0.5 has 1 / (1 + (d / 0.5)^2)^2 of its peak power."""
@@ -47,7 +47,6 @@ def test_a_shift_is_told_where_the_peak_has_fallen_and_others_that_moved_as_much
     assert [each.mode for each in found] == told
     for each in found:
         assert each.measured == pytest.approx(natural[each.mode - 1] + moved[each.mode - 1], abs=0.04)
-        assert each.size == pytest.approx(abs(moved[each.mode - 1]) / natural[each.mode - 1], abs=0.02)
         assert f"({100 * (each.measured / each.modelled - 1):+.1f} %)" in str(each)
     second = comparing._shifts(seen, made, natural, np.array([2]))
     assert [each.mode for each in second] == [mode for mode in told if mode == 2]

@@ -263,7 +263,7 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     form_std, changed = 0.03, (1, 3, 6)
     assert [prior.changes[each].kind for each in changed] == ["story", "dashpot", "gain"]
     root = np.linalg.cholesky(prior.identified)
-    nuisances = np.full(W, 0.1)
+    nuisances = np.full(W, 0.001)
     modal = np.isfinite(frame.nuisance_share)
     nuisances[modal] = np.sqrt(1.0 + (form_std / frame.nuisance_share[modal]) ** 2 / modal.sum())
     tests = linalg.block_diag(root, np.diag([*nuisances, *np.full(X, form_std)]))
@@ -279,7 +279,7 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     own[size:, size:] = np.eye(4)
     own[1, 1] += 0.25**2
     own[N + N, N + N] += 1.0
-    own[size - X - 3, size - X - 3] += 5.0**2
+    own[size - X - 3, size - X - 3] += 0.05**2
     found = prior.gaussian(changed, form_std)
     np.testing.assert_allclose(found.covariance, in_tests @ posterior @ in_tests.T + own, atol=1e-9)
     np.testing.assert_allclose(found.mean, in_tests @ posterior @ seen.T @ prior.measured.data, atol=1e-9)

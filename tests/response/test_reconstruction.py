@@ -17,11 +17,11 @@ from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.describe import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
-from cvxshear.response.frame_motion import FrameMotion, readings_of
+from cvxshear.response.compare import as_predicted, readings_of
+from cvxshear.response.frame_motion import FrameMotion
 from cvxshear.response.frame_prior import VariedFrame
 from cvxshear.response.innovations import Directions, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
-from cvxshear.response.sensor_checks import as_predicted
 from cvxshear.response.state_space import (
     Filter,
     Noise,
@@ -420,7 +420,7 @@ def test_frames_a_hundredth_as_far_apart_move_a_hundredth_as_differently(softene
     far, near = (
         np.abs(work.moved_by(sides, noise, recording.runs[0], smoothed))
         for share in (1.0, 1e-4)
-        for sides in work.directions(dataclasses.replace(fitted, covariance=share * fitted.covariance), most=1).sides
+        for sides in work.directions(dataclasses.replace(fitted, covariance=share * fitted.covariance)).sides[:1]
     )
     off = np.sqrt(np.mean((100.0 * near - far) ** 2, axis=0) / np.mean(far**2, axis=0))
     assert np.max(off) < 0.02

@@ -10,8 +10,8 @@ import pytest
 from cvxshear.records.data_frames import FEWEST_SAMPLES
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
+from cvxshear.response.frame_motion import widening
 from cvxshear.response.recording import RecordedRun, Recording, SensorRecord, earlier, recording_of
-from cvxshear.response.sensor_checks import widening
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError
 

@@ -20,7 +20,7 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import DrivenRun
 from cvxshear.response import DampedModel, Fitted, response
-from cvxshear.response.peaks import peaks_of
+from cvxshear.response.predicted import peaks_of
 from cvxshear.response.uncertain import UncertainFrame, propagated
 from cvxshear.util.parallel import each
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, sampled, shaking

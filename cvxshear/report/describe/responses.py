@@ -22,7 +22,7 @@ from cvxshear.report.describe import (
 )
 from cvxshear.report.describe.headline import MODELS
 from cvxshear.response import IdentifiedDamping, Peaks, Reconstruction, RecordComparison, RecordPrediction
-from cvxshear.response.peaks import RESPONSES
+from cvxshear.response.predicted import RESPONSES
 from cvxshear.response.reconstruction import SIGN_KNOWN
 from cvxshear.util import ranking
 from cvxshear.util.quantities import (

@@ -21,7 +21,7 @@ from cvxshear.report.figures.style import (
 )
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
-from cvxshear.response.peaks import RESPONSES
+from cvxshear.response.predicted import RESPONSES
 from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95, listed, scaled
 from cvxshear.util.typing import Floats, Ints
