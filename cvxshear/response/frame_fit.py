@@ -18,19 +18,8 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
+from cvxshear.response import frame_prior
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import (
-    DIFFERENCE,
-    FORM_STDS,
-    MASS_STD,
-    NOISE_STD,
-    FrameAnswer,
-    FramePrior,
-    Gaussian,
-    Likelihood,
-    Linear,
-    possible_answers,
-)
 from cvxshear.response.innovations import Directions, PredictionErrors
 from cvxshear.response.sources import covariance_root
 from cvxshear.util.decorators import cached_property
@@ -74,10 +63,10 @@ class FittedFrame:
     """
 
     errors: PredictionErrors
-    prior: FramePrior
+    prior: frame_prior.FramePrior
     p: Floats
     covariance: Floats
-    answers: tuple[FrameAnswer, ...]
+    answers: tuple[frame_prior.FrameAnswer, ...]
     inflation: float
     converged: bool
     along: Directions
@@ -106,7 +95,7 @@ class FittedFrame:
     def doubted(self) -> FittedFrame:
         """Return the frame with the covariance of a frame of which every story may have changed."""
         stories = [place for place, each in enumerate(self.prior.changes) if each.kind == "story"]
-        return dataclasses.replace(self, covariance=self.prior.gaussian(stories, FORM_STDS[0]).covariance)
+        return dataclasses.replace(self, covariance=self.prior.gaussian(stories, frame_prior.FORM_STDS[0]).covariance)
 
     @property
     def dashpots(self) -> tuple[Floats, Floats]:
@@ -144,7 +133,7 @@ class FittedFrame:
         """
         if not self.errors.setting.base_measured or self.errors.setting.force_floor:
             return 0.0
-        return MASS_STD * float(np.sqrt(self.mass_probability / self.errors.stories))
+        return frame_prior.MASS_STD * float(np.sqrt(self.mass_probability / self.errors.stories))
 
     @property
     def mean_factor(self) -> tuple[float, float]:
@@ -177,8 +166,10 @@ class FittedFrame:
         if answer is None:
             return np.zeros(self.errors.stories), np.zeros(self.errors.stories)
         prior, heavier = self.prior.gaussian(*answer.prior), self.prior.changes[masses[0]].columns
-        G = MASS_STD * np.linalg.solve(prior.covariance, heavier).T
-        covariance = MASS_STD**2 * np.eye(len(G)) - MASS_STD * G @ heavier + G @ self.covariance @ G.T
+        G = frame_prior.MASS_STD * np.linalg.solve(prior.covariance, heavier).T
+        covariance = (
+            frame_prior.MASS_STD**2 * np.eye(len(G)) - frame_prior.MASS_STD * G @ heavier + G @ self.covariance @ G.T
+        )
         return G @ (self.p - prior.mean), np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
     @cached_property
@@ -193,8 +184,8 @@ class FittedFrame:
         centre, change = described(self.p), np.zeros(len(self.p))
         variance = np.zeros_like(centre)
         for column in covariance_root(self.covariance[frame, frame]).T:
-            change[frame] = DIFFERENCE * column
-            variance += ((described(self.p + change) - centre) / DIFFERENCE) ** 2
+            change[frame] = frame_prior.DIFFERENCE * column
+            variance += ((described(self.p + change) - centre) / frame_prior.DIFFERENCE) ** 2
         frequencies, ratios = np.sqrt(variance)
         return frequencies, ratios
 
@@ -222,7 +213,7 @@ class _Point:
         self.objective = posterior.errors.objective(p) + float(self.away @ self.away)
 
     @cached_property
-    def likelihood(self) -> Likelihood:
+    def likelihood(self) -> frame_prior.Likelihood:
         return self.posterior.errors.linearised(self.p, self.posterior.along)
 
     @property
@@ -241,7 +232,7 @@ class _Point:
 class _Posterior:
     """-2 log of the posterior density of the unknowns, for Gauss-Newton."""
 
-    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian) -> None:
+    def __init__(self, errors: PredictionErrors, along: Directions, prior: frame_prior.Gaussian) -> None:
         self.errors, self.along, self.prior = errors, along, prior
         self.white = np.linalg.inv(np.linalg.cholesky(prior.covariance))
 
@@ -258,7 +249,12 @@ class _Posterior:
 
 
 def fit_frame(
-    errors: PredictionErrors, prior: FramePrior, backend: Backend, start: Floats | None = None, *, free: bool = True
+    errors: PredictionErrors,
+    prior: frame_prior.FramePrior,
+    backend: Backend,
+    start: Floats | None = None,
+    *,
+    free: bool = True,
 ) -> FittedFrame:
     """Fit the frame to the innovations.
 
@@ -275,9 +271,9 @@ def fit_frame(
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as identified; its possible changes since the tests are part of the bands.
-        still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
+        still = frame_prior.Gaussian(np.zeros(errors.size), frame_prior.NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend)
-        answer = FrameAnswer((), FORM_STDS[0], 1.0)
+        answer = frame_prior.FrameAnswer((), frame_prior.FORM_STDS[0], 1.0)
         covariance = prior.gaussian(*answer.prior).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
@@ -285,20 +281,22 @@ def fit_frame(
     # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
     # story, and rarely return, because base motion does not determine this scale.
     likelihood = errors.linearised(p, along)
-    answer = possible_answers(likelihood, prior, p)[0]
+    answer = frame_prior.possible_answers(likelihood, prior, p)[0]
     p = _nearer(errors, likelihood, prior.gaussian(*answer.prior), p)
     for _ in range(MOST_ROUNDS):
         at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend)
-        p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
+        p, answers, before = at.p, frame_prior.possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
         if answer.prior == before.prior:
             break
     return _mixed(errors, prior, at, answers, converged)
 
 
-def _nearer(errors: PredictionErrors, likelihood: Likelihood, prior: Gaussian, p: Floats) -> Floats:
+def _nearer(
+    errors: PredictionErrors, likelihood: frame_prior.Likelihood, prior: frame_prior.Gaussian, p: Floats
+) -> Floats:
     """Return the most probable point of a linearized likelihood; p if the frame has no modes there."""
-    nearer = np.clip(Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
+    nearer = np.clip(frame_prior.Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
     try:
         errors.model(nearer)
     except NoModesError:
@@ -306,7 +304,7 @@ def _nearer(errors: PredictionErrors, likelihood: Likelihood, prior: Gaussian, p
     return nearer
 
 
-def informative(errors: PredictionErrors, prior: FramePrior, p: Floats) -> Directions:
+def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:
     """Find the directions on which the record has information, for all possible changes and errors of form."""
     short = errors.shortened(PROBED_SAMPLES)
     root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
@@ -341,23 +339,27 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
 
 
 def _mixed(
-    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[FrameAnswer], converged: bool
+    errors: PredictionErrors,
+    prior: frame_prior.FramePrior,
+    at: _Point,
+    answers: Sequence[frame_prior.FrameAnswer],
+    converged: bool,
 ) -> FittedFrame:
     """Return the frame with the covariance of the mixture of the answers."""
     total = sum(each.probability for each in answers)
     covariance = np.zeros((errors.size, errors.size))
     for each in answers:
-        mean, own = Linear(at.likelihood, at.p, prior.gaussian(*each.prior)).posterior()
+        mean, own = frame_prior.Linear(at.likelihood, at.p, prior.gaussian(*each.prior)).posterior()
         away = mean - at.p
         covariance += each.probability / total * (own + np.outer(away, away))
     inflation, along, evidence = at.likelihood.inflation, at.posterior.along, _log_evidence(at, prior, answers)
     return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)
 
 
-def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[FrameAnswer]) -> float:
+def _log_evidence(at: _Point, prior: frame_prior.FramePrior, answers: Sequence[frame_prior.FrameAnswer]) -> float:
     """Compute the log probability of the record over all answers: the best answer's, divided by its probability."""
     best = answers[0]
-    linear = Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
+    linear = frame_prior.Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
     (own,) = linear.evidences((), [()])
     own += sum(prior.changes[each].log_odds for each in best.changed)
     # The triangle has the part that depends on the unknowns; the rest of -2 log likelihood is constant.

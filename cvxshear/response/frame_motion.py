@@ -14,26 +14,13 @@ from functools import partial
 import numpy as np
 
 from cvxshear.backends import Backend
+from cvxshear.response import frame_fit, state_space
 from cvxshear.response.compare import predicted_responses
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_fit import FITTED_SAMPLES, MOST_ROUNDS, PROBED_SAMPLES, FittedFrame, fit_frame, refitted
 from cvxshear.response.frame_prior import DIFFERENCE, FramePrior, VariedFrame
 from cvxshear.response.innovations import FIRST_NOISE, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, rms
 from cvxshear.response.sources import covariance_root
-from cvxshear.response.state_space import (
-    Dynamics,
-    Filter,
-    Noise,
-    Observed,
-    Piece,
-    Response,
-    Setting,
-    Smoothed,
-    dynamics,
-    settled_states,
-    smooth,
-)
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util import ranking
 from cvxshear.util.errors import NoModesError
@@ -64,7 +51,7 @@ class ReconstructedRun:
     """
 
     name: str
-    response: Response
+    response: state_space.Response
     std: dict[str, Floats]
     base: Floats | None
     base_std: Floats | None
@@ -109,8 +96,8 @@ class FrameMotion:
     frame: UncertainFrame
     varied: VariedFrame
     recording: Recording
-    setting: Setting
-    noise: Noise
+    setting: state_space.Setting
+    noise: state_space.Noise
     backend: Backend
     free: bool
 
@@ -121,12 +108,12 @@ class FrameMotion:
         varied = VariedFrame.around(frame, recording.floors, excited=known)
         model = varied.centre.model
         frequencies = 2 * np.pi * model.modes.frequencies
-        setting = Setting(
+        setting = state_space.Setting(
             recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
             float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
         driven = rms(np.concatenate([run.excitation for run in recording.runs])) if known else 0.0
-        noise = Noise(FIRST_NOISE * level, FIRST_NOISE * driven if known else float(level.min()))
+        noise = state_space.Noise(FIRST_NOISE * level, FIRST_NOISE * driven if known else float(level.min()))
         # If the base motion is unknown, a softer first story and another base motion are equivalent.
         return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
 
@@ -139,7 +126,7 @@ class FrameMotion:
             noise=dataclasses.replace(self.noise, sensors=np.delete(self.noise.sensors, channel)),
         )
 
-    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, FittedFrame, list[Smoothed]]:
+    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, frame_fit.FittedFrame, list[state_space.Smoothed]]:
         """Fit the frame and find its motion; with `detrend`, remove straight lines from the residuals of the record.
 
         First the identified frame, then the fitted one fills in gaps and spikes.
@@ -149,7 +136,7 @@ class FrameMotion:
         p = np.zeros(errors.size)
         if any(np.isnan(run.measured).any() for run in self.recording.runs):
             errors = self.errors(self.smoothed(errors, p))
-        fitted = fit_frame(errors, prior, self.backend, free=self.free)
+        fitted = frame_fit.fit_frame(errors, prior, self.backend, free=self.free)
         work, smoothed = self, self.smoothed(errors, fitted.p)
         if detrend:
             model = errors.dynamics(fitted.p)
@@ -159,31 +146,31 @@ class FrameMotion:
             ]
             work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
             smoothed = work.smoothed(errors, fitted.p)
-        for _ in range(MOST_ROUNDS):
+        for _ in range(frame_fit.MOST_ROUNDS):
             if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
                 break
             errors = work.errors(smoothed)
-            before, fitted = fitted, fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
+            before, fitted = fitted, frame_fit.fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
             std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
             if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FIT:
                 break
         return work, fitted, smoothed
 
-    def errors(self, smoothed: list[Smoothed] | None = None) -> PredictionErrors:
+    def errors(self, smoothed: list[state_space.Smoothed] | None = None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run; the smoother fills in spikes and short gaps."""
         stretches = []
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
             parts = [each for each in self.pieces(run) if each[1].any()]
             stretches += [Segment(run.drive[part], y[part], channels) for part, channels in parts]
-        return PredictionErrors(self.varied, self.setting, stretches, self.noise).shortened(FITTED_SAMPLES)
+        return PredictionErrors(self.varied, self.setting, stretches, self.noise).shortened(frame_fit.FITTED_SAMPLES)
 
-    def pieces(self, run: RecordedRun) -> list[Piece]:
+    def pieces(self, run: RecordedRun) -> list[state_space.Piece]:
         """Split a run at the ends of gaps of a sensor that last a period of the frame or longer."""
         return run.pieces(self.varied.first_samples(self.recording.step))
 
-    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
+    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[state_space.Smoothed]:
         """Find the motion of each run; rows on the state, if any, define outputs with standard deviations."""
         model = errors.dynamics(p)
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
@@ -193,10 +180,10 @@ class FrameMotion:
             begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
             scale = max(1.0, moved / rms(stationary))
-            found.append(smooth(model, Observed(run.drive, run.measured, scale), asked))
+            found.append(state_space.smooth(model, state_space.Observed(run.drive, run.measured, scale), asked))
         return found
 
-    def runs(self, fitted: FittedFrame, wider: float) -> list[ReconstructedRun]:
+    def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:
         """Return every run's motion; widen all deviations by a factor."""
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
@@ -216,7 +203,7 @@ class FrameMotion:
             forces = slice(3 * n, 4 * n + (model.heights is not None))
             std[:, forces] = np.hypot(std[:, forces], fitted.scale_std * moved[:, forces])
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
-            motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
+            motion = state_space.Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")
             stds = {name: std[:, k * n : (k + 1) * n] for k, name in enumerate(names)}
             stds["base_shear"] = stds["story_shear"][:, 0]
@@ -227,23 +214,23 @@ class FrameMotion:
             result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
         return result
 
-    def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Floats:
+    def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: state_space.Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
-        systems = [dynamics(model, noise, self.setting) for model in sides[:2]]
+        systems = [state_space.dynamics(model, noise, self.setting) for model in sides[:2]]
         of_run = run.drive, found.completed, found.states[0], self.pieces(run)
-        there, back = (system.outputs.of(settled_states(system, *of_run), run.drive) for system in systems)
+        there, back = (system.outputs.of(state_space.settled_states(system, *of_run), run.drive) for system in systems)
         return 0.5 * sides[2] * (there - back)
 
-    def directions(self, fitted: FittedFrame) -> FrameDirections:
+    def directions(self, fitted: frame_fit.FittedFrame) -> FrameDirections:
         """Find the directions of the frame's uncertainty that change its motion most, one standard deviation long."""
         frame = fitted.errors.frame
         own = covariance_root(fitted.covariance[frame, frame])
         noise, setting = fitted.errors.noise_at(fitted.p), self.setting
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
-        part = run.strongest(PROBED_SAMPLES)
+        part = run.strongest(frame_fit.PROBED_SAMPLES)
         system = fitted.errors.dynamics(fitted.p)
         # Starting at rest in the middle of the motion would give other directions.
-        filtered = Filter.settled(system.seen_by(run.channels))
+        filtered = state_space.Filter.settled(system.seen_by(run.channels))
         start = filtered.predicted(run.excitation, run.seen, np.zeros(setting.states))[0][part.start]
         probed = run.excitation[part], run.y[part], start, [(slice(0, part.stop - part.start), run.channels)]
 
@@ -255,13 +242,15 @@ class FrameMotion:
         def either_side(weights: Floats, size: float) -> tuple[DampedModel, DampedModel]:
             return model_at(weights, size), model_at(weights, -size)
 
-        def moved(system: Dynamics) -> Floats:
-            return system.outputs.of(settled_states(system, *probed), run.excitation[part])
+        def moved(system: state_space.Dynamics) -> Floats:
+            return system.outputs.of(state_space.settled_states(system, *probed), run.excitation[part])
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
         near = (_with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(own.shape[1]))
-        slopes = np.array([(moved(dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near])
+        slopes = np.array(
+            [(moved(state_space.dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near]
+        )
         flat = slopes.reshape(len(slopes), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
         chosen = ranking.order(strength)[:MOST_DIRECTIONS]
@@ -318,8 +307,8 @@ class SensorCheck:
 
 
 def checked(
-    work: FrameMotion, fitted: FittedFrame, smoothed: Sequence[Smoothed], channel: int,
-    predicted: Sequence[Response] | None,
+    work: FrameMotion, fitted: frame_fit.FittedFrame, smoothed: Sequence[state_space.Smoothed], channel: int,
+    predicted: Sequence[state_space.Response] | None,
 ) -> SensorCheck:  # fmt: skip
     """Predict one sensor from the others in the strongest part of each run, with a fit without this sensor.
 
@@ -334,7 +323,7 @@ def checked(
     """
     every = np.ones(len(work.recording.floors), dtype=bool)
     whole = [Segment(run.drive, each.completed, every) for run, each in zip(work.recording.runs, smoothed, strict=True)]
-    parts = [each.strongest(FITTED_SAMPLES) for each in whole]
+    parts = [each.strongest(frame_fit.FITTED_SAMPLES) for each in whole]
     other = work.without(channel, parts)
     others = np.arange(len(every)) != channel
     stretches = [
@@ -343,7 +332,7 @@ def checked(
     ]  # fmt: skip
     errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
     at = fitted.errors.frame.stop + channel
-    again = refitted(fitted, errors, at, work.backend, free=work.free)
+    again = frame_fit.refitted(fitted, errors, at, work.backend, free=work.free)
     directions, noise = other.directions(again), errors.noise_at(again.p)
     outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1

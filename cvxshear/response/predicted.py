@@ -13,24 +13,11 @@ from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
+from cvxshear.response import sources, uncertain
 from cvxshear.response.compare import RecordComparison, as_predicted, compared
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.recording import recording_of
-from cvxshear.response.sources import (
-    DRIVING,
-    WORTH_A_WORD,
-    Fitted,
-    Models,
-    ModelSource,
-    MotionSource,
-    line_remarks,
-    models_of,
-    motion_of,
-    state_of,
-    state_remarks,
-)
 from cvxshear.response.state_space import Response, response
-from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
 from cvxshear.util import ranking
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent
@@ -168,8 +155,8 @@ class ModelResponse:
         None if the record has no accelerations of floors.
     """
 
-    fitted: Fitted
-    damped: Damped
+    fitted: sources.Fitted
+    damped: uncertain.Damped
     responses: tuple[Response, ...]
     comparison: RecordComparison | None
 
@@ -209,7 +196,7 @@ class RecordPrediction(Shown):
     before: ModelResponse | None
     after: ModelResponse
     peaks: Peaks
-    damping: IdentifiedDamping
+    damping: uncertain.IdentifiedDamping
     std: tuple[dict[str, Floats], ...]
     missed: float | None
     remarks: tuple[str, ...]
@@ -234,8 +221,8 @@ class RecordPrediction(Shown):
 
 @usual_arithmetic
 def predict(
-    source: ModelSource,
-    record: MotionSource,
+    source: sources.ModelSource,
+    record: sources.MotionSource,
     backend: str | Backend = "auto",
     *,
     damping: str | None = None,
@@ -274,19 +261,22 @@ def predict(
         If the backend does not solve a program.
     """
     solver = backends.get(backend)
-    recorded = motion_of(record)
-    models = models_of(source, solver, assume)
+    recorded = sources.motion_of(record)
+    models = sources.models_of(source, solver, assume)
     experiment = models.after.experiment
-    state = state_of(experiment, recorded, configuration)
-    frame_after = UncertainFrame.of(models.after, state, damping, solver)
+    state = sources.state_of(experiment, recorded, configuration)
+    frame_after = uncertain.UncertainFrame.of(models.after, state, damping, solver)
     recorded, faults = _set_right(recorded, frame_after.at(np.zeros(frame_after.size)).model)
     motion = recorded.detrended() if detrend else recorded
     before = None
     if models.before is not None:
-        frame = UncertainFrame.of(models.before, state, damping, solver)
+        frame = uncertain.UncertainFrame.of(models.before, state, damping, solver)
         before = _model_response(models.before, frame.at(np.zeros(frame.size)), motion)
     found = _predicted(models, frame_after, motion, before)
-    said = [*state_remarks(experiment, recorded, state, named=configuration is not None), *_taken_off(recorded, motion)]
+    said = [
+        *sources.state_remarks(experiment, recorded, state, named=configuration is not None),
+        *_taken_off(recorded, motion),
+    ]
     # The comparison may repeat remarks that the model made on the sensors before.
     said += [each for each in found.remarks if each not in faults]
     return dataclasses.replace(found, remarks=(*faults, *said))
@@ -307,36 +297,36 @@ def _set_right(motion: DrivenRecord, model: DampedModel) -> tuple[DrivenRecord, 
 
 
 def _predicted(
-    models: Models, frame: UncertainFrame, motion: DrivenRecord, before: ModelResponse | None
+    models: sources.Models, frame: uncertain.UncertainFrame, motion: DrivenRecord, before: ModelResponse | None
 ) -> RecordPrediction:
     """Predict with the final model; one propagation gives all standard deviations."""
 
-    def everything(damped: Damped, driven: DrivenRecord = motion) -> Floats:
+    def everything(damped: uncertain.Damped, driven: DrivenRecord = motion) -> Floats:
         responses = _responses(damped, driven)
         bands = (item for moved in responses for item in _bands(moved).values())
-        return np.concatenate([parts_of(damped), *_largest(responses).values(), *bands])
+        return np.concatenate([uncertain.parts_of(damped), *_largest(responses).values(), *bands])
 
-    centre, std = propagated(frame, everything)
+    centre, std = uncertain.propagated(frame, everything)
     # The excitation between its samples is unknown: it may be linear or band-limited.
     between = everything(centre, motion.band_limited()) - everything(centre)
     std = np.hypot(std, between)
     after = _model_response(models.after, centre, motion)
     values = _largest(after.responses)
-    sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
+    sizes = [len(uncertain.parts_of(centre)), *(len(item) for item in values.values())]
     sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
     parts = np.cumsum(sizes)[:-1]
     of_damping, *rest = np.split(std, parts)
     of_samples = zip(values.values(), np.split(between, parts)[1:], strict=False)
     unseen = max(float(np.max(np.abs(change) / np.maximum(peak, 1e-300))) for peak, change in of_samples)
     bands = iter(rest[len(values) :])
-    damping = described(frame, centre, of_damping)
+    damping = uncertain.described(frame, centre, of_damping)
     over_time = tuple(
         {name: next(bands).reshape(moved.acceleration.shape) for name in _bands(moved)} for moved in after.responses
     )
     missed = _missed(after, over_time)
     of_peaks = zip(values.items(), rest, strict=False)
     peaks = Peaks(values, {name: np.hypot(own, (missed or 0.0) * peak) for (name, peak), own in of_peaks})
-    said = (*damping.remarks, *_between_samples(unseen, DRIVING[motion.input]), *_remarks(after, motion))
+    said = (*damping.remarks, *_between_samples(unseen, sources.DRIVING[motion.input]), *_remarks(after, motion))
     return RecordPrediction(
         motion, frame.configuration, frame.backend.name, before, after, peaks, damping, over_time, missed, said
     )
@@ -374,11 +364,11 @@ def _largest(responses: Sequence[Response]) -> dict[str, Floats]:
     return peaks_of((each, {}) for each in responses).values
 
 
-def _responses(damped: Damped, motion: DrivenRecord) -> list[Response]:
+def _responses(damped: uncertain.Damped, motion: DrivenRecord) -> list[Response]:
     return [response(damped.model, driven, motion.step) for driven in motion.runs]
 
 
-def _model_response(fitted: Fitted, damped: Damped, motion: DrivenRecord) -> ModelResponse:
+def _model_response(fitted: sources.Fitted, damped: uncertain.Damped, motion: DrivenRecord) -> ModelResponse:
     responses = tuple(_responses(damped, motion))
     tested = fitted.experiment.configurations
     modes = np.unique(np.concatenate([each.modes for each in tested]))
@@ -400,12 +390,12 @@ def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
             if rms > 0:
                 found.append((line / rms, name))
     largest, where = max(found)
-    return line_remarks(largest, f"the rms ({where})")
+    return sources.line_remarks(largest, f"the rms ({where})")
 
 
 def _between_samples(unseen: float, excitation: str) -> list[str]:
     """Report the influence of the excitation between its samples on the peaks, if it is large enough."""
-    if unseen < WORTH_A_WORD:
+    if unseen < sources.WORTH_A_WORD:
         return []
     return [
         f"between its samples the {excitation} is taken as straight lines; were it band-limited, peaks would be up to "

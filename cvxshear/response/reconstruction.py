@@ -20,13 +20,12 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
+from cvxshear.response import frame_motion, sources
 from cvxshear.response.compare import as_predicted, predicted_responses, readings_of
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
-from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, SensorCheck, checked, widening
 from cvxshear.response.predicted import Peaks, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.decorators import usual_arithmetic
@@ -80,15 +79,15 @@ class Reconstruction(Shown):
     recording: Recording
     configuration: Configuration
     backend: str
-    fitted: Fitted
+    fitted: sources.Fitted
     kind: str
     frame: FittedFrame
     frame_fitted: bool
     fallback: str
-    runs: tuple[ReconstructedRun, ...]
+    runs: tuple[frame_motion.ReconstructedRun, ...]
     peaks: Peaks
     predicted_peaks: Peaks | None
-    checks: tuple[SensorCheck, ...]
+    checks: tuple[frame_motion.SensorCheck, ...]
     spikes: Ints
     missing: Ints
     remarks: tuple[str, ...]
@@ -131,7 +130,7 @@ class Reconstruction(Shown):
     @property
     def widening(self) -> float:
         """Factor on all bands: ratio of the left-out sensors' errors to their stated deviations, at least 1."""
-        return widening(self.checks)
+        return frame_motion.widening(self.checks)
 
     @property
     def changed(self) -> tuple[int, ...]:
@@ -204,7 +203,9 @@ class Reconstruction(Shown):
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
-        names += [f"the sensor of the {DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
+        names += (
+            [f"the sensor of the {sources.DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
+        )
         return tuple(
             (name, float(value), float(std))
             for name, value, std, chance in zip(names, *self.frame.gains, self.frame.probability("gain"), strict=True)
@@ -314,7 +315,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
     ]
     pairs = zip(recorded.runs, found.recording.runs, strict=True)
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
-    said += line_remarks(line, "a channel's rms")
+    said += sources.line_remarks(line, "a channel's rms")
     if found.recording.input == "base" and found.fitted.mass_known and found.frame.scale_std == 0:
         said.append(
             "base motion does not tell how heavy the frame is: were all floors heavier than in the tests by one part, "
@@ -341,7 +342,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
 
 @usual_arithmetic
 def reconstruct(
-    source: ModelSource,
+    source: sources.ModelSource,
     record: RecordingSource,
     backend: str | Backend = "auto",
     *,
@@ -391,10 +392,10 @@ def reconstruct(
         If the backend does not solve a program.
     """
     solver = backends.get(backend)
-    models = models_of(source, solver, assume)
+    models = sources.models_of(source, solver, assume)
     experiment = models.after.experiment
     recording = recording_of(record, experiment.stories)
-    state = state_of(experiment, recording, configuration)
+    state = sources.state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
     identified = frame.at(np.zeros(frame.size)).model
     recording = recorded = as_predicted(identified, recording)
@@ -412,9 +413,9 @@ def reconstruct(
     predicted = predicted_responses(identified, work.recording)
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
-        checks.append(checked(work, fitted, smoothed, channel, predicted))
+        checks.append(frame_motion.checked(work, fitted, smoothed, channel, predicted))
         advance()
-    runs = work.runs(fitted, widening(checks))
+    runs = work.runs(fitted, frame_motion.widening(checks))
     weights = np.concatenate([each.weights for each in smoothed])
     peaks = peaks_of((run.response, run.std) for run in runs)
     found = Reconstruction(
@@ -423,19 +424,19 @@ def reconstruct(
         np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), (),
     )  # fmt: skip
     advance()
-    said = state_remarks(experiment, recording, state, named=configuration is not None)
+    said = sources.state_remarks(experiment, recording, state, named=configuration is not None)
     if len(evidences) > 1:
-        said.append(_reading_remark(DRIVING[recording.input], *evidences))
+        said.append(_reading_remark(sources.DRIVING[recording.input], *evidences))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 
-_Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]
+_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed]]
 """The setup of the motion, the frame, and its motion with only the first states."""
 
 
 def _motion(
     frame: UncertainFrame, readings: Sequence[Recording], *, fit: bool, detrend: bool
-) -> tuple[FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
+) -> tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
     The motion is the fitted frame's. If the record is not that of a linear frame, or the fit does not settle, or it
@@ -487,7 +488,9 @@ def _most_probable(
     best: _Fit | None = None
     evidences = []
     for each in readings:
-        work, fitted, smoothed = FrameMotion.around(frame, each, frame.backend, free=free).fitted(detrend=detrend)
+        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, each, frame.backend, free=free).fitted(
+            detrend=detrend
+        )
         evidences.append(fitted.log_evidence)
         if best is None or fitted.log_evidence > best[1].log_evidence:
             # The states of a long record need much memory; `runs` computes them again with their deviations.

@@ -21,15 +21,7 @@ from cvxshear.effects import State, compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
 from cvxshear.model import Modes, modes, stiffness_matrix
-from cvxshear.response.damping import (
-    LEAST_RATIO,
-    DampedModel,
-    Dashpots,
-    Ratios,
-    damping_ratios,
-    rayleigh,
-    story_dashpots,
-)
+from cvxshear.response import damping
 from cvxshear.response.sources import Fitted, covariance_root
 from cvxshear.util import checks, ranking
 from cvxshear.util.errors import UnsuitableError
@@ -48,8 +40,8 @@ class Damped:
         a (1/s) and b (s) of C = a M + b K.
     """
 
-    model: DampedModel
-    dashpots: Dashpots | None = None
+    model: damping.DampedModel
+    dashpots: damping.Dashpots | None = None
     rayleigh: Floats | None = None
 
 
@@ -70,7 +62,7 @@ class UncertainFrame:
 
     fitted: Fitted
     configuration: Configuration
-    ratios: Ratios
+    ratios: damping.Ratios
     kind: str
     backend: Backend
 
@@ -79,7 +71,7 @@ class UncertainFrame:
         """Use the damping ratios that the experiment declares, and by default its kind of damping."""
         experiment = fitted.experiment
         named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
-        return UncertainFrame(fitted, configuration, damping_ratios(experiment, configuration), named, backend)
+        return UncertainFrame(fitted, configuration, damping.damping_ratios(experiment, configuration), named, backend)
 
     @property
     def uncertain(self) -> bool:
@@ -96,11 +88,11 @@ class UncertainFrame:
         """Story stiffnesses of this state at the fitted parameters, shape (N,), N/m."""
         return self._state(self.configuration, self.fitted.theta).story_stiffness
 
-    def undamped(self, theta: Floats) -> DampedModel:
+    def undamped(self, theta: Floats) -> damping.DampedModel:
         """Build the matrices of this state at given parameters, without damping."""
         state = self._state(self.configuration, theta)
         M, K = state.system.M, state.system.K
-        return DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
+        return damping.DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
 
     def conditional_stiffness(self) -> Floats:
         """Compute the covariance of the log story stiffnesses, given masses and effects, shape (N, N).
@@ -142,7 +134,7 @@ class UncertainFrame:
         zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
         return self.damped(theta, dataclasses.replace(self.ratios, values=zeta), near)
 
-    def damped(self, theta: Floats, ratios: Ratios, near: Damped | None = None) -> Damped:
+    def damped(self, theta: Floats, ratios: damping.Ratios, near: Damped | None = None) -> Damped:
         """Build the damped model of given parameters and ratios.
 
         Dashpots and Rayleigh's factors belong to the state of the measured ratios. Modal damping has the same ratios in
@@ -165,12 +157,12 @@ class UncertainFrame:
             if self.kind == "story":
                 start = None if near is None or near.dashpots is None else near.dashpots.values
                 priors = experiment.damping.priors
-                dashpots = story_dashpots(real, tested.story_stiffness, ratios, self.backend, priors, start)
+                dashpots = damping.story_dashpots(real, tested.story_stiffness, ratios, self.backend, priors, start)
                 C = stiffness_matrix(dashpots.values)
             else:
-                factors = rayleigh(real, ratios, self.backend)
+                factors = damping.rayleigh(real, ratios, self.backend)
                 C = factors[0] * M + factors[1] * K
-        model = DampedModel(M, C, K, state.gain, experiment.frame.story_heights, self.fitted.mass_known)
+        model = damping.DampedModel(M, C, K, state.gain, experiment.frame.story_heights, self.fitted.mass_known)
         return Damped(model, dashpots, factors)
 
     def _state(self, configuration: Configuration, theta: Floats) -> State:
@@ -287,7 +279,7 @@ def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedD
 
 def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str]:
     """Report the measured ratios that this kind of damping cannot reproduce; name a kind that can."""
-    std = frame.ratios.std * np.maximum(frame.ratios.values, LEAST_RATIO)
+    std = frame.ratios.std * np.maximum(frame.ratios.values, damping.LEAST_RATIO)
     far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > NORMAL_95 * std)
     modes = [int(mode) + 1 for mode in far if np.isfinite(measured[mode])]
     if not modes:
