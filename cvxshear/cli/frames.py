@@ -344,8 +344,7 @@ def reconstruct(
     Parameters
     ----------
     record
-        A record file: floors that carry sensors, with gaps or not, and the base motion; input = "none" where nobody
-        measured that.
+        A record file: floors that carry sensors, with gaps or not, and the base motion.
     fit
         Fit the frame to the record; otherwise it stays as identified.
     leave_out

@@ -185,7 +185,7 @@ Moved = RecordPrediction | Reconstruction
 def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
     """List each run's excitation (m/s2 or N), its response, and the known standard deviations by quantity."""
     if isinstance(result, Reconstruction):
-        return [(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
+        return [(run.excitation, run.response, run.std) for run in result.runs]
     return [
         (run.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
         for run, response, std in zip(result.motion.runs, result.after.responses, result.std, strict=True)

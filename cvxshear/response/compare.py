@@ -332,10 +332,8 @@ MOVED_ALIKE = 1e-3
 """Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
 
 
-def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
-    """Compute the motion of a frame from the excitation alone; None if the excitation was not measured."""
-    if recording.input == "none":
-        return None
+def predicted_responses(model: DampedModel, recording: Recording) -> list[Response]:
+    """Compute the motion of a frame from the excitation alone."""
     runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
     return [response(model, drive, recording.step) for drive in runs]
 
@@ -345,13 +343,10 @@ def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
 
     Return only one version if both give the same motion.
     """
-    straight = predicted_responses(model, recording)
-    if straight is None:
-        return [recording]
     other = recording.band_limited()
-    smooth_one = predicted_responses(model, other)
-    assert smooth_one is not None, "the excitation was measured"
-    motion, moved = (np.concatenate([each.acceleration for each in runs]) for runs in (straight, smooth_one))
+    motion, moved = (
+        np.concatenate([each.acceleration for each in predicted_responses(model, own)]) for own in (recording, other)
+    )
     return [recording, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [recording]
 
 
@@ -360,10 +355,7 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
 
     A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
     """
-    responses = predicted_responses(model, recording)
-    if responses is None:
-        return recording
-    shown = [seen(model, each, recording.floors) for each in responses]
+    shown = [seen(model, each, recording.floors) for each in predicted_responses(model, recording)]
     measured = [run.measured - trend(run.measured) for run in recording.runs]
     predicted = [
         np.where(np.isfinite(values), own - trend(own), 0.0) for values, own in zip(measured, shown, strict=True)

@@ -131,7 +131,7 @@ class FittedFrame:
 
         Base motion gives only the relative changes of the floors' masses, not their common factor.
         """
-        if not self.errors.setting.base_measured or self.errors.setting.force_floor:
+        if self.errors.setting.force_floor:
             return 0.0
         return frame_prior.MASS_STD * float(np.sqrt(self.mass_probability / self.errors.stories))
 

@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.backends import Backend
 from cvxshear.response import frame_fit, state_space
 from cvxshear.response.compare import predicted_responses
 from cvxshear.response.damping import DampedModel
@@ -42,9 +41,6 @@ class ReconstructedRun:
     ----------
     std : dict of str to ndarray
         Standard deviations over time, by the names of `peaks.histories`.
-    base : ndarray, shape (samples,), optional
-        Estimated base acceleration, m/s2; None if it was measured.
-    base_std : ndarray, shape (samples,), optional
     measured : ndarray, shape (samples, m)
         m/s2; nan for missing samples.
     excitation : ndarray, shape (samples,)
@@ -53,8 +49,6 @@ class ReconstructedRun:
     name: str
     response: state_space.Response
     std: dict[str, Floats]
-    base: Floats | None
-    base_std: Floats | None
     measured: Floats
     excitation: Floats
 
@@ -98,24 +92,20 @@ class FrameMotion:
     recording: Recording
     setting: state_space.Setting
     noise: state_space.Noise
-    backend: Backend
     free: bool
 
     @staticmethod
-    def around(frame: UncertainFrame, recording: Recording, backend: Backend, *, free: bool) -> FrameMotion:
+    def around(frame: UncertainFrame, recording: Recording, *, free: bool) -> FrameMotion:
         """Set up the reconstruction of a recording around an identified frame."""
-        known, level = recording.input != "none", recording.rms()
-        varied = VariedFrame.around(frame, recording.floors, excited=known)
+        varied = VariedFrame.around(frame, recording.floors)
         model = varied.centre.model
-        frequencies = 2 * np.pi * model.modes.frequencies
         setting = state_space.Setting(
-            recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
-            float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording), model.M,
+            recording.floors, recording.step, recording.force_floor, 2 * np.pi / varied.period,
+            frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
-        driven = rms(np.concatenate([run.excitation for run in recording.runs])) if known else 0.0
-        noise = state_space.Noise(FIRST_NOISE * level, FIRST_NOISE * driven if known else float(level.min()))
-        # If the base motion is unknown, a softer first story and another base motion are equivalent.
-        return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
+        driven = rms(np.concatenate([run.excitation for run in recording.runs]))
+        noise = state_space.Noise(FIRST_NOISE * recording.rms(), FIRST_NOISE, FIRST_NOISE * driven)
+        return FrameMotion(frame, varied, recording, setting, noise, free)
 
     def without(self, channel: int, parts: list[slice]) -> FrameMotion:
         """Leave out one channel, and keep a part of each run."""
@@ -136,7 +126,7 @@ class FrameMotion:
         p = np.zeros(errors.size)
         if any(np.isnan(run.measured).any() for run in self.recording.runs):
             errors = self.errors(self.smoothed(errors, p))
-        fitted = frame_fit.fit_frame(errors, prior, self.backend, free=self.free)
+        fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, free=self.free)
         work, smoothed = self, self.smoothed(errors, fitted.p)
         if detrend:
             model = errors.dynamics(fitted.p)
@@ -150,7 +140,7 @@ class FrameMotion:
             if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
                 break
             errors = work.errors(smoothed)
-            before, fitted = fitted, frame_fit.fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
+            before, fitted = fitted, frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
             std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
             if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FIT:
@@ -210,8 +200,7 @@ class FrameMotion:
             if model.heights is not None:
                 stds["story_drift_ratio"] = stds["story_drift"] / model.heights
                 stds["overturning_moment"] = std[:, 4 * n]
-            base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
-            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
+            result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
 
     def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: state_space.Smoothed) -> Floats:
@@ -270,14 +259,9 @@ def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
 
 
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
-    """Compute the rms drift of each story: predicted, or from the first mode scaled to the sensors' size."""
-    responses = predicted_responses(model, recording)
-    if responses is not None:
-        return np.asarray(np.sqrt(np.mean(np.concatenate([item.drift for item in responses]) ** 2, axis=0)))
-    first, at = model.modes.shapes[0], recording.floors - 1
-    amplitude = float(np.linalg.norm(recording.rms()) / np.linalg.norm(first[at] * model.gain[at]))
-    drift: Floats = np.abs(np.diff(first, prepend=0.0)) * amplitude / float(model.modes.eigenvalues[0])
-    return drift
+    """Compute the rms of the predicted drift of each story."""
+    drifts = np.concatenate([each.drift for each in predicted_responses(model, recording)])
+    return np.asarray(np.sqrt(np.mean(drifts**2, axis=0)))
 
 
 @dataclass(frozen=True)
@@ -292,8 +276,8 @@ class SensorCheck:
         Root mean square of the stated standard deviation, with the sensor's own noise, m/s2.
     measured : float
         Root mean square of the measurement, m/s2.
-    prediction_error : float or None
-        Error of the model's prediction from the excitation alone; None if the excitation was not measured.
+    prediction_error : float
+        Error of the model's prediction from the excitation alone.
     within : float
         Fraction of samples within 1.96 stated standard deviations.
     """
@@ -302,13 +286,13 @@ class SensorCheck:
     error: float
     stated: float
     measured: float
-    prediction_error: float | None
+    prediction_error: float
     within: float
 
 
 def checked(
     work: FrameMotion, fitted: frame_fit.FittedFrame, smoothed: Sequence[state_space.Smoothed], channel: int,
-    predicted: Sequence[state_space.Response] | None,
+    predicted: Sequence[state_space.Response],
 ) -> SensorCheck:  # fmt: skip
     """Predict one sensor from the others in the strongest part of each run, with a fit without this sensor.
 
@@ -318,7 +302,7 @@ def checked(
         Fit with all sensors.
     smoothed : sequence of Smoothed
         Motion with all sensors.
-    predicted : sequence of Response or None
+    predicted : sequence of Response
         Motion predicted from the excitation alone.
     """
     every = np.ones(len(work.recording.floors), dtype=bool)
@@ -332,7 +316,7 @@ def checked(
     ]  # fmt: skip
     errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
     at = fitted.errors.frame.stop + channel
-    again = frame_fit.refitted(fitted, errors, at, work.backend, free=work.free)
+    again = frame_fit.refitted(fitted, errors, at, work.frame.backend, free=work.free)
     directions, noise = other.directions(again), errors.noise_at(again.p)
     outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1
@@ -351,12 +335,11 @@ def checked(
         left.append((each.states @ row + direct * run.excitation - seen)[there])
         stated.append(variance[there])
         measured.append(seen[there])
-        if predicted is not None:
-            alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
+        alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
     error, variances = np.concatenate(left), np.concatenate(stated)
     return SensorCheck(
         place + 1, rms(error), float(np.sqrt(np.mean(variances))), rms(np.concatenate(measured)),
-        rms(np.concatenate(alone)) if alone else None,
+        rms(np.concatenate(alone)),
         float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variances))),
     )  # fmt: skip
 

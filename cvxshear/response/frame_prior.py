@@ -134,7 +134,7 @@ class VariedFrame:
     dashpot: Floats
 
     @staticmethod
-    def around(frame: UncertainFrame, floors: Sequence[int] | Ints = (), *, excited: bool = False) -> VariedFrame:
+    def around(frame: UncertainFrame, floors: Sequence[int] | Ints = ()) -> VariedFrame:
         """Set up the variations around the most probable values; sensors are on `floors` and on the excitation."""
         centre = frame.at(np.zeros(frame.size))
         if frame.kind == "modal":
@@ -153,7 +153,7 @@ class VariedFrame:
         # A larger excitation with smaller gains gives the same record. Logarithms of the gains make these
         # combinations a straight line.
         at = [int(floor) - 1 for floor in floors]
-        sensors = np.eye(len(base.M) + 1)[[*at, *([-1] if excited else [])]]
+        sensors = np.eye(len(base.M) + 1)[[*at, -1]]
         gains = len(sensors)
         dM, dK, dgain = (np.concatenate([each, np.zeros((gains, *each.shape[1:]))]) for each in (dM, dK, dgain))
         log_gain = np.zeros((len(dM), len(base.M) + 1))

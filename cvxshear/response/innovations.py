@@ -107,7 +107,7 @@ class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
     The unknowns are the frame's (`VariedFrame`), and the logarithms of m sensor noises, of the missed story forces, and
-    of the excitation's noise. If the base motion was not measured, the base acceleration replaces the last one.
+    of the excitation's noise.
 
     Parameters
     ----------
@@ -128,9 +128,8 @@ class PredictionErrors:
         lower[self.varied.dashpots] = np.maximum(lower[self.varied.dashpots], -FURTHEST_STDS * NO_DASHPOT_STD)
         force = self.size - 2
         lower[force], upper[force] = np.log(np.array([LEAST_MISSED, MOST_MISSED]) / self.noise.force)
-        if self.setting.base_measured:
-            upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_NOISE)
-            lower[force + 1] = -upper[force + 1]
+        upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_NOISE)
+        lower[force + 1] = -upper[force + 1]
         return lower, upper
 
     @property

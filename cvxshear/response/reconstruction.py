@@ -62,14 +62,13 @@ class Reconstruction(Shown):
     frame : FittedFrame
         The frame in this record.
     frame_fitted : bool
-        Whether the frame is the one fitted to the record: not if the base motion was not measured, if `fit` was False,
-        or in a fallback.
+        Whether the frame is the one fitted to the record: not if `fit` was False, or in a fallback.
     fallback : str
         Reason why the motion is the identified frame's although a fit was asked for; empty if the fitted frame stands.
     runs : tuple of ReconstructedRun
     peaks : Peaks
-    predicted_peaks : Peaks or None
-        Peaks that the identified model predicts from the excitation alone; None if the excitation was not measured.
+    predicted_peaks : Peaks
+        Peaks that the identified model predicts from the excitation alone.
     checks : tuple of SensorCheck
     spikes, missing : ndarray of int, shape (m,)
         Numbers of samples of each sensor with a weight reduced by Huber's loss, and of missing samples.
@@ -86,7 +85,7 @@ class Reconstruction(Shown):
     fallback: str
     runs: tuple[frame_motion.ReconstructedRun, ...]
     peaks: Peaks
-    predicted_peaks: Peaks | None
+    predicted_peaks: Peaks
     checks: tuple[frame_motion.SensorCheck, ...]
     spikes: Ints
     missing: Ints
@@ -203,9 +202,7 @@ class Reconstruction(Shown):
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
-        names += (
-            [f"the sensor of the {sources.DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
-        )
+        names.append(f"the sensor of the {sources.DRIVING[self.recording.input]}")
         return tuple(
             (name, float(value), float(std))
             for name, value, std, chance in zip(names, *self.frame.gains, self.frame.probability("gain"), strict=True)
@@ -323,11 +320,6 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if found.fitted.covariance is None:
         said.append("the measurement tells no noise: the identified stiffnesses are taken as exact")
-    if found.recording.input == "none":
-        said.append(
-            "nobody measured the base motion: it is estimated with the rest, the frame is taken as identified, and "
-            "whether a story changed is not asked, since another base motion would look the same"
-        )
     if not found.fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if found.masses_changed:
@@ -361,8 +353,7 @@ def reconstruct(
     source : str, Path, Experiment, LoopResult, Estimate or Models
         Source of the model, as for `predict`.
     record : str, Path, TimeRecord or DrivenRecord
-        Accelerations of some floors, with nan in gaps, and the excitation; with input = "none" the base acceleration
-        is estimated.
+        Accelerations of some floors, with nan in gaps, and the excitation.
     backend : str or Backend, optional
         Solver of the steps of the frame's fit.
     damping : str, optional
@@ -420,7 +411,7 @@ def reconstruct(
     peaks = peaks_of((run.response, run.std) for run in runs)
     found = Reconstruction(
         work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fallback,
-        tuple(runs), peaks, None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
+        tuple(runs), peaks, peaks_of((item, {}) for item in predicted), tuple(checks),
         np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), (),
     )  # fmt: skip
     advance()
@@ -488,9 +479,7 @@ def _most_probable(
     best: _Fit | None = None
     evidences = []
     for each in readings:
-        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, each, frame.backend, free=free).fitted(
-            detrend=detrend
-        )
+        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, each, free=free).fitted(detrend=detrend)
         evidences.append(fitted.log_evidence)
         if best is None or fitted.log_evidence > best[1].log_evidence:
             # The states of a long record need much memory; `runs` computes them again with their deviations.

@@ -1,4 +1,4 @@
-"""Accelerations that sensors on some floors recorded, with gaps, and the excitation if it was measured.
+"""Accelerations that sensors on some floors recorded, with gaps, and the excitation.
 
 Sensor faults that the record itself shows are corrected first (`SensorRecord`). The checks are the same as in
 `cvxshear modes`. They use the segments that every sensor recorded. Corrections of certain faults apply to the whole
@@ -51,7 +51,7 @@ class RecordedRun:
     measured : ndarray, shape (samples, m)
         Total accelerations, m/s2; nan in gaps.
     excitation : ndarray, shape (samples,)
-        m/s2 or N; zeros if it was not measured.
+        m/s2 or N.
     floor : int, optional
         Floor on which a measured force acts.
     between : ndarray, shape (samples,), optional
@@ -82,7 +82,7 @@ class RecordedRun:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Accelerations of some floors, and the excitation if it was measured.
+    """Accelerations of some floors, and the excitation.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Recording:
     floors : ndarray of int, shape (m,)
         Ascending.
     input : str
-        "base", "force", or "none" if the base motion was not measured.
+        "base" or "force".
     added_mass : ndarray, shape (N,), optional
         kg.
     remarks : tuple of str
@@ -120,7 +120,7 @@ class Recording:
                 missing = int((~np.isfinite(run.excitation)).sum())
                 raise InputError(
                     f"{self.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
-                    'what drives the frame may not (input = "none" has the base motion estimated)'
+                    "what drives the frame may not"
                 )
 
     @property
@@ -163,10 +163,7 @@ class Recording:
         found = found.replaced(excitation=(run.excitation - trend(run.excitation) for run in self.runs))
         for run, whole in zip(found.runs, self.runs, strict=True):
             if np.abs(run.excitation).max() <= np.sqrt(ROUNDING) * np.abs(whole.excitation).max():
-                raise InputError(
-                    f"{self.name}, {run.name}: the input channel shows no motion but a straight line; "
-                    'input = "none" has the base motion estimated'
-                )
+                raise InputError(f"{self.name}, {run.name}: the input channel shows no motion but a straight line")
         return found
 
     def without_lines(self, expected: Sequence[Floats]) -> Recording:
@@ -222,15 +219,13 @@ def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
             return _of_motion(source, stories)
         case TimeRecord():
             _refuse_other_quantity(source.quantity, source.name)
-            known = source.input in DRIVEN
             runs = [
-                (run.excitation if known and run.excitation is not None else np.zeros(run.samples), run)
+                RecordedRun(run.responses, run.excitation, run.name, run.floor)
                 for run in source.runs
+                if run.excitation is not None
             ]
             return _recording(
-                source.channels, source.sampling_rate, source.input,
-                [RecordedRun(run.responses, drive, run.name, run.floor) for drive, run in runs], stories,
-                name=source.name,
+                source.channels, source.sampling_rate, source.input, runs, stories, name=source.name
             )  # fmt: skip
         case str() | Path():
             return _of_file(Path(source), stories)
@@ -243,7 +238,11 @@ def _recording(
     channels: Sequence[Channel], rate: float, driven: str, runs: Sequence[RecordedRun], stories: int, **described: Any
 ) -> Recording:
     """Correct the sensors and combine the sensors of each floor; the runs have one column per channel."""
-    driven = driven if driven in DRIVEN else "none"
+    if driven not in DRIVEN:
+        raise InputError(
+            f'{described["name"]} has input = "{driven}"; a reconstruction needs what drove the frame: a channel of '
+            "the base motion on floor 0, or of a force"
+        )
     if driven == "force" and len({run.floor for run in runs}) > 1:
         raise InputError(f"{described['name']}: the force acts on several floors; reconstruct these runs one by one")
     sensors = SensorRecord(tuple(channels), tuple(runs), rate, driven).set_right(stories)
@@ -281,9 +280,9 @@ def _of_file(path: Path, stories: int) -> Recording:
         runs = []
         for piece in pieces:
             measured = [_with_gaps(piece.columns, item, path) for item in tables.responses]
-            excitation = np.zeros(len(piece.columns.values)) if piece.excitation is None else piece.excitation
-            together = np.column_stack(measured) if measured else np.zeros((len(excitation), 0))
-            runs.append(RecordedRun(together, excitation, piece.name, piece.floor))
+            together = np.column_stack(measured) if measured else np.zeros((len(piece.columns.values), 0))
+            if piece.excitation is not None:
+                runs.append(RecordedRun(together, piece.excitation, piece.name, piece.floor))
         return _recording(
             tuple(tables.responses), rate, tables.input, runs, stories,
             added_mass=None if tables.added_mass is None else np.array(tables.added_mass), state=tables.state,
@@ -312,7 +311,7 @@ class SensorRecord:
     sampling_rate : float
         Hz.
     input : str
-        "base", "force" or "none".
+        "base" or "force".
     remarks : tuple of str, optional
         Sensor faults that were found.
     """
@@ -355,7 +354,7 @@ class SensorRecord:
             there = np.isfinite(run.measured).all(axis=1) & np.isfinite(run.excitation)
             for piece in sound_pieces(there):
                 long = piece.stop - piece.start >= FEWEST_SAMPLES
-                if long and there[piece].all() and (self.input not in DRIVEN or np.any(run.excitation[piece])):
+                if long and there[piece].all() and np.any(run.excitation[piece]):
                     found.append((place, piece))
         return found
 
@@ -364,7 +363,7 @@ class SensorRecord:
         runs = tuple(
             Run(
                 self.runs[place].measured[piece],
-                self.runs[place].excitation[piece] if self.input in DRIVEN else None,
+                self.runs[place].excitation[piece],
                 self.runs[place].floor,
                 f"run {number}" if len(pieces) > 1 else "the record",
             )

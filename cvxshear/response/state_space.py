@@ -8,8 +8,7 @@ M0 and d_i = k_i (rms drift of story i) belong to the identified frame, and each
 process noise enters as accelerations, so a frame with all masses and stiffnesses scaled has the same noise. A model
 with an error of a few percent in a story's stiffness misses a force proportional to that story's drift. This force
 changes with the frame's vibration. Hence the process noise acts between floors, and its corner frequency alpha is the
-first mode's frequency. White noise on the floors would have neither property. If the base motion was not measured, the
-base acceleration is one more state of this kind.
+first mode's frequency. White noise on the floors would have neither property.
 
 The known excitation is a straight line between samples (first-order hold), and the noise is integrated over a step.
 Hence the result is exact for any step.
@@ -66,7 +65,7 @@ class Noise:
     force : float
         s: missed story forces, relative to the rms story force.
     ground : float
-        Base acceleration if it was not measured, m/s2; otherwise the noise of the excitation's sensor, in its unit.
+        Noise of the excitation's sensor, in its unit.
     """
 
     sensors: Floats
@@ -88,8 +87,6 @@ class Setting:
         Floor on which a measured force acts; 0 for base motion.
     corner : float
         alpha, rad/s.
-    ground_corner : float
-        Corner frequency of an unmeasured base acceleration, rad/s.
     story_force : ndarray, shape (N,)
         d: rms story forces of the identified frame, N.
     mass : ndarray, shape (N, N)
@@ -99,16 +96,14 @@ class Setting:
     floors: Ints
     step: float
     force_floor: int
-    base_measured: bool
     corner: float
-    ground_corner: float
     story_force: Floats
     mass: Floats
 
     @property
     def states(self) -> int:
-        """n: displacements, velocities, story forces, and an unmeasured base acceleration."""
-        return 3 * len(self.story_force) + (0 if self.base_measured else 1)
+        """n: displacements, velocities and story forces."""
+        return 3 * len(self.story_force)
 
     def without(self, channel: int) -> Setting:
         """Return the setting with one channel fewer."""
@@ -120,7 +115,7 @@ class StateOutputs:
     """Rows that turn states into the outputs of a reconstruction.
 
     The outputs are total accelerations, displacements, drifts and story forces of the frame, then the overturning
-    moment if story heights are declared, and the base acceleration if it is estimated.
+    moment if story heights are declared.
 
     Parameters
     ----------
@@ -200,7 +195,7 @@ def steps_of(excitation: Floats) -> Floats:
 
 def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     """Build the discrete state-space model of a frame."""
-    N, n, estimated = len(model.M), setting.states, not setting.base_measured
+    N, n = len(model.M), setting.states
     own, load, through = _motion(model, setting.force_floor)
     # Proportional to the motion: a larger motion with smaller gains must give the same model.
     missed = model.input_gain * np.linalg.solve(setting.mass, transformation(N) * setting.story_force)
@@ -209,15 +204,10 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     rates[N : 2 * N, 2 * N : 3 * N] = missed
     rates[2 * N : 3 * N, 2 * N : 3 * N] = -setting.corner * np.eye(N)
     spread[2 * N : 3 * N, 2 * N : 3 * N] = 2 * setting.corner * noise.force**2 * np.eye(N)
-    total = rates[N : 2 * N].copy()
-    if estimated:
-        rates[N : 2 * N, 3 * N] = -1.0
-        rates[3 * N, 3 * N] = -setting.ground_corner
-        spread[3 * N, 3 * N] = 2 * setting.ground_corner * noise.ground**2
-        load[:] = 0.0
+    total = rates[N : 2 * N]
     A, before, after, Q = discretized(rates, load, spread, setting.step)
     # An error of one sample of the excitation moves the frame in both neighboring steps.
-    moved = (0.0 if estimated else noise.ground) * (before + after)
+    moved = noise.ground * (before + after)
     at = setting.floors - 1
     H, direct = total[at] * model.gain[at, None], through[at] * model.gain[at]
     outputs = _outputs(model, total, through, setting)
@@ -266,9 +256,6 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
     if model.heights is not None:
         rows.append((model.heights @ shear)[None])
         weights.append(np.atleast_1d(model.heights @ direct))
-    if not setting.base_measured:
-        rows.append(np.eye(setting.states)[3 * N :])
-        weights.append(np.zeros(1))
     return StateOutputs(np.concatenate(rows), np.concatenate(weights))
 
 

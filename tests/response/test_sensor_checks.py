@@ -139,16 +139,15 @@ def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
     excitation = np.ones(samples)
     channels = Channel("a", 1), Channel("b", 2)
 
-    def pieces(driven, excitation):
+    def pieces(excitation):
         runs = RecordedRun(values, excitation, "r"), RecordedRun(values[:5], excitation[:5], "s")
-        return [(place, part.start, part.stop) for place, part in SensorRecord(channels, runs, 100.0, driven).pieces()]
+        return [(place, part.start, part.stop) for place, part in SensorRecord(channels, runs, 100.0, "base").pieces()]
 
     expected = [(0, 0, FEWEST_SAMPLES), (0, FEWEST_SAMPLES + 1, 2 * FEWEST_SAMPLES + 5),
                 (0, 2 * FEWEST_SAMPLES + 6, samples)]  # fmt: skip
-    assert pieces("base", excitation) == expected
+    assert pieces(excitation) == expected
     still = np.where(np.arange(samples) < FEWEST_SAMPLES, 0.0, 1.0)
-    assert pieces("base", still) == expected[1:]
-    assert pieces("none", still) == expected
+    assert pieces(still) == expected[1:]
 
 
 def test_a_run_is_parted_at_its_long_gaps():
@@ -195,7 +194,7 @@ def test_a_recording_is_cut_and_does_without_channels():
     )
 
 
-@pytest.mark.parametrize("driven", ["base", "force", "none"])
+@pytest.mark.parametrize("driven", ["base", "force"])
 def test_records_and_motions_are_read_alike(monkeypatch, driven):
     """This test takes the sensors for sound; other tests cover their faults."""
     monkeypatch.setattr(SensorRecord, "set_right", lambda self, stories: self)
@@ -203,17 +202,14 @@ def test_records_and_motions_are_read_alike(monkeypatch, driven):
     y, drive = rng.standard_normal((200, 2)), rng.standard_normal(200)
     floor = 2 if driven == "force" else 0
     channels = Channel("a", 1), Channel("b", 3)
-    own = None if driven == "none" else drive
-    record = TimeRecord(channels, runs=(Run(y, own, floor, "r"),), sampling_rate=50.0, input=driven)
-    found = [recording_of(record)]
-    if driven != "none":
-        found.append(recording_of(DrivenRecord((DrivenRun(drive, floor, y, "r"),), 50.0, driven, np.array([1, 3]))))
-    for each in found:
+    record = TimeRecord(channels, runs=(Run(y, drive, floor, "r"),), sampling_rate=50.0, input=driven)
+    motion = DrivenRecord((DrivenRun(drive, floor, y, "r"),), 50.0, driven, np.array([1, 3]))
+    for each in (recording_of(record), recording_of(motion)):
         (run,) = each.runs
         assert (each.input, each.floors.tolist(), each.sampling_rate) == (driven, [1, 3], 50.0)
         assert (run.floor, run.name, each.force_floor) == (floor, "r", floor)
         np.testing.assert_array_equal(run.measured, y)
-        np.testing.assert_array_equal(run.excitation, np.zeros(200) if driven == "none" else drive)
+        np.testing.assert_array_equal(run.excitation, drive)
     if driven == "force":
         several = dataclasses.replace(record, runs=(Run(y, drive, 1, "r"), Run(y, drive, 2, "s")))
         with pytest.raises(InputError, match="the force acts on several floors"):

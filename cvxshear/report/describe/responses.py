@@ -234,7 +234,7 @@ def _reconstruction(result: Reconstruction, units: Units = AUTOMATIC) -> Documen
 def _reconstructed(result: Reconstruction) -> str:
     """Name the frame, the measured floors and the excitation."""
     floors = numbered("floor", result.recording.floors.tolist())
-    words = {"base": "base motion", "force": "a force", "none": "a base motion that nobody measured"}
+    words = {"base": "base motion", "force": "a force"}
     driven = words[result.recording.input]
     return (
         f"{result.fitted.experiment.name} ({result.configuration.name}) under {driven} of {result.recording.name}, "
@@ -326,7 +326,7 @@ def _limits(result: Reconstruction) -> Iterator[str]:
 
 def left_out(result: Reconstruction) -> Table:
     """Tabulate the actual and the stated error of each sensor, predicted from all others."""
-    alone = [None if each.prediction_error is None else each.prediction_error / each.measured for each in result.checks]
+    alone = [each.prediction_error / each.measured for each in result.checks]
     return table("left-out-sensors", "each measured floor from the other sensors alone", {
         "floor": [str(each.floor) for each in result.checks],
         "rms, m/s²": [significant(each.measured, 3) for each in result.checks],
@@ -347,11 +347,9 @@ def stories(result: Reconstruction) -> Table:
     head += [f"P(> {each})" for each in names]
     rows = []
     for story in reversed(range(len(values))):
-        alone = result.predicted_peaks
-        predicted = None if alone is None else float(alone.values[name][story]) / factor
         cells = [
             str(story + 1), with_std(float(values[story]), float(std[story]), factor=factor),
-            significant(predicted, 3),
+            significant(float(result.predicted_peaks.values[name][story]) / factor, 3),
             with_std(float(result.frame.factors[story]), float(result.frame.factors_std[story]), factor=1.0),
             "–" if result.change_probability is None else chance(float(result.change_probability[story])),
         ]  # fmt: skip

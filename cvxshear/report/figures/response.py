@@ -267,8 +267,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     for level in levels:
         axes.axhline(level, color=GREY, lw=0.8, zorder=0)
     axes.errorbar(peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=AFTER, ms=4, capsize=2, label="reconstructed")
-    if result.predicted_peaks is not None:
-        axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=BEFORE, ms=5, label="predicted")
+    axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=BEFORE, ms=5, label="predicted")
     for story in result.changed:
         at = peaks[story - 1], middle[story - 1]
         axes.annotate(_change(result, story), at, (0, 4), textcoords="offset points", fontsize=7)
