@@ -17,7 +17,7 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun, trend
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.recording import Recording, rms
 from cvxshear.response.state_space import Response, response
-from cvxshear.util.quantities import ranged
+from cvxshear.util.quantities import CHANNEL_UNITS, ranged
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
@@ -293,11 +293,14 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
     ratios = size_y / size_p
     factor = float(np.exp(np.mean(np.log(ratios))))
     spread = float(np.max(np.abs(np.log(ratios / factor))))
-    for known, unit in UNIT_FACTORS:
-        if abs(np.log(factor / known)) < SAME_FACTOR and spread < SAME_FACTOR:
-            said.append(
-                f"every floor was measured {factor:.3g} times as large as predicted, which is near {known:g}: {unit}"
-            )
+    for unit in CONFUSED_UNITS:
+        size = CHANNEL_UNITS[unit][1]
+        for known, wrong in ((1 / size, "are the floors"), (size, "is the base motion")):
+            if abs(np.log(factor / known)) < SAME_FACTOR and spread < SAME_FACTOR:
+                said.append(
+                    f"every floor was measured {factor:.3g} times as large as predicted, which is near {known:.4g}: "
+                    f"{wrong} in {unit}?"
+                )
     against = floors[own < -LIKE]
     if against.size and against.size < len(floors):
         said.append(
@@ -309,19 +312,11 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
     return "; ".join(said)
 
 
-UNIT_FACTORS = (
-    (9.80665, "is the base motion in g, or were the floors converted twice?"),
-    (1 / 9.80665, "are the floors in g, or was the base motion converted twice?"),
-    (1000.0, "are the floors in mm/s2?"),
-    (1e-3, "is the base motion in mm/s2?"),
-    (100.0, "are the floors in cm/s2 (gal)?"),
-    (0.01, "is the base motion in cm/s2 (gal)?"),
-    (386.1, "are the floors in in/s2?"),
-)
-"""Ratios of confused units of acceleration, and the question to the user for each."""
+CONFUSED_UNITS = ("g", "mm/s2", "cm/s2", "in/s2")
+"""Units of acceleration that are confused with m/s2."""
 
 SAME_FACTOR = 0.25
-"""Largest difference of logarithms between a ratio and one of `UNIT_FACTORS`. The rms of a prediction rarely has a
+"""Largest difference of logarithms between a ratio and the size of a unit. The rms of a prediction rarely has a
 larger error, and all factors differ by more."""
 
 LIKE = 0.5

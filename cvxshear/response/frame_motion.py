@@ -7,7 +7,7 @@ along the directions that change the motion most.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,11 +20,10 @@ from cvxshear.response.frame_prior import DIFFERENCE, FramePrior, VariedFrame
 from cvxshear.response.innovations import FIRST_NOISE, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, rms
 from cvxshear.response.sources import covariance_root
-from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.uncertain import UncertainFrame, with_modes
 from cvxshear.util import ranking
-from cvxshear.util.errors import NoModesError
 from cvxshear.util.quantities import NORMAL_95
-from cvxshear.util.typing import Floats, T
+from cvxshear.util.typing import Floats
 
 SAME_FIT = 0.1
 """Largest change of an unknown, in its standard deviations, at convergence of the fits that fill in gaps and spikes."""
@@ -236,7 +235,7 @@ class FrameMotion:
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        near = (_with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(own.shape[1]))
+        near = (with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(own.shape[1]))
         slopes = np.array(
             [(moved(state_space.dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near]
         )
@@ -244,18 +243,9 @@ class FrameMotion:
         strength, turned = np.linalg.eigh(flat @ flat.T)
         chosen = ranking.order(strength)[:MOST_DIRECTIONS]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
-        pairs = (_with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
+        pairs = (with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
         sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
         return FrameDirections(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
-
-
-def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
-    """Build frames at this distance, or nearer until they have modes; return the distance, too."""
-    while True:
-        try:
-            return at(size), size
-        except NoModesError:
-            size *= 0.25
 
 
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:

@@ -301,31 +301,31 @@ def _predicted(
 ) -> RecordPrediction:
     """Predict with the final model; one propagation gives all standard deviations."""
 
-    def everything(damped: uncertain.Damped, driven: DrivenRecord = motion) -> Floats:
+    def everything(damped: uncertain.Damped, driven: DrivenRecord = motion) -> dict[str, Floats]:
         responses = _responses(damped, driven)
-        bands = (item for moved in responses for item in _bands(moved).values())
-        return np.concatenate([uncertain.parts_of(damped), *_largest(responses).values(), *bands])
+        bands = {
+            f"{name} over time {run}": values
+            for run, moved in enumerate(responses)
+            for name, values in histories(moved).items()
+            if name in BANDS and values is not None
+        }
+        return uncertain.parts_of(damped) | _largest(responses) | bands
 
     centre, std = uncertain.propagated(frame, everything)
     # The excitation between its samples is unknown: it may be linear or band-limited.
-    between = everything(centre, motion.band_limited()) - everything(centre)
-    std = np.hypot(std, between)
+    straight, limited = everything(centre), everything(centre, motion.band_limited())
+    std = {name: np.hypot(own, limited[name] - straight[name]) for name, own in std.items()}
     after = _model_response(models.after, centre, motion)
-    values = _largest(after.responses)
-    sizes = [len(uncertain.parts_of(centre)), *(len(item) for item in values.values())]
-    sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
-    parts = np.cumsum(sizes)[:-1]
-    of_damping, *rest = np.split(std, parts)
-    of_samples = zip(values.values(), np.split(between, parts)[1:], strict=False)
-    unseen = max(float(np.max(np.abs(change) / np.maximum(peak, 1e-300))) for peak, change in of_samples)
-    bands = iter(rest[len(values) :])
-    damping = uncertain.described(frame, centre, of_damping)
     over_time = tuple(
-        {name: next(bands).reshape(moved.acceleration.shape) for name in _bands(moved)} for moved in after.responses
+        {name: std[f"{name} over time {run}"] for name in BANDS if f"{name} over time {run}" in std}
+        for run in range(len(after.responses))
     )
     missed = _missed(after, over_time)
-    of_peaks = zip(values.items(), rest, strict=False)
-    peaks = Peaks(values, {name: np.hypot(own, (missed or 0.0) * peak) for (name, peak), own in of_peaks})
+    values = _largest(after.responses)
+    peaks = Peaks(values, {name: np.hypot(std[name], (missed or 0.0) * peak) for name, peak in values.items()})
+    changes = (np.abs(limited[name] - peak) / np.maximum(peak, 1e-300) for name, peak in values.items())
+    unseen = max(float(np.max(each)) for each in changes)
+    damping = uncertain.described(frame, centre, std)
     said = (*damping.remarks, *_between_samples(unseen, sources.DRIVING[motion.input]), *_remarks(after, motion))
     return RecordPrediction(
         motion, frame.configuration, frame.backend.name, before, after, peaks, damping, over_time, missed, said
@@ -352,12 +352,6 @@ def _missed(side: ModelResponse, std: tuple[dict[str, Floats], ...]) -> float | 
         beyond = (beside.nrmse**2 - np.nan_to_num(stated) ** 2) / np.maximum(1.0, beside.rms_ratio) ** 2
     beyond = beyond[np.isfinite(beyond)]
     return float(np.sqrt(max(0.0, np.mean(beyond)))) if beyond.size else None
-
-
-def _bands(moved: Response) -> dict[str, Floats]:
-    """Return the quantities of `BANDS` that apply, as flat arrays."""
-    found = histories(moved)
-    return {name: values.ravel() for name in BANDS if (values := found[name]) is not None}
 
 
 def _largest(responses: Sequence[Response]) -> dict[str, Floats]:

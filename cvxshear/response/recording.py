@@ -27,7 +27,7 @@ from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
 from cvxshear.records.prepare import SINC_TERMS, between
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
-from cvxshear.records.sick_channels import spikes_in, stuck_in
+from cvxshear.records.sick_channels import spikes_in
 from cvxshear.response.state_space import ROUNDING
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
@@ -325,8 +325,8 @@ class SensorRecord:
     def set_right(self, stories: int) -> SensorRecord:
         """Return the record without its certain faults; a remark reports each.
 
-        Reversed channels are inverted, units converted and delays removed. Dead channels and the samples of stuck
-        channels are left out. Uncertain faults are only reported.
+        Reversed channels are inverted, units converted and delays removed. Dead and stuck channels and spikes are
+        left out. Uncertain faults are only reported.
 
         Raises
         ------
@@ -385,15 +385,12 @@ class SensorRecord:
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
-            if finding.kind in ("dead channel", "lost samples"):
+            if finding.kind in ("dead channel", "stuck channel", "lost samples"):
                 out.update(columns)
-            elif finding.kind in ("stuck channel", "spikes"):
+            elif finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):
-                    seen = self.runs[place].measured[piece]
-                    stuck = finding.kind == "stuck channel"
-                    faulty = stuck_in(seen, column, self.sampling_rate) if stuck else spikes_in(seen)[0][:, column]
-                    measured[place][piece][faulty, column] = np.nan
-                message = f"{message.removesuffix('; left out')}; these samples are left out"
+                    spiked = spikes_in(self.runs[place].measured[piece])[0][:, column]
+                    measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
