@@ -326,7 +326,7 @@ def _predicted(
     changes = (np.abs(limited[name] - peak) / np.maximum(peak, 1e-300) for name, peak in values.items())
     unseen = max(float(np.max(each)) for each in changes)
     damping = uncertain.described(frame, centre, std)
-    said = (*damping.remarks, *_between_samples(unseen, sources.DRIVING[motion.input]), *_remarks(after, motion))
+    said = (*damping.remarks, *_reading_remarks(unseen, sources.DRIVING[motion.input]), *_remarks(after, motion))
     return RecordPrediction(
         motion, frame.configuration, frame.backend.name, before, after, peaks, damping, over_time, missed, said
     )
@@ -387,7 +387,7 @@ def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
     return sources.line_remarks(largest, f"the rms ({where})")
 
 
-def _between_samples(unseen: float, excitation: str) -> list[str]:
+def _reading_remarks(unseen: float, excitation: str) -> list[str]:
     """Report the influence of the excitation between its samples on the peaks, if it is large enough."""
     if unseen < sources.WORTH_A_WORD:
         return []
