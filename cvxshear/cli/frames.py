@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear import Identification
-    from cvxshear.response import IdentifiedDamping, Models, Reconstruction, RecordPrediction
+    from cvxshear.response import Models, Reconstruction, RecordPrediction
     from cvxshear.screening import FileFinding
 
 
@@ -75,7 +75,6 @@ def identify(
     # The solvers load slowly, and the help does not need them.
     from cvxshear import Identification, load
     from cvxshear import identify as run
-    from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
 
     files_of, display = outputs.prepared(Identification), Units.parse(units)
@@ -87,13 +86,11 @@ def identify(
     if method is None and named == "efficient" and outputs.out != "-":
         with suppress(UnsuitableError):
             beside = run(experiment, method="two-stage", backend=backend)
-    fitted = Fitted.of_identification(result)
-    damping = None if fitted is None else damping_of(experiment, fitted, backend)
-    said = {**result.to_dict(), "damping": as_json(damping), "warnings": as_json(doubts)}
+    said = {**result.to_dict(), "warnings": as_json(doubts)}
     deliver(
         said,
         outputs.out,
-        lambda: [*doubts_of(doubts), *_identified(result, beside, damping, display)],
+        lambda: [*doubts_of(doubts), *_identified(result, beside, display)],
         *files_of(result),
         title=experiment.report.title or experiment.name,
     )
@@ -206,19 +203,14 @@ def loop(
         raise typer.Exit(UNCERTAIN)
 
 
-def _identified(
-    result: Identification, beside: Identification | None, damping: IdentifiedDamping | None, units: Units
-) -> Iterator[RenderableType]:
-    """Render an identification, the frames of another one for comparison, and the damping."""
+def _identified(result: Identification, beside: Identification | None, units: Units) -> Iterator[RenderableType]:
+    """Render an identification, and the frames of another one for comparison."""
     yield from terminal.shown(result, units)
     if beside is not None:
         yield f"\nFor comparison: method {beside.method}, each configuration by itself"
         for section in describe(beside, units).sections:
             if section.key.startswith("part-"):
                 yield from terminal.rendered(section)
-    if damping is not None:
-        yield ""
-        yield from terminal.shown(damping)
 
 
 def _catalogued() -> Iterator[RenderableType]:

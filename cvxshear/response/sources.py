@@ -12,7 +12,6 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
-from cvxshear.fit.results import Identification
 from cvxshear.io.modes import experiment_from_file
 from cvxshear.io.record_file import read_motion
 from cvxshear.io.toml import is_record_file, load, read_tables, with_modes_read
@@ -82,19 +81,6 @@ class Fitted:
             estimate.uncertainty.null_directions,
             *_misfit(estimate),
         )
-
-    @staticmethod
-    def of_identification(result: Identification) -> Fitted | None:
-        """Return the fitted model of a joint identification; None for other methods and for undetermined values."""
-        if not result.joint or result.correlation is None:
-            return None
-        frame = result.frame
-        theta = np.concatenate([frame.floor_mass, frame.story_stiffness])
-        if not np.isfinite(theta).all():
-            return None
-        std = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
-        covariance = np.nan_to_num(result.correlation) * np.outer(std, std) if np.isfinite(std).all() else None
-        return Fitted(result.experiment, (), theta, covariance, result.undetermined)
 
     @property
     def mass_known(self) -> bool:
