@@ -18,7 +18,6 @@ import numpy as np
 from cvxshear.backends import Backend, Solution
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.optimality import (
-    DERIVATIVE_ERROR,
     KEPT_TO,
     E,
     Optimality,
@@ -30,6 +29,7 @@ from cvxshear.fit.optimality import (
 )  # fmt: skip
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained
+from cvxshear.util.checks import DERIVATIVE_ERROR
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 

@@ -47,7 +47,6 @@ def identify(
     initial_mass: Sequence[float] | Floats | None = None,
     tolerance: float = TOLERANCE,
     *,
-    rows: bool | None = None,
     keep_programs: bool = False,
 ) -> Identification:
     """Identify the floor masses and story stiffnesses of a frame.
@@ -66,9 +65,6 @@ def identify(
         Start of the mass iteration, kg without added mass (two-stage, berman, qi).
     tolerance : float, optional
         e of Eq. 15, the stopping tolerance of the mass iteration (two-stage).
-    rows : bool, optional
-        Whether the programs of two-stage and one-shot have one row for each pair of modes, or a factor of their normal
-        matrix. Default: rows for up to 30 stories.
     keep_programs : bool, optional
         Whether the result keeps every program that was solved, with its solution, in `Identification.programs`.
 
@@ -95,8 +91,6 @@ def identify(
         if method in ("efficient", "one-shot"):
             raise UnsuitableError(f"method {method} takes no initial mass; two-stage, berman and qi do")
         start = checks.vector(np.asarray(initial_mass), "initial mass", length=experiment.stories, above=0.0)
-    if rows is not None and method not in ("two-stage", "one-shot"):
-        raise UnsuitableError(f"method {method} does not choose between rows and normal matrices")
     if method == "efficient":
         estimate = efficient(experiment, solver)
         return Identification(
@@ -111,7 +105,7 @@ def identify(
             programs=_kept(recorder),
             other_frames=other_frames(estimate, backends.get("auto")),
         )
-    tests = [complete_test(experiment, each, f"method {method}", rows=rows) for each in experiment.configurations]
+    tests = [complete_test(experiment, each, f"method {method}") for each in experiment.configurations]
     parts = tuple(_part(method, test, solver, start, tolerance) for test in tests)
     return Identification(experiment, method, solver.name, parts, programs=_kept(recorder))
 
@@ -212,7 +206,7 @@ def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
         # The first mode alone gives one row without negative entries. Upper bounds below the uniform stiffness do not
         # reach its right side, so the bounds are the answer.
         first = normalized(test.shapes, net + added)[:, :1]
-        alone = stiffness_rows(first, test.eigenvalues[:1], rows=True)
+        alone = stiffness_rows(first, test.eigenvalues[:1])
         bounded = alone.replace(lower=zero, upper=TIGHTER * test.even_stiffness(net + added))
         yield BenchmarkProgram("singular stiffness", bounded, zero)
 

@@ -264,6 +264,7 @@ class Searches:
         near = _near(given, others, leader)
         duals = [other for search in near if (other := self._dual(search)) is not None]
         for search in (*near, *duals):
+            search.visit_ties()
             search.refine()
             search.visit_twins()
         return [*near, *duals]

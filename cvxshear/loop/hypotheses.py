@@ -22,8 +22,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, open_classes
-from cvxshear.effects.custom_effect_checks import refuse_faulty, refuse_repeated
+from cvxshear.effects import (
+    Effect,
+    LocatedEffect,
+    Place,
+    catalogue,
+    open_classes,
+    refuse_faulty,
+    refuse_repeated,
+)  # fmt: skip
 from cvxshear.measurement.experiment import Configuration, ExpectedEffect, Experiment
 from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.util import checks

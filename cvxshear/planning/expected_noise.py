@@ -25,7 +25,7 @@ import numpy as np
 
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD, Configuration
 from cvxshear.model import Modes
-from cvxshear.records.deviations import SENSOR_STD
+from cvxshear.records.result import SENSOR_STD
 from cvxshear.util import checks, ranking
 from cvxshear.util.typing import Floats, Ints
 

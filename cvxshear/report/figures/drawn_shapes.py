@@ -18,7 +18,7 @@ from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
-from cvxshear.records.mode_shapes import scaled_to_one
+from cvxshear.records.picking import scaled_to_one
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
