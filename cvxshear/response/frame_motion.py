@@ -235,10 +235,8 @@ class FrameMotion:
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        near = (with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(own.shape[1]))
-        slopes = np.array(
-            [(moved(state_space.dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near]
-        )
+        near = (state_space.dynamics(model_at(row, DIFFERENCE), noise, setting) for row in np.eye(own.shape[1]))
+        slopes = np.array([(moved(each) - centre) / (DIFFERENCE * scale) for each in near])
         flat = slopes.reshape(len(slopes), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
         chosen = ranking.order(strength)[:MOST_DIRECTIONS]

@@ -156,8 +156,7 @@ class UncertainFrame:
             real = modes(tested.system.M, tested.system.K)
             if self.kind == "story":
                 start = None if near is None or near.dashpots is None else near.dashpots.values
-                priors = experiment.damping.priors
-                dashpots = damping.story_dashpots(real, tested.story_stiffness, ratios, self.backend, priors, start)
+                dashpots = damping.story_dashpots(real, tested.story_stiffness, ratios, self.backend, start)
                 C = stiffness_matrix(dashpots.values)
             else:
                 factors = damping.rayleigh(real, ratios, self.backend)
@@ -254,8 +253,6 @@ def described(frame: UncertainFrame, damped: Damped, std: Mapping[str, Floats]) 
     remarks = [*frame.ratios.assumed()]
     if frame.ratios.tested.name != frame.configuration.name:
         remarks.append(f'the damping ratios were measured in "{frame.ratios.tested.name}"')
-    if frame.fitted.experiment.damping.priors and frame.kind != "story":
-        remarks.append(f"the priors on story_damping have no part in {frame.kind} damping")
     measured = np.where(frame.ratios.measured, frame.ratios.values, np.nan)
     dashpots, dashpot_std = None, None
     if damped.dashpots is not None:

@@ -91,33 +91,6 @@ def test_what_few_modes_leave_open_is_named():
     np.testing.assert_allclose(found.ratios[:3], ratios[:3], rtol=0.02)
 
 
-def test_priors_on_dashpots_are_kept():
-    mass, stiffness, dashpots = damped_frame(3)
-    ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
-    known = {"kind": "value", "quantity": "story_damping", "at": 2, "value": 1.2 * dashpots[1]}
-    least = {"kind": "bounds", "quantity": "story_damping", "lower": (1.1 * dashpots).tolist()}
-    for prior in (known, least):
-        experiment, estimate = estimated(declared(mass, stiffness, ratios, prior=[prior], damping={"kind": "story"}))
-        assert experiment.priors == ()
-        found = damping_of(experiment, estimate)
-        assert found.story_dashpot[1] >= 1.1 * dashpots[1] * (1 - 1e-9)
-    assert np.all(found.story_dashpot >= 1.1 * dashpots * (1 - 1e-9))
-    experiment, estimate = estimated(declared(mass, stiffness, ratios, prior=[known]))
-    exact = damping_of(experiment, estimate, kind="story")
-    assert exact.story_dashpot[1] == pytest.approx(1.2 * dashpots[1])
-    assert any("no part in modal damping" in remark for remark in damping_of(experiment, estimate).remarks)
-
-
-def test_soft_priors_settle_what_the_modes_leave_open():
-    mass, stiffness, dashpots = damped_frame(3)
-    ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
-    prior = [{"kind": "nominal", "quantity": "story_damping", "values": dashpots.tolist(), "std": 0.05}]
-    experiment, estimate = estimated(declared(mass, stiffness, ratios, modes=[1, 2], prior=prior))
-    found = damping_of(experiment, estimate, kind="story")
-    assert not any("leave open" in remark for remark in found.remarks)
-    np.testing.assert_allclose(found.story_dashpot, dashpots, rtol=0.03)
-
-
 def test_the_kind_is_declared():
     mass, stiffness, _ = damped_frame(3)
     table = declared(mass, stiffness, [0.01, 0.01, 0.01], damping={"kind": "story"})
