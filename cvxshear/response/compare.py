@@ -222,11 +222,8 @@ def compared(
         return None
     measured = [each[:, columns] for each in recorded]
     predicted = [seen(model, response, floors) for response in responses]
-    error = np.concatenate(predicted) - np.concatenate(measured)
-    rms_measured, rms_predicted, rms_error = (
-        np.sqrt(np.mean(values**2, axis=0)) for values in (np.concatenate(measured), np.concatenate(predicted), error)
-    )
-    top_measured, top_predicted = (np.max(np.abs(np.concatenate(each)), axis=0) for each in (measured, predicted))
+    y, shown = np.concatenate(measured), np.concatenate(predicted)
+    rms_measured, rms_predicted, rms_error = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, shown, shown - y))
     natural = model.modes.frequencies
     length = segment(
         min(run.samples for run in motion.runs), motion.sampling_rate, float(natural[0]), float(model.ratios[0])
@@ -239,10 +236,10 @@ def compared(
             floors=floors,
             nrmse=rms_error / rms_measured,
             rms_ratio=rms_predicted / rms_measured,
-            peak_ratio=top_predicted / top_measured,
+            peak_ratio=np.max(np.abs(shown), axis=0) / np.max(np.abs(y), axis=0),
             frf_error=errors(of_record, of_model, natural),
             shifts=_shifts(of_record, of_model, natural, measured_modes),
-            contradiction=contradiction(measured, predicted, floors),
+            contradiction=contradiction(y, shown, floors),
             measured=of_record,
             predicted=of_model,
         )
@@ -273,22 +270,20 @@ def moved_alike(measured: Floats, predicted: Floats) -> Floats:
     return np.asarray(np.sum(measured * predicted, axis=0) / np.maximum(np.sqrt(power), 1e-300))
 
 
-def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bools:
+def moved_against(measured: Floats, predicted: Floats) -> Bools:
     """Find channels that moved opposite to their prediction while all others moved with theirs, shape (n,)."""
-    y, p = np.concatenate(measured), np.concatenate(predicted)
-    alike = moved_alike(y, p)
+    alike = moved_alike(measured, predicted)
     against = alike < -LIKE
     sure = np.all(against | (alike > LIKE)) and 2 * np.sum(against) < len(against)
     return np.asarray(against & sure, dtype=bool)
 
 
-def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
+def contradiction(measured: Floats, predicted: Floats, floors: Ints) -> str:
     """Report contradictions that one factor or a sign explains; empty without any."""
-    y, p = np.concatenate(measured), np.concatenate(predicted)
-    size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
+    size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (measured, predicted))
     if not np.all(size_y > 0) or not np.all(size_p > 0):
         return ""
-    own = moved_alike(y, p)
+    own = moved_alike(measured, predicted)
     said = []
     ratios = size_y / size_p
     factor = float(np.exp(np.mean(np.log(ratios))))
@@ -351,11 +346,9 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
     """
     shown = [seen(model, each, recording.floors) for each in predicted_responses(model, recording)]
-    measured = [run.measured - trend(run.measured) for run in recording.runs]
-    predicted = [
-        np.where(np.isfinite(values), own - trend(own), 0.0) for values, own in zip(measured, shown, strict=True)
-    ]
-    measured = [np.nan_to_num(values) for values in measured]
+    measured = np.concatenate([run.measured - trend(run.measured) for run in recording.runs])
+    predicted = np.where(np.isfinite(measured), np.concatenate([own - trend(own) for own in shown]), 0.0)
+    measured = np.nan_to_num(measured)
     against = moved_against(measured, predicted)
     signs = np.where(against, -1.0, 1.0)
     said = [
@@ -363,7 +356,7 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
         "turned round, check its sign in the record file"
         for floor in recording.floors[against]
     ]
-    contradicted = contradiction([signs * values for values in measured], predicted, recording.floors)
+    contradicted = contradiction(signs * measured, predicted, recording.floors)
     remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
     turned = recording.replaced(measured=(signs * run.measured for run in recording.runs))
     return dataclasses.replace(turned, remarks=remarks)

@@ -371,18 +371,15 @@ def _model_response(fitted: sources.Fitted, damped: uncertain.Damped, motion: Dr
 
 def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
     """Report the size of the straight lines that were removed as sensor faults, if they are large enough."""
+    names = ["the base motion", *(f"floor {floor}" for floor in recorded.floors)]
     found = [(0.0, "")]
     for before, after in zip(recorded.runs, motion.runs, strict=True):
-        columns = [("the base motion", before.excitation, after.excitation)] if recorded.input == "base" else []
-        if before.responses is not None and after.responses is not None:
-            columns += [
-                (f"floor {floor}", before.responses[:, place], after.responses[:, place])
-                for place, floor in enumerate(recorded.floors)
-            ]
-        for name, old, new in columns:
-            line, rms = float(np.nanmax(np.abs(old - new))), float(np.sqrt(np.nanmean(new**2)))
-            if rms > 0:
-                found.append((line / rms, name))
+        old, new = (
+            np.column_stack([run.excitation, *([] if run.responses is None else [run.responses])])
+            for run in (before, after)
+        )
+        line, rms = np.nanmax(np.abs(old - new), axis=0), np.sqrt(np.nanmean(new**2, axis=0))
+        found += zip((line / np.where(rms > 0, rms, np.inf)).tolist(), names, strict=False)
     largest, where = max(found)
     return sources.line_remarks(largest, f"the rms ({where})")
 

@@ -58,7 +58,7 @@ def test_one_factor_on_all_floors_is_a_unit_within_a_quarter_of_its_logarithm():
     p = p @ (np.eye(3) + 0.3)
 
     def said(factors):
-        return contradiction([p * factors], [p], np.array([1, 2, 3]))
+        return contradiction(p * factors, p, np.array([1, 2, 3]))
 
     assert "near 1000: are the floors in mm/s2?" in said(1000 * np.exp([0.24, 0.24, 0.2]))
     assert said(1000 * np.exp([0.26, 0.26, 0.27])) == said(np.array([1000.0, 1000.0, 1800.0])) == said(np.ones(3)) == ""
@@ -70,9 +70,9 @@ def test_one_factor_on_all_floors_is_a_unit_within_a_quarter_of_its_logarithm():
 def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_prediction():
     p = np.random.default_rng(5).standard_normal((200, 4))
     other = np.random.default_rng(6).standard_normal((200, 4))
-    assert moved_against([p * [1, -1, 1, 1]], [p]).tolist() == [False, True, False, False]
-    assert not moved_against([p * [1, -1, -1, 1]], [p]).any()
-    assert not moved_against([np.column_stack([p[:, :2] * [1, -1], other[:, 2:]])], [p]).any()
+    assert moved_against(p * [1, -1, 1, 1], p).tolist() == [False, True, False, False]
+    assert not moved_against(p * [1, -1, -1, 1], p).any()
+    assert not moved_against(np.column_stack([p[:, :2] * [1, -1], other[:, 2:]]), p).any()
 
 
 def test_lines_beside_an_expected_motion_are_taken_off():
@@ -204,4 +204,4 @@ def test_a_prediction_is_compared_in_size_in_time_and_around_each_mode():
 def test_each_unit_is_told_to_a_fifth(factor, said):
     p = np.random.default_rng(3).standard_normal((100, 2))
     for times in (0.8, 1.25):
-        assert said in contradiction([p * factor * times], [p], np.array([1, 2]))
+        assert said in contradiction(p * factor * times, p, np.array([1, 2]))
