@@ -22,17 +22,7 @@ from cvxshear.response.frame_motion import FrameMotion
 from cvxshear.response.frame_prior import VariedFrame
 from cvxshear.response.innovations import Directions, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
-from cvxshear.response.state_space import (
-    Filter,
-    Noise,
-    Observed,
-    Setting,
-    doubled,
-    dynamics,
-    recursion,
-    settled_states,
-    smooth,
-)
+from cvxshear.response.state_space import Filter, Noise, Observed, Setting, dynamics, recursion, settled_states, smooth
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import chain
@@ -173,20 +163,6 @@ def test_without_noise_the_state_space_model_moves_as_the_modes_do(three):
     outputs = forced.outputs.of(states, both)
     np.testing.assert_allclose(outputs[:, :3], exact.acceleration, atol=1e-9 * np.abs(exact.acceleration).max())
     np.testing.assert_allclose(outputs[:, 9:], exact.story_force, atol=1e-9 * np.abs(exact.story_force).max())
-
-
-def test_settled_covariances_solve_their_equations(three):
-    system = three[2]
-    expected = linalg.solve_discrete_lyapunov(system.A, system.Q)
-    unit = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(doubled(system.A, system.Q) / np.outer(unit, unit),
-                               expected / np.outer(unit, unit), atol=1e-9)  # fmt: skip
-    P = Filter.settled(system).P
-    S = system.H @ P @ system.H.T + np.diag(system.R)
-    gain = P @ system.H.T @ np.linalg.inv(S)
-    unit = np.sqrt(np.diag(P))
-    following = system.A @ (P - gain @ system.H @ P) @ system.A.T + system.Q
-    np.testing.assert_allclose(following / np.outer(unit, unit), P / np.outer(unit, unit), atol=1e-9)
 
 
 def test_settled_filters_with_a_gap_are_the_smoother_but_for_its_ends(three):
