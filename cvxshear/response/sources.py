@@ -228,8 +228,7 @@ def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str
     InputError
         If there is no such configuration or state, or if floors or added mass do not fit the frame.
     """
-    driven = [record.force_floor] if isinstance(record, Recording) else [run.floor for run in record.runs]
-    highest = max([*record.floors.tolist(), *driven])
+    highest = max([*record.floors.tolist(), *(run.floor for run in record.runs)])
     if highest > experiment.stories:
         raise InputError(f"{record.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     configurations = experiment.configurations
