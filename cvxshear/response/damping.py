@@ -16,9 +16,7 @@ from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.priors import Constraints
-from cvxshear.programs import LeastSquares
-from cvxshear.programs.constraints import NamedConstraints, constrained
-from cvxshear.programs.pair_rows import pair_products
+from cvxshear.programs import LeastSquares, constraints, pair_rows
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
@@ -222,9 +220,7 @@ class Dashpots:
     determined: Bools
 
 
-def story_dashpots(
-    real: Modes, stiffness: Floats, ratios: Ratios, backend: Backend, start: Floats | None = None
-) -> Dashpots:
+def story_dashpots(real: Modes, stiffness: Floats, ratios: Ratios, backend: Backend) -> Dashpots:
     """Find dashpots c >= 0 between the floors that give the frame the measured damping ratios.
 
     With real modes x = T' phi, x_i o x_j' c = 2 zeta_i omega_i delta_ij. The rows i = j are the measurement, each
@@ -242,8 +238,6 @@ def story_dashpots(
         All N undamped modes.
     stiffness : ndarray, shape (N,)
         N/m; undetermined dashpots are proportional to the stiffnesses.
-    start : ndarray, shape (N,), optional
-        Dashpots near the answer.
 
     Raises
     ------
@@ -251,12 +245,10 @@ def story_dashpots(
         If the backend does not solve a program, or the dashpots do not converge.
     """
     n = len(stiffness)
-    where = [NamedConstraints("dashpots are positive", Constraints(lower=np.zeros(n)))]
+    where = [constraints.NamedConstraints("dashpots are positive", Constraints(lower=np.zeros(n)))]
     fit = _Fit(real, stiffness, ratios)
-    c = start
-    if c is None:
-        # The first solution uses the real modes, for any distance; the following steps improve the ratios.
-        c = backend.solve(constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
+    # The first solution uses the real modes, for any distance; the following steps improve the ratios.
+    c = backend.solve(constraints.constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
     domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
     found = gauss_newton(fit, c, domain, backend, Accuracy(SETTLED_DASHPOTS), fit.residuals(c))
     if not found.converged:
@@ -325,7 +317,7 @@ def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floa
     drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
     i, j = np.triu_indices(len(seen), k=1)
     unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
-    uncoupled = pair_products(drifts, diagonal=False) / unit[:, None]
+    uncoupled = pair_rows.pair_products(drifts, diagonal=False) / unit[:, None]
     # c_k / k_k minus the mean of all, relative to the factor that gives the first mode the mean ratio.
     typical = 2 * float(np.mean(zeta)) / float(np.sqrt(real.eigenvalues[0]))
     proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)

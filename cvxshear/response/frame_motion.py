@@ -39,7 +39,7 @@ class ReconstructedRun:
     Parameters
     ----------
     std : dict of str to ndarray
-        Standard deviations over time, by the names of `peaks.histories`.
+        Standard deviations over time, by the names of `predicted.histories`.
     measured : ndarray, shape (samples, m)
         m/s2; nan for missing samples.
     excitation : ndarray, shape (samples,)

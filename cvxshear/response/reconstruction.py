@@ -1,8 +1,8 @@
 """Reconstruction: the motion of every floor, with standard deviations, from the floors with sensors.
 
 `frame_fit` fits the frame to the innovations of the filter. `state_space` computes the motion, and `frame_motion` the
-standard deviations. `sensor_checks` predicts each sensor from all others, which checks the deviations. A record that is
-not of a linear frame falls back to the motion of the identified frame.
+standard deviations, which a prediction of each sensor from all others checks. A record that is not of a linear frame
+falls back to the motion of the identified frame.
 """
 
 from __future__ import annotations

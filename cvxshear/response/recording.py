@@ -21,13 +21,10 @@ from scipy import ndimage
 from cvxshear.io.columns import Columns
 from cvxshear.io.record_file import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
-from cvxshear.records.data_frames import FEWEST_SAMPLES, sound_pieces
-from cvxshear.records.examination import ACROSS, center_weights, examined
+from cvxshear.records import data_frames, examination, prepare, sick_channels
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
-from cvxshear.records.prepare import SINC_TERMS, between
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
-from cvxshear.records.sick_channels import spikes_in
 from cvxshear.response.state_space import ROUNDING
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
@@ -352,8 +349,8 @@ class SensorRecord:
         found = []
         for place, run in enumerate(self.runs):
             there = np.isfinite(run.measured).all(axis=1) & np.isfinite(run.excitation)
-            for piece in sound_pieces(there):
-                long = piece.stop - piece.start >= FEWEST_SAMPLES
+            for piece in data_frames.sound_pieces(there):
+                long = piece.stop - piece.start >= data_frames.FEWEST_SAMPLES
                 if long and there[piece].all() and np.any(run.excitation[piece]):
                     found.append((place, piece))
         return found
@@ -375,7 +372,7 @@ class SensorRecord:
             findings = identify_modes(record, accept_swapped=True).findings
         except (NoSolutionError, InputError):
             # A motion without identifiable modes, such as a short one, is checked without modes.
-            findings = examined(record).findings
+            findings = examination.examined(record).findings
         return [each for each in findings if each.kind in (*SAID, "spikes")]
 
     def corrected(self, findings: Sequence[Finding], pieces: Sequence[tuple[int, slice]]) -> SensorRecord:
@@ -389,7 +386,7 @@ class SensorRecord:
                 out.update(columns)
             elif finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):
-                    spiked = spikes_in(self.runs[place].measured[piece])[0][:, column]
+                    spiked = sick_channels.spikes_in(self.runs[place].measured[piece])[0][:, column]
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
@@ -422,13 +419,13 @@ class SensorRecord:
         out. Several sensors on a floor give the motion of the floor's center.
         """
         cosines = np.cos(np.radians([each.direction or 0.0 for each in self.channels]))
-        along = np.abs(cosines) >= np.cos(np.radians(ACROSS))
+        along = np.abs(cosines) >= np.cos(np.radians(examination.ACROSS))
         floors = np.array([each.floor for each in self.channels], dtype=np.int64)
         named = np.unique(floors[along])
         if not named.size:
             raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
         groups = [np.flatnonzero(along & (floors == floor)) for floor in named]
-        weights = [center_weights(self.channels, group)[0] / cosines[group] for group in groups]
+        weights = [examination.center_weights(self.channels, group)[0] / cosines[group] for group in groups]
         motions = (
             np.column_stack([run.measured[:, group] @ own for group, own in zip(groups, weights, strict=True)])
             for run in self.runs
@@ -452,7 +449,7 @@ def earlier(values: Floats, late: Floats, rate: float, started: int) -> Floats:
     if not there.any():
         return values
     places = index + rate * late[0] + late[1] * (started + index)
-    unknown = ndimage.maximum_filter1d((~there).astype(np.uint8), SINC_TERMS + 1, mode="constant", cval=1)
+    unknown = ndimage.maximum_filter1d((~there).astype(np.uint8), prepare.SINC_TERMS + 1, mode="constant", cval=1)
     near = np.clip(np.round(places).astype(np.int64), 0, len(values) - 1)
-    result = between(np.interp(index, index[there], values[there]), places)
+    result = prepare.between(np.interp(index, index[there], values[there]), places)
     return np.where(unknown[near].astype(bool), np.nan, result)

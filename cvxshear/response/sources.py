@@ -12,9 +12,7 @@ import numpy as np
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
-from cvxshear.io.modes import experiment_from_file
-from cvxshear.io.record_file import read_motion
-from cvxshear.io.toml import is_record_file, load, read_tables, with_modes_read
+from cvxshear.io import modes, record_file, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import Record
@@ -168,8 +166,8 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Loca
 
 def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | LocatedEffect]) -> Models:
     """Close the loop on a measurement file or a record file."""
-    recorded = is_record_file(source)
-    experiment = experiment_from_file(source) if recorded else load_unscaled(source)
+    recorded = toml.is_record_file(source)
+    experiment = modes.experiment_from_file(source) if recorded else load_unscaled(source)
     names = [each.name for each in experiment.configurations]
     return models_of_loop(close_loop(experiment, assume=assume, backend=backend, weighed=names if recorded else ()))
 
@@ -177,10 +175,10 @@ def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Locate
 def load_unscaled(path: str | Path) -> Experiment:
     """Read a measurement file; if it has no mass scale, use a total mass of 1 kg."""
     try:
-        return load(path)
+        return toml.load(path)
     except NoScaleError:
         path = Path(path)
-        declared = dict(with_modes_read(read_tables(path), path.parent))
+        declared = dict(toml.with_modes_read(toml.read_tables(path), path.parent))
         frame = declared.get("frame") or {}
         # A remark of the result reports the missing scale; warnings about the replaced masses would confuse the user.
         accepted = {*frame.get("accept", ()), "total_mass", "masses"}
@@ -211,7 +209,7 @@ def motion_of(source: MotionSource) -> DrivenRecord:
         raise InputError(
             f"what drives a frame is a record file, a TimeRecord or a DrivenRecord, not {checks.shown(source)}"
         )
-    return read_motion(source)
+    return record_file.read_motion(source)
 
 
 def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str | None = None) -> Configuration:

@@ -121,8 +121,8 @@ class UncertainFrame:
         root = np.linalg.pinv(covariance_root(covariance[np.ix_(rest, rest)])).T
         return np.asarray(np.sqrt(self.fitted.misfit) * covariance[:, rest] @ root)
 
-    def at(self, xi: Floats, near: Damped | None = None) -> Damped:
-        """Build the damped model at one value of xi; the programs of dashpots start from the model `near`.
+    def at(self, xi: Floats) -> Damped:
+        """Build the damped model at one value of xi.
 
         Raises
         ------
@@ -132,9 +132,9 @@ class UncertainFrame:
         root = self.fitted.root
         theta = self.fitted.theta + root @ xi[: root.shape[1]]
         zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
-        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta), near)
+        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta))
 
-    def damped(self, theta: Floats, ratios: damping.Ratios, near: Damped | None = None) -> Damped:
+    def damped(self, theta: Floats, ratios: damping.Ratios) -> Damped:
         """Build the damped model of given parameters and ratios.
 
         Dashpots and Rayleigh's factors belong to the state of the measured ratios. Modal damping has the same ratios in
@@ -155,8 +155,7 @@ class UncertainFrame:
             tested = self._state(ratios.tested, theta)
             real = modes(tested.system.M, tested.system.K)
             if self.kind == "story":
-                start = None if near is None or near.dashpots is None else near.dashpots.values
-                dashpots = damping.story_dashpots(real, tested.story_stiffness, ratios, self.backend, start)
+                dashpots = damping.story_dashpots(real, tested.story_stiffness, ratios, self.backend)
                 C = stiffness_matrix(dashpots.values)
             else:
                 factors = damping.rayleigh(real, ratios, self.backend)
@@ -196,7 +195,7 @@ def propagated(
         return centre, {name: np.full_like(each, np.nan) for name, each in values.items()}
 
     def either_side(xi: Floats, size: float) -> list[dict[str, Floats]]:
-        return [function(frame.at(sign * size * xi, centre)) for sign in (1.0, -1.0)]
+        return [function(frame.at(sign * size * xi)) for sign in (1.0, -1.0)]
 
     variance = {name: np.zeros_like(each) for name, each in values.items()}
     for xi in np.eye(frame.size):
