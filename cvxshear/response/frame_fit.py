@@ -36,7 +36,7 @@ variance by less than a fifth, and the prior of the direction remains."""
 FITTED = Accuracy(step=0.1, most_steps=20)
 """Accuracy of the fit; four to eight steps are usual."""
 
-MOST_ROUNDS = 4
+MOST_REFITS = 4
 """Maximum number of selections of the changes, and of fits that fill in gaps and spikes for the next one. An error of a
 gap decreases by its share of the information: to a tenth if a tenth of the strong motion is missing."""
 
@@ -278,7 +278,7 @@ def fit_frame(
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
     along = informative(errors, prior, p)
     answer = frame_prior.possible_answers(errors.linearised(p, along), prior, p)[0]
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MOST_REFITS):
         at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend)
         p, answers, before = at.p, frame_prior.possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]

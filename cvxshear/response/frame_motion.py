@@ -135,7 +135,7 @@ class FrameMotion:
             ]
             work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
             smoothed = work.smoothed(errors, fitted.p)
-        for _ in range(frame_fit.MOST_ROUNDS):
+        for _ in range(frame_fit.MOST_REFITS):
             if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
                 break
             errors = work.errors(smoothed)

@@ -169,7 +169,7 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     page = browser.new_page(viewport=viewport)
     page.goto((tmp_path / "p.html").as_uri())
     drawings = visible(page, ".drawing svg")
-    assert len(drawings) == 3
+    assert len(drawings) == 2
     assert all(drawing.bounding_box()["height"] > 50 for drawing in drawings)
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     if viewport is DESKTOP:
