@@ -33,8 +33,8 @@ from cvxshear.util.typing import Bools, Floats, Ints
 RecordingSource = str | Path | TimeRecord | DrivenRecord
 
 SAID = (
-    "dead channel", "stuck channel", "clipped channel", "held samples", "mains hum", "direction", "sign",
-    "unit", "swapped channels", "clock offset", "clock drift", "lost samples",
+    "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
+    "swapped channels", "clock offset", "clock drift", "lost samples",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
