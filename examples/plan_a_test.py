@@ -10,5 +10,5 @@ for minutes in (10, 60):
     found = plan(file, sensors=4, modes=3, noise=Recorded("ambient", 60.0 * minutes))
     print(
         f"{minutes} minutes of wind: floors {found.sensors}, typical parameter to {100 * found.objective:.1f} %, "
-        f"with a sensor everywhere {100 * found.everywhere.objective:.1f} %"
+        f"with a sensor everywhere {100 * found.everywhere.choice.value:.1f} %"
     )
