@@ -215,11 +215,9 @@ class Misfit:
         n = self.experiment.stories
         if np.any(theta[: 2 * n] <= 0):
             raise NoModesError("floor masses and story stiffnesses must be positive")
-        # With effects the derivatives of the matrices are computed anyway.
-        shaped = derivatives or bool(self.effects)
         models = {}
-        for each, acting in zip(self.experiment.tested, self._acting, strict=True):
-            state = composition.composed(self.experiment, each, acting, theta, derivatives=shaped)
+        for each in self.experiment.tested:
+            state = composition.compose(self.experiment, each, self.effects, theta, derivatives=derivatives)
             models[id(each)] = data.Model(state, by, derivatives)
         places, of_data, factors = self._deviations
         parts, rows = [np.zeros(0)], []
@@ -254,11 +252,6 @@ class Misfit:
             np.array([self.noise_inflation * self.noise.of(key) for key in keys])[which] for keys, which in self._keys
         ]
         return places, unknown, factors
-
-    @cached_property
-    def _acting(self) -> list[list[tuple[LocatedEffect, slice]]]:
-        """The effects that act on each tested state."""
-        return [composition.acting_on(each, self.effects, self.experiment.stories) for each in self.experiment.tested]
 
     def statement_deviations(self, theta: Floats) -> list[data.Deviation]:
         """How far each soft prior, and a soft total mass, lies from the model, in its own standard deviations.
