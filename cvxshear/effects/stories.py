@@ -1,6 +1,5 @@
 """Stories, their braces and their joints."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Self
 
@@ -278,7 +277,7 @@ class JointRelease(Effect):
             k[at] -= loss * columns
             dk[:, at] -= loss * d_columns
             dk[own.stop - 1, at] -= columns
-        return dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
+        return state.having(story_stiffness=k, d_story_stiffness=dk)
 
     def sizes(self, scale: Scale) -> Floats:
         return np.array([0.5, 0.05]) if len(self.parameters) == 2 else np.array([0.12])
