@@ -46,8 +46,8 @@ class SensorGain(Effect):
         ]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        quantities.scaled = state.observation.scaled(place.floor_index, 1.0 + values[0], own.start)
-        return state.having(observation=quantities.scaled)
+        observation = state.observation.scaled(place.floor_index, 1.0 + values[0], own.start)
+        return state.having(observation=observation)
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = off_by(values[0], std[0], "too much", "too little")
