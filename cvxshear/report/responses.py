@@ -19,7 +19,7 @@ from cvxshear.util.writing import ending_of, write_file
 
 
 @blocks.describe.register
-def _damping(result: IdentifiedDamping, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _damping(result: IdentifiedDamping) -> blocks.Document:
     remarks = (blocks.Sentence(each, "warning") for each in result.remarks)
     headline = f"{result.kind} damping of {quantities.counted(len(result.ratios), 'mode')}"
     return blocks.Document("damping", headline, (damping_section(result), blocks.section("remarks", "", *remarks)))
@@ -54,7 +54,7 @@ def _written(values: Floats, std: Floats, factor: float | None = None) -> list[s
 
 
 @blocks.describe.register
-def _prediction(result: RecordPrediction, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _prediction(result: RecordPrediction) -> blocks.Document:
     model = result.after.fitted.label_in(result.configuration)
     how = f"{_driven(result)}, by the {model}, {result.damping.kind} damping, backend {result.backend}"
     sections = [blocks.section("how", "", how)]
@@ -180,7 +180,7 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
 
 
 @blocks.describe.register
-def _reconstruction(result: Reconstruction, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _reconstruction(result: Reconstruction) -> blocks.Document:
     warnings, frame = (blocks.Sentence(each, "warning") for each in result.warnings), result.frame
     motion = (*_sensor_drifts(result), stories(result), *peaks(result.peaks))
     checks = [blocks.section("checks", "Each sensor from the others", left_out(result))] if result.checks else []
