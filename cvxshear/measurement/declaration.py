@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from cvxshear.priors import Prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
@@ -184,12 +183,9 @@ class Damping(checks.ReadOnlyArrays):
     kind : str, optional
         "modal": a damping ratio a mode; "story": dashpots between the floors; "rayleigh": a combination of mass and
         stiffness.
-    priors : sequence of Prior, optional
-        About the story dashpots, of the quantity "story_damping".
     """
 
     kind: str = "modal"
-    priors: tuple[Prior, ...] = ()
 
     def __post_init__(self) -> None:
         checks.choice(self.kind, DAMPING_KINDS, "damping: kind")
@@ -203,8 +199,6 @@ class Heading(InTable):
     ----------
     title, client, author, test : str, optional
     date : str, optional
-    photograph : str, optional
-        Name of a PNG or JPEG file.
     """
 
     title: str | None = None
@@ -212,7 +206,6 @@ class Heading(InTable):
     author: str | None = None
     date: str | None = None
     test: str | None = None
-    photograph: str | None = None
 
     @staticmethod
     def from_dict(declared: object) -> Heading:
@@ -232,7 +225,7 @@ class Heading(InTable):
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Names and texts that stand below the title."""
-        return [(key, value) for key, value in self.to_dict().items() if key not in ("title", "photograph")]
+        return [(key, value) for key, value in self.to_dict().items() if key != "title"]
 
 
 @dataclass(frozen=True, eq=False)
