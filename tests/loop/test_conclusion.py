@@ -50,8 +50,8 @@ def test_declared_inequalities_are_assumptions_of_the_verdict():
 
 
 def test_stiffnesses_are_averaged_without_gravity_that_the_data_do_not_tell():
-    """In one test, gravity equals a change of every story's stiffness (P / h), and its prior probability is one half."""
-    tall = measured(frame={"story_heights": 0.5})
+    """In one test, gravity equals a change of every stiffness (P / h); its prior probability is one half."""
+    tall = measured(frame={"total_mass": 24.0, "story_heights": 0.5})
     result = close_loop(tall, effects=["gravity"])
     (gravity,) = result.candidates
     assert gravity.probability == pytest.approx(0.5, abs=0.2)

@@ -64,7 +64,7 @@ def test_a_story_softer_after_is_one_change_of_the_state_and_not_one_a_configura
 
 
 def test_without_a_reference_a_change_is_one_finding_told_from_the_first_state():
-    """A story softer in "after" is as well stiffer in "before": the two share no probability, and neither is a rival."""
+    """A story softer in "after" is as well stiffer in "before": the two are no rivals."""
     result = close_loop(damaged(), effects=["added_mass", "story_change", "sensor_gain"])
     (found,) = result.effects
     assert (found.placed.place.state, found.placed.place.story) == ("after", 2)
