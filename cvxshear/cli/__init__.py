@@ -9,7 +9,6 @@ import typer
 from cvxshear.cli import frames, modes_and_check, studies
 from cvxshear.cli.options import documented
 from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed, used
-from cvxshear.io.formats import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
 STATUSES = (
@@ -19,22 +18,13 @@ STATUSES = (
     "130 interrupted."
 )
 
-FORMER_OPTIONS = {
-    "for": "goal", "solver": "backend", "state": "configuration", "check": "leave-out", "no-check": "no-leave-out",
-    "only": "names", "repeat": "repeats",
-}  # fmt: skip
-"""Former names of options, which still work, and their present ones."""
-
 app = typer.Typer(
     name="cvxshear",
     help="Floor masses and story stiffnesses of shear-type frames from measured modes, and what the shear model lacks.",
     epilog=STATUSES,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={
-        "help_option_names": ["-h", "--help"],
-        "token_normalize_func": lambda name: FORMER_OPTIONS.get(name, name),
-    },
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
@@ -80,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
     used.clear()
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
-        with sound_streams(), streams_read_once():
+        with sound_streams():
             # The check comes first: numpy and matplotlib also read SOURCE_DATE_EPOCH at import.
             present()
             try:

@@ -11,10 +11,8 @@ from cvxshear.data.base import (
     data_of,
     noise_kinds,
     register,
-)
-from cvxshear.data.frequencies import Frequencies
-from cvxshear.data.shapes import Shapes
-from cvxshear.data.static import Static
+)  # fmt: skip
+from cvxshear.data.kinds import Frequencies, Shapes, Static
 
 __all__ = [
     "Datum", "Deviation", "ErrorFigure", "Frequencies", "Model", "NoiseFactors", "NoiseKind", "Residual", "Shapes",

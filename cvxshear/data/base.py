@@ -8,16 +8,24 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from cvxshear.data.pairing import paired
 from cvxshear.effects.state import State
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
-from cvxshear.model.shear import Modes, System, mode_derivatives, modes
+from cvxshear.model import Modes, Observation, System, attached_share, frame_modes, mode_derivatives, modes
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
+
+PAIRED = 0.5
+"""Minimum modal assurance criterion of a measured mode and its mode in the model; below it, the other modes are
+searched."""
+
+SHARED = 0.1
+"""Minimum share of an attached mass in the kinetic energy of a mode shared with the frame. A mode with less resembles a
+mode of the frame alone, and with more than 1 - SHARED a mode of the mass alone."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +125,64 @@ class NoiseFactors:
     def of(self, kind: str) -> float:
         """Return the factor of a kind of noise; 1 for other kinds."""
         return dict(self.factors).get(kind, 1.0)
+
+
+def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:
+    """Find the modes of the model that a configuration's mode numbers mean, zero-based, shape (m,).
+
+    Numbers count the modes of the frame, without the own mode of a mass that is attached to a floor. Where that mass
+    shares its energy among several modes, as one that is tuned to a mode does, each of them may be the one that was
+    not measured; the numbers are then those that fit the measured frequencies best.
+    """
+    floors = len(configuration.added_mass)
+    declared = configuration.modes - 1
+    if len(M) == floors:
+        return declared
+    if len(M) == floors + 1:
+        share = attached_share(found, M, floors)
+        every = np.arange(floors + 1)
+        unseen = set(np.flatnonzero(share >= SHARED).tolist())
+        if share.max() <= 1.0 - SHARED:
+            unseen.add(floors)
+        log_found, measured = np.log(found.frequencies), np.log(configuration.frequencies)
+        candidates = [np.delete(every, mode)[declared] for mode in sorted(unseen)]
+        return ranking.ranked(candidates, lambda each: -float(np.sum((log_found[each] - measured) ** 2)))[0]
+    return np.asarray(frame_modes(found, M, floors)[declared])
+
+
+def paired(configuration: Configuration, found: Modes, observation: Observation, M: Floats) -> Ints:
+    """Which mode of the model each measured one is, zero-based.
+
+    The declared numbers hold unless a shape speaks against them; modes that changed places are then paired
+    by the assignment of the largest modal assurance criteria among the declared ones.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    found : Modes
+    observation : Observation
+        What the sensors show of the modes.
+    M : ndarray, shape (n, n)
+    """
+    declared = numbered(configuration, found, M)
+    floors = configuration.measured_floors - 1
+    if len(declared) < 2 or len(floors) < 2 or not configuration.measured.any():
+        return declared
+    weights, shapes = configuration.entry_weights, configuration.known_shapes
+    psi = observation.shown(found.shapes[declared], floors)
+    modelled, measured = weights * psi, weights * shapes
+    own = np.sum(modelled * measured, axis=1) ** 2
+    if np.all(own >= PAIRED * np.sum(modelled**2, axis=1) * np.sum(measured**2, axis=1)):
+        return declared
+    cross = (weights**2 * shapes) @ psi.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        criteria = cross**2 / (np.sum(measured**2, axis=1)[:, None] * (weights**2 @ (psi**2).T))
+    known = np.sum(weights > 0, axis=1) > 1
+    criteria = np.where(known[:, None] & np.isfinite(criteria), criteria, np.eye(len(declared)))
+    if np.all(np.diag(criteria) >= PAIRED):
+        return declared
+    _, columns = linear_sum_assignment(-criteria)
+    return np.asarray(declared[columns])
 
 
 @dataclass(frozen=True, eq=False)

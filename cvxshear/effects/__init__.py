@@ -3,26 +3,32 @@
 `catalogue()` lists them in the order of the reports; `register` adds one of your own to it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
-from cvxshear.effects.attached_mass import AttachedMass, LoadMounting
+import numpy as np
+
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
 from cvxshear.effects.composition import compose
-from cvxshear.effects.custom_effect_checks import refuse_faulty, refuse_repeated
-from cvxshear.effects.masses import AddedMass, FloorMass, LoadScale, MassCoupling, StateMass, TotalMass
+from cvxshear.effects.masses import (
+    AddedMass,
+    AttachedMass,
+    FloorMass,
+    LoadMounting,
+    LoadScale,
+    MassCoupling,
+    StateMass,
+    TotalMass,
+)  # fmt: skip
 from cvxshear.effects.open_class import OPEN_CLASSES
 from cvxshear.effects.readings import ForceScale, SensorGain, ShapeScale, WrongExactPrior, WrongPrior
-from cvxshear.effects.state import Scale, State
-from cvxshear.effects.stories import (
-    Bracing,
-    JointRelease,
-    JointRotation,
-    SoftFeet,
-    StateStiffness,
-    StoryChange,
-)  # fmt: skip
+from cvxshear.effects.state import STAGES, Scale, State, heights_of
+from cvxshear.effects.stories import Bracing, JointRelease, JointRotation, SoftFeet, StateStiffness, StoryChange
 from cvxshear.effects.whole_frame import AxialColumns, BaseRocking, Gravity, GroundSpring, Spring, Wall
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
+from cvxshear.util.errors import CvxshearError, FaultyEffectError, InputError
+from cvxshear.util.typing import Floats
 
 __all__ = [
     "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",
@@ -73,3 +79,131 @@ def named(names: Sequence[str]) -> tuple[Effect, ...]:
         If a name is unknown; the message lists the known names.
     """
     return tuple(_catalogue[checks.choice(name, list(_catalogue), "effect")] for name in names)
+
+
+def refuse_repeated(effects: Iterable[Effect]) -> None:
+    """Raise `InputError` if two effects share one name."""
+    seen: set[str] = set()
+    for effect in effects:
+        if effect.name in seen:
+            raise InputError(f"effect {effect.name} is given twice; two effects need two names")
+        seen.add(effect.name)
+
+
+def refuse_faulty(effect: object, experiment: Experiment | None = None) -> None:
+    """Raise an error for an unusable effect, with its name and the first fault.
+
+    The checks cover the declaration (name, stage, probability, parameters, sizes). At the first and the last of the
+    places, they cover the result of `apply` on a frame: shapes, finite numbers, arrays that were changed in place, no
+    change at the null values, and derivatives against difference quotients in random directions.
+
+    Parameters
+    ----------
+    effect : Effect
+    experiment : Experiment, optional
+        Experiment that the effect should explain; by default a frame of four stories tested in two states. If the
+        experiment lacks a declaration for the effect, `apply` is not checked.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(effect, Effect):
+        what = "the class itself: make an instance" if isinstance(effect, type) else f"a {type(effect).__name__}"
+        raise InputError(f"an effect must be an instance of a subclass of cvxshear.effects.Effect, not {what}")
+    experiment = typical_experiment() if experiment is None else experiment
+    name = checks.text(getattr(effect, "name", None), "name of an effect")
+    try:
+        with checks.named(f"effect {name}"):
+            checks.choice(effect.stage, STAGES, "stage")
+            effect.expecting(size=effect.size, probability=effect.probability)
+            bound = effect.bound(experiment)
+            places = [] if bound.lacks(experiment) else bound.places(experiment)
+            for place in dict.fromkeys((*places[:1], *places[-1:])):
+                _check_at(LocatedEffect(bound.bound_at(experiment, place), place), experiment)
+    except FaultyEffectError as error:
+        raise InputError(f"effect {error}") from error
+    except CvxshearError:
+        raise
+    except Exception as error:
+        read_only = "read-only" in str(error) and "; apply() must change copies of the arrays that it is given"
+        raise InputError(f"effect {name} raised {type(error).__name__}: {error}{read_only or ''}") from error
+
+
+@lru_cache(maxsize=1)
+def typical_experiment() -> Experiment:
+    """Build a frame of four unequal stories, tested in two states, one of them with added masses."""
+    shapes = np.sin(np.outer([1, 3, 5, 7], np.arange(1, 5)) * np.pi / 9)
+    tests = [
+        {"name": name, "added_mass": added, "frequencies": [2.0, 6.0, 9.0, 11.0], "mode_shapes": shapes.tolist()}
+        for name, added in (("before", [0.0] * 4), ("after", [1.0, 0.0, 2.0, 0.5]))
+    ]
+    frame = {"story_heights": [0.42, 0.36, 0.33, 0.38], "total_mass": 41.0}
+    return Experiment.from_dict({"frame": frame, "configuration": tests})
+
+
+def _check_at(placed: LocatedEffect, experiment: Experiment) -> None:
+    """Check the parameters at one place, and what the effect does there to a frame of the declared mass near 2 Hz."""
+    items, n = placed.effect.parameters, experiment.stories
+    each = (experiment.frame.total_mass or 10.0 * n) / n
+    frame = each * np.concatenate([1.0 + 0.2 * np.cos(np.arange(n)), 2000.0 * (1.0 + 0.2 * np.sin(np.arange(n)))])
+    scale = Scale(float(np.mean(frame[:n])), float(np.mean(frame[n:])), heights_of(experiment))
+    sizes = placed.effect.expected_sizes(scale)
+    if np.shape(sizes) != (len(items),):
+        raise InputError(f"sizes() has the shape {np.shape(sizes)}, not ({len(items)},)")
+    for item, size in zip(items, sizes, strict=True):
+        if not size > 0:
+            raise InputError(f"the size of {item.name} is {size:g}: it must be positive")
+        if not item.lower <= item.start <= item.upper:
+            raise InputError(f"{item.name}: start = {item.start:g} is not between {item.lower:g} and {item.upper:g}")
+        if np.isinf(size) and np.isinf(item.upper - item.lower):
+            raise InputError(
+                f"sizes() says nothing of {item.name} and its bounds are infinite: give a size or two bounds"
+            )
+    nulls, lower, upper = (np.array([getattr(item, key) for item in items]) for key in ("null", "lower", "upper"))
+    uniform = np.isinf(sizes)
+    with np.errstate(invalid="ignore"):
+        # Half an expected size from null, or the middle of a uniform prior.
+        own = np.where(uniform, 0.5 * (lower + upper), np.clip(nulls + 0.5 * sizes, lower, upper))
+        steps = np.concatenate([frame, np.where(uniform, upper - lower, sizes)])
+    _check_matrices(placed, experiment, np.concatenate([frame, own]), np.concatenate([frame, nulls]), steps)
+
+
+def _check_matrices(placed: LocatedEffect, experiment: Experiment, at: Floats, null: Floats, steps: Floats) -> None:
+    """Check the matrices at some parameters and at null, and their derivatives."""
+    n, tested = experiment.stories, next(each for each in experiment.tested if placed.acts_on(each))
+
+    def matrices(state: State) -> dict[str, Floats]:
+        return {"M": state.system.M, "K": state.system.K, "the observation": state.observation.matrix}
+
+    plain, values = compose(experiment, tested, [], at), at[2 * n :].copy()
+    for array in (*vars(plain).values(), plain.system.M, plain.system.K, values):
+        if isinstance(array, np.ndarray):
+            array.flags.writeable = False
+    placed.effect.apply(plain, placed.place, values, slice(2 * n, len(at)))
+    state = compose(experiment, tested, [placed], at)
+    square = (len(state.system.K),) * 2
+    for name, shape in (("M", square), ("K", square), ("dM", (len(at), *square)), ("dK", (len(at), *square))):
+        found = getattr(state.system, name)
+        if found.shape != shape:
+            raise InputError(f"{name} has the shape {found.shape} after apply(), not {shape}")
+        if not np.allclose(found, np.swapaxes(found, -1, -2)):
+            raise InputError(f"{name} is not symmetric after apply()")
+    if len(state.system.K) == n:
+        before = matrices(plain)
+        for name, value in matrices(compose(experiment, tested, [placed], null)).items():
+            if not np.allclose(value, before[name]):
+                raise InputError(f"{name} is not that of the shear frame at the null values")
+    rng, where = np.random.default_rng(20), placed.place.describe() or "its place"
+    for word, part in (("its own parameters", slice(2 * n, None)), ("masses and stiffnesses", slice(0, 2 * n))):
+        direction = np.zeros(len(at))
+        direction[part] = checks.DIFFERENCE_STEP * (steps * rng.standard_normal(len(at)))[part]
+        up, down = (matrices(compose(experiment, tested, [placed], at + sign * direction)) for sign in (1.0, -1.0))
+        slopes = [np.tensordot(direction, each, 1) for each in (state.system.dM, state.system.dK)]
+        observed = np.zeros_like(state.observation.matrix)
+        for parameter, slope in state.observation.slopes.items():
+            observed += direction[parameter] * slope
+        for (name, value), stated in zip(matrices(state).items(), (*slopes, observed), strict=True):
+            change = 0.5 * (up[name] - down[name])
+            said = f"the derivative of {name} by {word} at {where}"
+            checks.derivative(stated, change, np.max(np.abs(change)), value, said)

@@ -10,7 +10,7 @@ import numpy as np
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model.shear import (
+from cvxshear.model import (
     FloorObservation,
     ShearSystem,
     System,
@@ -22,8 +22,8 @@ from cvxshear.model.shear import (
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
-MOST_BYTES = 1e9
-"""Largest memory, in bytes, for the derivatives of one state's matrices if effects act on them."""
+MEMORY = 1e9
+"""Largest memory of a fit, or of the derivatives of a state on which effects act, bytes."""
 
 
 def compose(
@@ -103,11 +103,14 @@ def composed(
 def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> State:
     """Apply one effect; name the effect in an exception that its code raises."""
     try:
-        return placed.effect.apply(state, placed.place, theta[own], own)
+        found = placed.effect.apply(state, placed.place, theta[own], own)
     except (CvxshearError, np.linalg.LinAlgError):
         raise
     except Exception as error:
         raise FaultyEffectError(f"{placed.label}: apply() raised {type(error).__name__}: {error}") from error
+    if not isinstance(found, State):
+        raise FaultyEffectError(f"{placed.label}: apply() returned a {type(found).__name__}, not a State")
+    return found
 
 
 def _refuse_not_finite(system: System, effects: Sequence[LocatedEffect]) -> None:
@@ -129,10 +132,10 @@ def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> Syste
     n = len(mass)
     if not dense:
         return ShearSystem(mass_matrix(mass), stiffness_matrix(stiffness), size)
-    if 2 * size * n * n * 8 > MOST_BYTES:
+    if 2 * size * n * n * 8 > MEMORY:
         raise UnsuitableError(
             f"effects in a frame of {n} stories need {2 * size * n * n * 8 / 1e9:.1f} GB for derivatives; up to "
-            f"{int((MOST_BYTES / 32) ** (1 / 3))} stories fit into {MOST_BYTES / 1e9:g} GB: join stories, or identify "
+            f"{int((MEMORY / 32) ** (1 / 3))} stories fit into {MEMORY / 1e9:g} GB: join stories, or identify "
             "the frame without effects"
         )
     plain = shear_system(mass, stiffness)

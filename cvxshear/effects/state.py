@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model.shear import Observation, System
+from cvxshear.model import Observation, System
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 

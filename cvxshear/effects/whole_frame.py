@@ -12,7 +12,7 @@ import numpy as np
 from cvxshear.effects.base import Effect, Parameter, Place, shown_states
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.model.shear import transformation
+from cvxshear.model import transformation
 from cvxshear.util.quantities import per_force, scaled, significant, with_std
 from cvxshear.util.typing import Floats
 

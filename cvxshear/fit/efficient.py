@@ -13,9 +13,9 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.data import NoiseFactors
 from cvxshear.effects import LocatedEffect, Scale
-from cvxshear.effects.composition import slices
+from cvxshear.effects.composition import MEMORY, slices
 from cvxshear.effects.state import heights_of
-from cvxshear.fit.domain import Domain, domain_of
+from cvxshear.fit.domain import Domain, Uncertainty, domain_of, uncertainty
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
@@ -29,17 +29,12 @@ from cvxshear.fit.results import (
     quality,
 )
 from cvxshear.fit.start import nearest_first
-from cvxshear.fit.uncertainty import Uncertainty, uncertainty
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.programs.constraints import refuse_contradicting
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
-
-MEMORY = 1e9
-"""Largest memory of a joint fit, bytes. It holds about 12 copies of the derivatives of all data by all parameters, and
-about 25 square matrices in the parameters (measured from 100 to 600 stories)."""
 
 RESIDUAL_LEVEL = 0.01
 """Largest probability of an improbable residual or noise."""
@@ -422,7 +417,11 @@ def _refuse_local_minimum(found: Estimate, backend: Backend, reference: Estimate
 
 
 def _refuse_large(misfit: Misfit) -> None:
-    """Raise `UnsuitableError`, before anything is allocated, if a fit would need more than `MEMORY`."""
+    """Raise `UnsuitableError`, before anything is allocated, if a fit would need more than `MEMORY`.
+
+    A fit holds about 12 copies of the derivatives of all data by all parameters, and about 25 square matrices in the
+    parameters (measured from 100 to 600 stories).
+    """
     rows, P = sum(datum.count for datum in misfit.data), misfit.parameters
     needed = 8.0 * (12 * rows * P + 25 * P**2)
     if needed > MEMORY:

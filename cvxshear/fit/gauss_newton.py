@@ -15,10 +15,9 @@ from typing import Generic
 
 import numpy as np
 
-from cvxshear.backends import Backend, Solution
+from cvxshear.backends import Backend
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.optimality import (
-    DERIVATIVE_ERROR,
     KEPT_TO,
     E,
     Optimality,
@@ -30,6 +29,7 @@ from cvxshear.fit.optimality import (
 )  # fmt: skip
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained
+from cvxshear.util.checks import DERIVATIVE_ERROR
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
@@ -237,10 +237,9 @@ def _descended(
     theta, evaluations = feasible, 1
     damping, flat, failures = StepDamping(accuracy), 0, 0
     refused: NoSolutionError | None = None
-    solution: Solution | None = None
     for step in range(1, accuracy.most_steps + 1):
         try:
-            solution = backend.solve(step_program(at, theta, domain, damping.weight), solution)
+            solution = backend.solve(step_program(at, theta, domain, damping.weight))
         except NoSolutionError as error:
             # Damping improves the condition of the program.
             failures += 1

@@ -1,18 +1,29 @@
-"""The identification by a method, a backend and priors; and every backend on the programs of an identification."""
+"""The identification by a method, a backend and priors; and every backend on the programs of an identification.
+
+**Other frames.** The frequencies of a frame of known masses are as many numbers as its stories, and their equations
+have several roots: of three frequencies and equal floors, often two frames are exact whose stories differ by a factor
+of three. Fits from starting points that are drawn from the prior of the frame end at all of them. The search ends after
+a number of fits in a row without a new frame. It also finds frames that are not exact but fit within the noise. The
+probability of a frame is the prior density of its logarithms (`fit/domain.py:EffectPrior`) times exp(-chi2 / 2),
+relative to the sum over all frames that were found.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy import linalg, special
 
 from cvxshear import backends
 from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder, SolvedProgram
-from cvxshear.fit.domain import domain_of
-from cvxshear.fit.efficient import efficient, parameter_names
-from cvxshear.fit.gauss_newton import step_program
-from cvxshear.fit.misfit import Misfit
-from cvxshear.fit.other_frames import other_frames
+from cvxshear.effects.state import Scale, heights_of
+from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior, domain_of
+from cvxshear.fit.efficient import Estimate, efficient, parameter_names
+from cvxshear.fit.gauss_newton import Fit, gauss_newton, step_program
+from cvxshear.fit.misfit import Evaluation, Misfit
 from cvxshear.fit.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
-from cvxshear.fit.results import Identification, SingleIdentification
+from cvxshear.fit.results import Identification, OtherFrame, SingleIdentification
 from cvxshear.fit.start import uniform
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
@@ -21,7 +32,7 @@ from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
 from cvxshear.util import checks, ranking
 from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.errors import UnsuitableError
+from cvxshear.util.errors import CvxshearError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 METHODS = ("efficient", "two-stage", "one-shot", "berman", "qi")
@@ -36,7 +47,6 @@ def identify(
     initial_mass: Sequence[float] | Floats | None = None,
     tolerance: float = TOLERANCE,
     *,
-    rows: bool | None = None,
     keep_programs: bool = False,
 ) -> Identification:
     """Identify the floor masses and story stiffnesses of a frame.
@@ -55,9 +65,6 @@ def identify(
         Start of the mass iteration, kg without added mass (two-stage, berman, qi).
     tolerance : float, optional
         e of Eq. 15, the stopping tolerance of the mass iteration (two-stage).
-    rows : bool, optional
-        Whether the programs of two-stage and one-shot have one row for each pair of modes, or a factor of their normal
-        matrix. Default: rows for up to 30 stories.
     keep_programs : bool, optional
         Whether the result keeps every program that was solved, with its solution, in `Identification.programs`.
 
@@ -84,8 +91,6 @@ def identify(
         if method in ("efficient", "one-shot"):
             raise UnsuitableError(f"method {method} takes no initial mass; two-stage, berman and qi do")
         start = checks.vector(np.asarray(initial_mass), "initial mass", length=experiment.stories, above=0.0)
-    if rows is not None and method not in ("two-stage", "one-shot"):
-        raise UnsuitableError(f"method {method} does not choose between rows and normal matrices")
     if method == "efficient":
         estimate = efficient(experiment, solver)
         return Identification(
@@ -100,7 +105,7 @@ def identify(
             programs=_kept(recorder),
             other_frames=other_frames(estimate, backends.get("auto")),
         )
-    tests = [complete_test(experiment, each, f"method {method}", rows=rows) for each in experiment.configurations]
+    tests = [complete_test(experiment, each, f"method {method}") for each in experiment.configurations]
     parts = tuple(_part(method, test, solver, start, tolerance) for test in tests)
     return Identification(experiment, method, solver.name, parts, programs=_kept(recorder))
 
@@ -201,7 +206,7 @@ def _programs_of_one(test: CompleteTest) -> Iterator[BenchmarkProgram]:
         # The first mode alone gives one row without negative entries. Upper bounds below the uniform stiffness do not
         # reach its right side, so the bounds are the answer.
         first = normalized(test.shapes, net + added)[:, :1]
-        alone = stiffness_rows(first, test.eigenvalues[:1], rows=True)
+        alone = stiffness_rows(first, test.eigenvalues[:1])
         bounded = alone.replace(lower=zero, upper=TIGHTER * test.even_stiffness(net + added))
         yield BenchmarkProgram("singular stiffness", bounded, zero)
 
@@ -213,3 +218,94 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
     largest = ranking.first_largest(answer)
     upper[largest] = min(upper[largest], TIGHTER * answer[largest] - origin[largest])
     return program.replace(upper=upper)
+
+
+MOST_STORIES_WITH_OTHERS = 5
+"""Tallest frame whose other frames are looked for: each further story multiplies their number."""
+
+INSEPARABLE = 5e-3
+"""Largest relative difference of masses and stiffnesses of one frame. Frequencies of the usual accuracy, 0.2 %, tell
+stiffnesses no closer than this."""
+
+LEAST_PROBABILITY = 1e-3
+"""Smallest probability of a frame that is listed."""
+
+
+def may_have_others(estimate: Estimate) -> bool:
+    """Whether the data are frequencies alone, or no more than the unknowns, and determine the frame locally."""
+    experiment = estimate.experiment
+    if experiment.stories > MOST_STORIES_WITH_OTHERS or experiment.static or estimate.uncertainty.null_directions:
+        return False
+    return estimate.dof <= 0 or not any(each.measured.any() for each in experiment.configurations)
+
+
+def other_frames(estimate: Estimate, backend: Backend, unsuccessful: int = 20) -> tuple[OtherFrame, ...]:
+    """Find the frames besides an estimate that fit the same data, the most probable first.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        A fit without effects.
+    backend : Backend
+    unsuccessful : int, optional
+        Number of fits a story, in a row, without a new frame that end the search.
+
+    Returns
+    -------
+    tuple of OtherFrame
+        Empty if the data determine one frame (`may_have_others`).
+    """
+    if not may_have_others(estimate):
+        return ()
+    found, since = [estimate.fit], 0
+    worst = estimate.chi2 - 2.0 * np.log(LEAST_PROBABILITY)
+    for start in _starts(estimate):
+        if since == unsuccessful * estimate.experiment.stories:
+            break
+        since += 1
+        try:
+            domain = domain_of(estimate.experiment, (), start)
+            fit = gauss_newton(estimate.misfit, start, domain, backend)
+        except CvxshearError:
+            continue
+        if fit.at.chi2 < worst and all(_apart(fit, other) > INSEPARABLE for other in found):
+            found.append(fit)
+            since = 0
+    n = estimate.experiment.stories
+    mass, stiffness = (float(np.median(part)) for part in np.split(estimate.theta, 2))
+    prior = EffectPrior(Scale(mass, stiffness, heights_of(estimate.experiment)))
+    shares = special.softmax([_log_probability(each, prior) for each in found])
+    others = [
+        OtherFrame(each.theta[:n], each.theta[n:], each.at.chi2, float(share))
+        for each, share in zip(found[1:], shares[1:], strict=True)
+        if share >= LEAST_PROBABILITY
+    ]
+    return tuple(sorted(others, key=lambda each: -each.probability))
+
+
+def _free(estimate: Estimate) -> Floats:
+    """Return an orthonormal basis of the changes of the logarithms that the exact priors leave free, shape (2N, f)."""
+    basis: Floats = linalg.null_space(estimate.uncertainty.equalities * estimate.theta)
+    return basis
+
+
+def _starts(estimate: Estimate) -> Iterator[Floats]:
+    """Draw starting points from the prior of the frame, about the estimate, with its own level of the stiffness."""
+    rng = np.random.default_rng(1)
+    n, free = estimate.experiment.stories, _free(estimate)
+    width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], n)
+    while True:
+        drawn = width * rng.standard_normal(2 * n)
+        drawn[n:] -= drawn[n:].mean()
+        yield estimate.theta * np.exp(free @ (free.T @ drawn))
+
+
+def _apart(one: Fit[Evaluation], other: Fit[Evaluation]) -> float:
+    """Return the largest relative difference of a mass or a stiffness."""
+    return float(np.max(np.abs(np.log(one.theta / other.theta))))
+
+
+def _log_probability(fit: Fit[Evaluation], prior: EffectPrior) -> float:
+    """Return the logarithm of prior density and likelihood, up to a constant."""
+    r, _ = prior.residuals(fit.theta, (), {})[2]
+    return -0.5 * (fit.at.chi2 + float(r @ r))

@@ -2,23 +2,30 @@
 
 Each residual is divided by its standard deviation. An undeclared standard deviation is a factor on a default, estimated
 with the rest: one factor for each kind of noise, and one for the common size of an effect with many parameters.
+
+**A test that was not made** is a configuration that is measured at every floor exactly as a model predicts, so the data
+themselves (`cvxshear.data`) give its rows: derivatives by the parameters, or differences from another model, in
+standard deviations of the test's noise. Sensors at some floors choose among these rows; the free scale of each shape is
+eliminated over the floors that have a sensor. `plan` adds these rows to the information about a frame. `next_test`
+compares two fits by the distance of their predictions (`fit/gaussian.py`).
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import optimize
 
-from cvxshear.data import Datum, Deviation, Model, NoiseFactors, NoiseKind, data_of, noise_kinds
-from cvxshear.effects import LocatedEffect
-from cvxshear.effects.composition import acting_on, composed, slices
+from cvxshear import data
+from cvxshear.data.base import numbered
+from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
 from cvxshear.fit.optimality import triangular
-from cvxshear.measurement.experiment import Experiment
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Bools, Floats, Ints, Json
@@ -39,7 +46,7 @@ class Evaluation:
         prior of the frame.
     J : ndarray, shape (d, P)
         dr/dtheta for the requested columns; without rows if derivatives were not requested.
-    models : tuple of Model
+    models : tuple of data.Model
         One per tested state.
     measured, known : int
         Number of rows of data and soft priors; the same with the priors of the effects.
@@ -51,7 +58,7 @@ class Evaluation:
 
     r: Floats
     J: Floats
-    models: tuple[Model, ...]
+    models: tuple[data.Model, ...]
     measured: int
     known: int
     blocks: tuple[int, ...]
@@ -90,7 +97,7 @@ class Misfit:
     effects : sequence of LocatedEffect
     leave_out : array of bool for each configuration, optional
         Modes of a configuration that do not count, by its name.
-    noise : NoiseFactors, optional
+    noise : data.NoiseFactors, optional
         Factors on the default standard deviations of undeclared noise.
     expectation : EffectPrior, optional
         Priors of the effects and of the frame. Default: none.
@@ -103,25 +110,25 @@ class Misfit:
         experiment: Experiment,
         effects: Sequence[LocatedEffect] = (),
         leave_out: dict[str, Bools] | None = None,
-        noise: NoiseFactors | None = None,
+        noise: data.NoiseFactors | None = None,
         expectation: EffectPrior | None = None,
         widened: float = 1.0,
     ) -> None:
         self.experiment = experiment
         self.effects = tuple(effects)
         self.leave_out = leave_out or {}
-        self.noise = noise or NoiseFactors()
+        self.noise = noise or data.NoiseFactors()
         self.expectation = expectation or EffectPrior()
         self.widened = widened
         self.data = [
             datum.without(self.leave_out[datum.tested.name]) if datum.tested.name in self.leave_out else datum
-            for datum in data_of(experiment)
+            for datum in data.data_of(experiment)
         ]
 
     def replaced(
         self,
         effects: Sequence[LocatedEffect] | None = None,
-        noise: NoiseFactors | None = None,
+        noise: data.NoiseFactors | None = None,
         widened: float | None = None,
     ) -> Misfit:
         """Return the same data with other effects, another noise, or another noise inflation."""
@@ -142,7 +149,7 @@ class Misfit:
     @cached_property
     def unknown(self) -> tuple[UnknownSize, ...]:
         """Every standard deviation that is estimated with the rest: of kinds of noise, then of effects."""
-        counts = dict.fromkeys(noise_kinds(), 0.0)
+        counts = dict.fromkeys(data.noise_kinds(), 0.0)
         rescaled = {placed.label: 0.0 for placed in self.effects if placed.effect.rescales}
         for datum, (keys, which) in zip(self.data, self._keys, strict=True):
             # The free scale of each mode takes the same share from the rows of both noises.
@@ -165,7 +172,7 @@ class Misfit:
         return (*noises, *sizes)
 
     @property
-    def noises(self) -> dict[str, NoiseKind]:
+    def noises(self) -> dict[str, data.NoiseKind]:
         """The noise of each kind of the data, by its name."""
         return {datum.noise.name: datum.noise for datum in self.data}
 
@@ -180,7 +187,7 @@ class Misfit:
         found[: sum(at.blocks)] = np.concatenate([self._rescaled(datum, placed) for datum in self.data])
         return found
 
-    def _rescaled(self, datum: Datum, placed: LocatedEffect) -> Bools:
+    def _rescaled(self, datum: data.Datum, placed: LocatedEffect) -> Bools:
         """Return the rows of a datum whose standard deviation an effect leaves open."""
         return placed.effect.rescaled(datum.tested, datum.noise.name, datum.floors, placed.place)
 
@@ -225,10 +232,10 @@ class Misfit:
             raise NoModesError("floor masses and story stiffnesses must be positive")
         # With effects the derivatives of the matrices are computed anyway.
         shaped = derivatives or bool(self.effects)
-        models = {
-            id(each): Model(composed(self.experiment, each, acting, theta, derivatives=shaped), by, derivatives)
-            for each, acting in zip(self.experiment.tested, self._acting, strict=True)
-        }
+        models = {}
+        for each, acting in zip(self.experiment.tested, self._acting, strict=True):
+            state = composition.composed(self.experiment, each, acting, theta, derivatives=shaped)
+            models[id(each)] = data.Model(state, by, derivatives)
         places, of_data, factors = self._deviations
         parts, rows = [np.zeros(0)], []
         for datum, factor in zip(self.data, factors, strict=True):
@@ -264,9 +271,9 @@ class Misfit:
     @cached_property
     def _acting(self) -> list[list[tuple[LocatedEffect, slice]]]:
         """The effects that act on each tested state."""
-        return [acting_on(each, self.effects, self.experiment.stories) for each in self.experiment.tested]
+        return [composition.acting_on(each, self.effects, self.experiment.stories) for each in self.experiment.tested]
 
-    def statement_deviations(self, theta: Floats) -> list[Deviation]:
+    def statement_deviations(self, theta: Floats) -> list[data.Deviation]:
         """How far each soft prior, and a soft total mass, lies from the model, in its own standard deviations.
 
         An effect that releases a prior does not count.
@@ -279,7 +286,7 @@ class Misfit:
             at += rows
             if rows:
                 size = float(own[0]) if rows == 1 else float(np.sqrt(np.mean(own**2)))
-                found.append(Deviation("prior", "", words, None, size, rows))
+                found.append(data.Deviation("prior", "", words, None, size, rows))
         return found
 
     def _soft(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -298,7 +305,7 @@ class Misfit:
             row[:, at] = J
             residuals.append(r)
             rows.append(row)
-        for placed, own in slices(self.effects, 2 * n):
+        for placed, own in composition.slices(self.effects, 2 * n):
             # A test that is only imagined has no priors that could be wrong.
             if placed.place.prior in self._statements and "prior" not in placed.effect.releases:
                 at_prior = 1 + self._statements.index(placed.place.prior)
@@ -336,13 +343,13 @@ class NoiseEstimate:
     settled: bool = True
 
     @property
-    def noise(self) -> NoiseFactors:
+    def noise(self) -> data.NoiseFactors:
         """The factors."""
-        return NoiseFactors(tuple(zip(self.kinds, np.exp(self.log_factors).tolist(), strict=True)))
+        return data.NoiseFactors(tuple(zip(self.kinds, np.exp(self.log_factors).tolist(), strict=True)))
 
     def to_dict(self) -> Json:
         """Return for each kind its factor and the factor's standard deviation; null if declared."""
-        return {kind: self.of(kind) for kind in noise_kinds()}
+        return {kind: self.of(kind) for kind in data.noise_kinds()}
 
     def of(self, key: str) -> Json | None:
         """Return the factor of a noise or of an effect's size, and its standard deviation; None if declared."""
@@ -394,3 +401,105 @@ def estimated_noise(misfit: Misfit, at: Evaluation, free: Floats, *, here: bool 
         local -= float(np.sum(np.log(marginal.widths)))
         return NoiseEstimate(kinds, u, spread, local, settled=False)
     return NoiseEstimate(kinds, u, spread, marginal.log_integral(v, covariance))
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedTest:
+    """A test that was not made, and rows of its data.
+
+    Parameters
+    ----------
+    test : Configuration
+        Measured at every floor as the model predicts, with the noise of the test.
+    rows : ndarray, shape (m + m N, k)
+        Columns in standard deviations: frequencies, then the entries of each shape.
+    seen : ndarray of bool, shape (m, N)
+        Entries that a sensor at their floor would show.
+    free_scale : bool
+        Whether the scales of the shapes are free.
+    """
+
+    test: Configuration
+    rows: Floats
+    seen: Bools
+    free_scale: bool = True
+
+    @property
+    def entries(self) -> Floats:
+        """Derivatives of the entries by the logarithm of their mode's scale, in standard deviations, shape (m, N)."""
+        return self.test.entry_weights * self.test.mode_shapes
+
+    @property
+    def frequency_rows(self) -> Floats:
+        """Rows of the frequencies, shape (m, k)."""
+        return self.rows[: len(self.test.frequencies)]
+
+    @property
+    def shape_rows(self) -> Floats:
+        """Rows of the entries, shape (m, N, k)."""
+        return self.rows[len(self.test.frequencies) :].reshape(*self.seen.shape, -1)
+
+    def at(self, floors: Ints) -> Floats:
+        """Return the rows of a test with sensors at these floors, zero-based, free of the free scales."""
+        here = np.isin(np.arange(self.seen.shape[1]), floors) & self.seen
+        entries, rows = np.where(here, self.entries, 0.0), self.shape_rows
+        if self.free_scale:
+            length = np.linalg.norm(entries, axis=1, keepdims=True)
+            unit = entries / np.where(length > 0, length, 1.0)
+            rows = rows - unit[:, :, None] * np.einsum("mj,mjk->mk", unit, rows)[:, None]
+        return np.concatenate([self.frequency_rows, rows[here]])
+
+
+def tested_model(
+    experiment: Experiment, test: Configuration, effects: Sequence[LocatedEffect], theta: Floats
+) -> data.Model:
+    """Return the model of a test.
+
+    Raises
+    ------
+    NoModesError
+        If the model buckles under the test's masses.
+    """
+    return data.Model(composition.compose(experiment, test, effects, theta), slice(None), derivatives=True)
+
+
+def predicted_modes(test: Configuration, model: data.Model) -> tuple[Floats, Floats]:
+    """Return the frequencies, shape (m,), of a test's modes, and the shapes as sensors on every floor see them, (m, N).
+
+    The modes have the test's numbers, whatever shapes it measured.
+    """
+    which = numbered(test, model.modes, model.state.system.M)
+    return model.modes.frequencies[which], model.state.observation.shown(model.modes.shapes[which])
+
+
+def expected_configuration(
+    blank: Configuration, frequencies: Floats, shapes: Floats, frequency_std: Floats, shape_std: Floats
+) -> Configuration:
+    """Fill in a configuration at every floor.
+
+    Parameters
+    ----------
+    blank : Configuration
+        Its masses, modes and state stay.
+    frequencies, shapes : ndarray, shapes (m,) and (m, N)
+    frequency_std, shape_std : ndarray, shapes (m,) and (m, N)
+        Relative; relative to a mode's largest entry over all floors.
+    """
+    return dataclasses.replace(
+        blank,
+        frequencies=frequencies,
+        measured_floors=np.arange(1, shapes.shape[1] + 1),
+        mode_shapes=shapes,
+        frequency_std=frequency_std,
+        mode_shape_std=shape_std,
+        mode_shape_noise="additive",
+        # `ExpectedTest.at` frees the scale over the floors that have a sensor.
+        mass_normalized=True,
+    )
+
+
+def data_rows(test: Configuration, model: data.Model) -> data.Residual:
+    """Return differences and derivatives of a model's frequencies and shapes in a test, in standard deviations."""
+    every = np.ones(len(test.frequencies), dtype=bool)
+    frequencies, shapes = (kind(test, every).residual(model) for kind in (data.Frequencies, data.Shapes))
+    return data.Residual(np.concatenate([frequencies.r, shapes.r]), np.concatenate([frequencies.J, shapes.J]))

@@ -22,21 +22,17 @@ from typing import Protocol, TypeVar
 import numpy as np
 from scipy import linalg, optimize
 
-from cvxshear.fit.domain import Domain
-from cvxshear.fit.uncertainty import ON_BOUND
+from cvxshear.fit.domain import ON_BOUND, Domain
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.certificate import Point
 from cvxshear.programs.constraints import constrained
+from cvxshear.util.checks import DERIVATIVE_ERROR
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 KEPT_TO = 1e-9
 """Largest violation of an exact statement, relative to the sizes of its terms. Steps are solved to 1e-6 of their
 length, and the last steps are short, so that correct steps leave far less."""
-
-DERIVATIVE_ERROR = 1e-3
-"""Largest relative difference of a derivative along a direction from its difference quotient. Correct derivatives agree
-to about 1e-7; one wrong column by a factor of two among a thousand gives 1e-2."""
 
 CHANGES = (1e-5, 1e-6, 1e-4, 1e-3)
 """Relative changes of the parameters for central difference quotients, tried in turn until one agrees: the best one

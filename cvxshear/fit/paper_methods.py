@@ -16,7 +16,7 @@ from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predicti
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import LeastSquares, Solution
 from cvxshear.programs.formulations import CompleteTest
-from cvxshear.programs.pair_rows import digits_lost, keeps_rows, mass_rows, normalized
+from cvxshear.programs.pair_rows import mass_rows, normalized
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -31,9 +31,6 @@ MOST_ROUNDS = 50
 
 UNCHANGED = 1e-10
 """Largest relative change of masses or stiffnesses that needs no further linearization of the soft priors."""
-
-DIGITS_TO_LOSE = 4.0
-"""Decimal digits that the squared condition number may cost without a second, centered program."""
 
 
 def two_stage(
@@ -58,7 +55,7 @@ def two_stage(
     solution: Solution | None = None
     reason = Ending.ITERATION_LIMIT
     while reason is Ending.ITERATION_LIMIT and len(history) <= MOST_ITERATIONS:
-        solution = backend.solve(test.mass_correction(history[-1]), solution)
+        solution = backend.solve(test.mass_correction(history[-1]))
         history.append(history[-1] + solution.x)
         if np.max(np.abs(solution.x)) < tolerance * np.max(np.abs(history[-1] + added)):
             reason = Ending.CORRECTION
@@ -148,8 +145,8 @@ def identified_stiffness(test: CompleteTest, mass: Floats, backend: Backend) -> 
         Its x is the story stiffnesses, N/m.
     """
 
-    def program(at: Floats | None = None, origin: Floats | None = None) -> LeastSquares:
-        return test.story_stiffnesses(mass, at, origin)
+    def program(at: Floats | None = None) -> LeastSquares:
+        return test.story_stiffnesses(mass, at)
 
     return _solved(test, program, "story_stiffness", backend)[0]
 
@@ -163,7 +160,7 @@ def _solved(
     ----------
     test : CompleteTest
     program : callable
-        Writes the program for `at` and `origin`, see `CompleteTest.one_shot_masses`.
+        Writes the program for `at`, see `CompleteTest.one_shot_masses`.
     quantity : str
         "floor_mass" or "story_stiffness".
     backend : Backend
@@ -174,19 +171,14 @@ def _solved(
     rounds : int
         Programs solved; more than `MOST_ROUNDS` if the soft priors did not settle.
     """
-    plain = program()
-    solution = backend.solve(plain)
-    if not keeps_rows(test.rows, plain.unknowns) and digits_lost(plain.R) > DIGITS_TO_LOSE:
-        correction = backend.solve(program(origin=solution.x))
-        whole = dataclasses.replace(correction.point, x=solution.x + correction.x)
-        solution = dataclasses.replace(correction, program=plain, point=whole)
+    solution = backend.solve(program())
     soft = any(len(prior.residual(solution.x)[0]) for prior in test.experiment.priors if prior.quantity == quantity)
     if not soft:
         return solution, 1
     rounds, settled = 1, False
     while not settled and rounds <= MOST_ROUNDS:
         before, rounds = solution.x, rounds + 1
-        solution = backend.solve(program(at=before), solution)
+        solution = backend.solve(program(at=before))
         settled = bool(np.max(np.abs(solution.x - before)) <= UNCHANGED * np.max(np.abs(solution.x)))
     return solution, rounds
 

@@ -262,7 +262,7 @@ class Identification(Shown):
     programs : tuple of SolvedProgram
         Every program that was solved, in order, with its solution, if `identify` was asked to keep them.
     other_frames : tuple of OtherFrame
-        Other frames that fit the same data as well, if these are few (`fit/other_frames.py`).
+        Other frames that fit the same data as well, if these are few (`fit/identification.py`).
     """
 
     experiment: Experiment

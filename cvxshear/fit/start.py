@@ -34,7 +34,7 @@ from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.model.shear import Modes, mass_matrix, modes, stiffness_matrix, transformation
+from cvxshear.model import Modes, mass_matrix, modes, stiffness_matrix, transformation
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import NamedConstraints, constrained, statements

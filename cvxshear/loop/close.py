@@ -8,7 +8,6 @@ best.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +16,7 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.effects.state import heights_of
-from cvxshear.fit import domain, gauss_newton, other_frames
+from cvxshear.fit import domain, gauss_newton, identification
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
@@ -31,9 +30,6 @@ from cvxshear.measurement.reading import without_repeated
 from cvxshear.priors import Prior
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
-
-MOST_PAIRED = 10
-"""Largest number of stories for which all pairs of changes of a state are tried: 180 fits per state."""
 
 
 def search_for_effects(
@@ -170,6 +166,7 @@ class Searches:
                 near.append(search)
         duals = [other for search in near if (other := self._dual(search)) is not None]
         for search in (*near, *duals):
+            search.visit_ties()
             search.refine()
             search.visit_twins()
         return [*near, *duals]
@@ -209,13 +206,7 @@ class Searches:
         numbering = search.fitter.numbering
         if search.base.estimate is None or not hypotheses.few_floors_seen(numbering.experiment):
             return None
-        best = search.best
-        pairs = self._pairs(search)
-        search.visit(pairs)
-        typical = np.median(search.base.estimate.theta[: 2 * numbering.experiment.stories].reshape(2, -1), axis=1)
-        even = np.repeat(typical, numbering.experiment.stories)
-        found = search.visit_from([*self._duals(search), *self._changes(search)])
-        if search.visit_from([(each, even) for each in pairs]) or found or search.best is not best:
+        if search.visit_from([*self._duals(search), *self._changes(search)]):
             search.run()
         while search.visit_exchanges():
             search.run()
@@ -246,18 +237,6 @@ class Searches:
             if model.estimate is not None and (dual := hypotheses.dual_set(model.effects, known, n)) is not None
         ]
 
-    def _with_duals(self, stories: int) -> list[LocatedEffect]:
-        return [each.placed for each in self.looked_for if each.placed.effect.dual(each.placed.place, stories)]
-
-    def _pairs(self, search: Search) -> list[frozenset[LocatedEffect]]:
-        """List pairs of changes of one kind in one state: a search for single changes may not find such a pair."""
-        n = search.fitter.experiment.stories
-        return [
-            frozenset([a, b])
-            for a, b in itertools.combinations(self._with_duals(n) if n <= MOST_PAIRED else (), 2)
-            if (a.effect.name, a.place.state) == (b.effect.name, b.place.state)
-        ]
-
     def _changes(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
         """List every change of a state that has a dual, with several frames to start from.
 
@@ -267,7 +246,7 @@ class Searches:
         base, experiment = search.base.estimate, search.fitter.experiment
         assert base is not None, "the shear model was fitted"
         n = experiment.stories
-        placed = self._with_duals(n)
+        placed = [each.placed for each in self.looked_for if each.placed.effect.dual(each.placed.place, n)]
         frames = []
         for state in experiment.states if placed else ():
             left_out = {
@@ -285,4 +264,4 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
     assert a.estimate is not None, "the shear model was fitted"
     assert b.estimate is not None, "the shear model was fitted"
-    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=other_frames.INSEPARABLE))
+    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=identification.INSEPARABLE))

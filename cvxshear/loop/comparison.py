@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.data.pairing import numbered
+from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit.efficient import Estimate, fitted_with
 from cvxshear.fit.gauss_newton import FULL, ROUGH
@@ -22,7 +22,7 @@ from cvxshear.loop.posterior import Posterior
 from cvxshear.loop.results import Step
 from cvxshear.loop.search import Search
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.model.shear import mode_derivatives, modes
+from cvxshear.model import mode_derivatives, modes
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Bools
 

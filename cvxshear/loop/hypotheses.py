@@ -22,7 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, custom_effect_checks, open_classes
+from cvxshear import effects as known_effects
+from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, open_classes
 from cvxshear.measurement.experiment import Configuration, ExpectedEffect, Experiment
 from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.util import checks, errors
@@ -177,14 +178,14 @@ def able_to_take_part(wanted: Sequence[Effect], experiment: Experiment) -> tuple
     InputError
         If two effects share one name, or the only effect is unusable.
     """
-    custom_effect_checks.refuse_repeated(wanted)
+    known_effects.refuse_repeated(wanted)
     own = {id(effect) for effect in (*catalogue(), *open_classes())}
     sound: list[Effect] = []
     messages = []
     for effect in wanted:
         try:
             if id(effect) not in own:
-                custom_effect_checks.refuse_faulty(effect, experiment)
+                known_effects.refuse_faulty(effect, experiment)
             sound.append(effect)
         except errors.InputError as error:
             if len(wanted) == 1:

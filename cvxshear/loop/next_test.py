@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.data import Frequencies, Shapes
-from cvxshear.fit import expected_test, gaussian
+from cvxshear.fit import gaussian, misfit
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration
@@ -126,13 +126,13 @@ def distance(accepted: Estimate, rival: Estimate, test: Configuration, first: Co
     NoModesError
         If a model buckles under these masses.
     """
-    models = [expected_test.tested_model(each.experiment, test, each.effects, each.theta) for each in (accepted, rival)]
-    mine, other = (expected_test.data_rows(test, model) for model in models)
+    models = [misfit.tested_model(each.experiment, test, each.effects, each.theta) for each in (accepted, rival)]
+    mine, other = (misfit.data_rows(test, model) for model in models)
     floors = first.measured_floors - 1
     seen = np.zeros(test.mode_shapes.shape, dtype=bool)
     seen[:, floors] = first.measured
     columns = [(other.r - mine.r)[:, None], _carried(mine.J, accepted), _carried(other.J, rival)]
-    rows = expected_test.ExpectedTest(test, np.hstack(columns), seen, not first.mass_normalized).at(floors)
+    rows = misfit.ExpectedTest(test, np.hstack(columns), seen, not first.mass_normalized).at(floors)
     return float(np.sqrt(gaussian.separation(rows[:, :1], rows[:, 1:])[0, 0]))
 
 
@@ -154,15 +154,15 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
     """
     noise = accepted.misfit.noise
     blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
-    model = expected_test.tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
-    frequencies, shapes = expected_test.predicted_modes(blank, model)
+    model = misfit.tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
+    frequencies, shapes = misfit.predicted_modes(blank, model)
     measured = dataclasses.replace(
         blank, mode_shapes=np.where(first.measured, shapes[:, first.measured_floors - 1], np.nan)
     )
     frequency = 1.0 if first.frequency_std is not None else noise.of(Frequencies.noise.name)
     shape = 1.0 if first.mode_shape_std is not None else noise.of(Shapes.noise.name)
     stds = frequency * first.log_frequency_std, shape * _relative_std(measured, shapes)
-    return expected_test.expected_configuration(blank, frequencies, shapes, *stds)
+    return misfit.expected_configuration(blank, frequencies, shapes, *stds)
 
 
 def _relative_std(measured: Configuration, shapes: Floats) -> Floats:

@@ -219,6 +219,28 @@ class Search:
         self._record(self.fitter.models(proposals))
         return self.best is not best
 
+    def visit_ties(self) -> None:
+        """Visit beside each of the best sets the exchanges of one effect that tie beside another of them.
+
+        The ends of a nearly symmetric frame, for example, are independent choices for several effects. A search whose
+        budget is spent has tried the choices beside some sets only, and rounding decides which.
+        """
+        tied = [effects for effects, model in self.visited.items() if model.score >= self.best.score - TIE]
+        moves = {(one - other, other - one): None for one in tied for other in tied}
+        order = [item.placed for item in self.fitter.hypotheses]
+        proposals: dict[Set, FitProposal] = {}
+        for model in self.beam:
+            if model.effects not in tied or model.estimate is None:
+                continue
+            for gone, new in moves:
+                effects = (model.effects - gone) | new
+                if max(len(gone), len(new)) > 1 or not gone <= model.effects or new & model.effects:
+                    continue
+                if effects not in self.visited and effects not in proposals:
+                    present = [*self.fitter.assumed, *(each for each in order if each in effects)]
+                    proposals[effects] = self.fitter.proposal(model.estimate, present)
+        self._record(self.fitter.models(list(proposals.values())))
+
     def visit_twins(self) -> None:
         """Visit, for each of the best sets, the sets in which a twin replaces an effect."""
         for model in self._near:
@@ -290,12 +312,14 @@ class Search:
         model : ModelClass
         barred : frozenset of LocatedEffect, optional
         behind : float, optional
-            Distance in log probability that the further effects must close. Default: the distance from the best set.
+            Distance in log probability that the further effects must close. Default: the distance from the best set;
+            none for the shear model, so that rivals of an effect tried first are found.
         """
         if model.estimate is None or not self.candidates(model):
             return
         linear = self.linearised(model)
-        behind = self.best.score - model.score if behind is None else behind
+        if behind is None:
+            behind = 0.0 if model is self.base else self.best.score - model.score
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if each not in self.visited and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)

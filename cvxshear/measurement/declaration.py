@@ -203,8 +203,6 @@ class Heading(InTable):
     ----------
     title, client, author, test : str, optional
     date : str, optional
-    photograph : str, optional
-        Name of a PNG or JPEG file.
     """
 
     title: str | None = None
@@ -212,7 +210,6 @@ class Heading(InTable):
     author: str | None = None
     date: str | None = None
     test: str | None = None
-    photograph: str | None = None
 
     @staticmethod
     def from_dict(declared: object) -> Heading:
@@ -232,7 +229,7 @@ class Heading(InTable):
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Names and texts that stand below the title."""
-        return [(key, value) for key, value in self.to_dict().items() if key not in ("title", "photograph")]
+        return [(key, value) for key, value in self.to_dict().items() if key != "title"]
 
 
 @dataclass(frozen=True, eq=False)

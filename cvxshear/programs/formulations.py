@@ -161,8 +161,6 @@ class CompleteTest:
         Exact statements about the floor masses without added mass, and about the story stiffnesses.
     shape_std : float
         Relative standard deviation of the shapes, root mean square; the weight of soft priors depends on this value.
-    rows : bool, optional
-        As for `pair_rows.mass_rows`.
     """
 
     experiment: Experiment
@@ -173,7 +171,6 @@ class CompleteTest:
     of_masses: list[NamedConstraints]
     of_stiffnesses: list[NamedConstraints]
     shape_std: float
-    rows: bool | None = None
 
     @property
     def mass_row_std(self) -> float:
@@ -200,46 +197,45 @@ class CompleteTest:
     def mass_correction(self, net: Floats) -> LeastSquares:
         """Write Eq. 14 with all that is known, at floor masses without added mass; x is their correction."""
         mass = net + self.configuration.added_mass
-        plain = mass_rows(normalized(self.shapes, mass), mass, self.total, rows=self.rows)
+        plain = mass_rows(normalized(self.shapes, mass), mass, self.total)
         # The statements hold the total already.
         program = softened(
             plain.replace(A=None, b=None), self.experiment.priors, "floor_mass", net, self.shape_std, step=True
         )
         return constrained(program, self.of_masses, net).replace(title=self._title("mass correction"))
 
-    def one_shot_masses(self, at: Floats | None = None, origin: Floats | None = None) -> LeastSquares:
+    def one_shot_masses(self, at: Floats | None = None) -> LeastSquares:
         """Write the one-shot program with all that is known.
 
         Parameters
         ----------
         at : ndarray, shape (N,), optional
             Floor masses for the linearization of soft priors. Without these masses, the program has no soft priors.
-        origin : ndarray, shape (N,), optional
-            Reference floor masses: x is the change from these masses. Default: zero.
         """
-        start = np.zeros(self.experiment.stories) if origin is None else origin
-        added = self.configuration.added_mass
-        plain = one_shot_rows(self.shapes, self.total, rows=self.rows, at=start + added).replace(A=None, b=None)
+        plain = one_shot_rows(self.shapes, self.total, at=self.configuration.added_mass).replace(A=None, b=None)
         program = plain
         if at is not None:
             program = softened(plain, self.experiment.priors, "floor_mass", at, self.mass_row_std, step=False)
-        return constrained(program, self.of_masses, start).replace(title=self._title("one-shot masses"))
+        return constrained(program, self.of_masses, np.zeros(len(self.shapes))).replace(
+            title=self._title("one-shot masses")
+        )
 
-    def story_stiffnesses(self, mass: Floats, at: Floats | None = None, origin: Floats | None = None) -> LeastSquares:
+    def story_stiffnesses(self, mass: Floats, at: Floats | None = None) -> LeastSquares:
         """Write Eq. 24 with all that is known, at floor masses with added mass or at a full mass matrix.
 
         Parameters
         ----------
         mass : ndarray, shape (N,) or (N, N)
-        at, origin : ndarray, shape (N,), optional
-            As for `one_shot_masses`.
+        at : ndarray, shape (N,), optional
+            Story stiffnesses for the linearization of soft priors.
         """
-        start = np.zeros(self.experiment.stories) if origin is None else origin
-        plain = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues, rows=self.rows, at=origin)
+        plain = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues)
         program = plain
         if at is not None:
             program = softened(plain, self.experiment.priors, "story_stiffness", at, self.stiffness_row_std, step=False)
-        return constrained(program, self.of_stiffnesses, start).replace(title=self._title("story stiffnesses"))
+        return constrained(program, self.of_stiffnesses, np.zeros(len(self.shapes))).replace(
+            title=self._title("story stiffnesses")
+        )
 
     def _title(self, what: str) -> str:
         return f"{what}, {self.configuration.name}"
@@ -258,9 +254,7 @@ def _chosen(experiment: Measurement, name: str | None, priors: Sequence[Prior], 
     return complete_test(experiment, experiment.configurations[names.index(chosen)], program)
 
 
-def complete_test(
-    experiment: Experiment, configuration: Configuration, user: str, *, rows: bool | None = None
-) -> CompleteTest:
+def complete_test(experiment: Experiment, configuration: Configuration, user: str) -> CompleteTest:
     """Collect what the programs of one configuration need.
 
     Parameters
@@ -269,7 +263,6 @@ def complete_test(
     configuration : Configuration
     user : str
         The method or program that needs it, for messages.
-    rows : bool, optional
 
     Raises
     ------
@@ -307,5 +300,4 @@ def complete_test(
         of_masses=statements(experiment.priors, "floor_mass", n, experiment.frame, least),
         of_stiffnesses=statements(experiment.priors, "story_stiffness", n, least=least * eigenvalues[0]),
         shape_std=float(np.sqrt(np.mean(relative**2))),
-        rows=rows,
     )

@@ -23,7 +23,7 @@ from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.odds import weigh
 from cvxshear.util.quantities import SURE, significant
-from cvxshear.util.typing import Complexes, Floats, Ints
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 FAULTY = 0.02
 """Probability beforehand that a clock is late, that it drifts, and that a channel carries no motion: one in fifty."""
@@ -33,25 +33,15 @@ SHORTEST_DELAY = 0.5
 """Samples; the phases of the modes determine shorter delays more exactly."""
 FASTEST_DRIFT = 1e-3
 """s a second; crystals differ by a tenth of that at most."""
-STEADY = 0.02
-"""Samples by which the delay of a sound clock may seem to change, as modes ring with other weights."""
 PHASES = 50
 """Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
 lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure."""
-LIVE, MOTIONLESS = 0.5, 0.3
-"""Standard deviations of the log odds of a channel's agreement with the others: of a live one about the usual agreement
-of the record, of one without motion about what chance makes."""
 SEGMENT = 20.0
 """s; long beside the longest delay, short enough that a record has many."""
-GROUPS = 12
-"""Parts of a record in which the delay is estimated by itself."""
-DELAY_BANDS = 8
-"""Parts of the spectrum, of equal weight, in each of which the delay is estimated by itself."""
+CLOCK_PARTS = 10
+"""Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself."""
 NOISE_FLOOR = 10.0
 """Times the tenth of a channel's lines that hold least: below it a line counts little."""
-BETWEEN_RESONANCES = 0.03
-"""Of the highest line: below it lines of a decay count little. There the tails of several modes overlap, with phases
-that change from release to release; counted in full, drifts erred by twice their standard deviations."""
 MAINS = (50.0, 60.0)
 """Mains frequencies, Hz; their lines, harmonics up to the third and aliases are not used."""
 
@@ -67,11 +57,9 @@ class Segments:
     weights : array, shape (segments, lines, clocks)
         Between 0 and 1: the part of a line above the possible noise.
     times : array, shape (segments,)
-        Middle of each, s.
+        Middle of each, s; 0 for blows, whose runs do not say what passed between them.
     groups : list of array of int
         The segments of each part of the record in which delays are estimated by themselves.
-    hit : array of int, shape (groups,)
-        The floor that a hammer hit in each; 0 for other records.
     length : int
         Samples.
     rate : float
@@ -82,7 +70,6 @@ class Segments:
     weights: Floats
     times: Floats
     groups: list[Ints]
-    hit: Ints
     length: int
     rate: float
 
@@ -93,33 +80,25 @@ class Segments:
         length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
         blows = struck(record)
         window = _window(length, decaying=blows or record.input == "free_decay")
-        spectra, times, driven, started = [], [], [], 0
+        spectra, times, started = [], [], 0
         for run in record.runs:
             both = [run.responses] if run.excitation is None else [run.responses, run.excitation[:, None]]
             values = np.column_stack(both)
             values = values - np.median(values, axis=0)
             for start in range(0, run.samples - length + 1, length // 2):
                 spectra.append(np.fft.rfft(values[start : start + length] * window, axis=0))
-                times.append((started + start + length / 2) / rate)
-                driven.append(run.floor if blows else 0)
+                times.append(0.0 if blows else (started + start + length / 2) / rate)
             started += run.samples
         found = np.array(spectra)
         power = np.abs(found) ** 2
         floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
         mains = mains_lines(length, rate)
-        if record.input == "free_decay":
-            loudest = np.delete(power.mean(axis=0), mains, axis=0).max(axis=0)
-            floor = np.maximum(floor, BETWEEN_RESONANCES * loudest)
         with np.errstate(invalid="ignore", divide="ignore"):
             weights = np.nan_to_num(power / (power + floor)) ** 2
         weights[:, mains] = 0.0
         weights[:, :2] = 0.0
-        # With dampers a frame answers to a blow at another floor with other phases.
-        by_floor = [np.flatnonzero(np.array(driven) == floor) for floor in np.unique(driven)]
-        counts = [min(max(1, round(GROUPS * len(each) / len(times))), len(each)) for each in by_floor]
-        groups = [part for each, count in zip(by_floor, counts, strict=True) for part in np.array_split(each, count)]
-        hit = np.array([driven[group[0]] for group in groups])
-        return Segments(found, weights, np.array(times), groups, hit, length, rate)
+        groups = np.array_split(np.arange(len(times)), min(CLOCK_PARTS, len(times)))
+        return Segments(found, weights, np.array(times), groups, length, rate)
 
     @property
     def omega(self) -> Floats:
@@ -257,35 +236,29 @@ class Phases:
 
         A clock is late by the same in every band. The phases that a damper makes differ from band to band, and those
         that a sweep passes through at different times look like a drift where bands may not have delays of their own.
-        Bands have other delays where another floor was hit.
         """
         omega, around = self.segments.omega, self._around
         # The line that was found is corrected twice: the first leaves half a step of the grid.
         for _ in range(2):
             turned = self.squares * np.exp(2j * np.outer(late + slope * around, omega))
             loud = np.cumsum(np.abs(self.squares).sum(axis=0))
-            edges = np.searchsorted(loud, np.arange(DELAY_BANDS) / DELAY_BANDS * loud[-1], side="right")
+            edges = np.searchsorted(loud, np.arange(CLOCK_PARTS) / CLOCK_PARTS * loud[-1], side="right")
             edges = np.unique(np.minimum(edges, len(omega) - 1))
             cells, sizes = (np.add.reduceat(each, edges, axis=1) for each in (turned, np.abs(turned)))
             middles = np.add.reduceat(np.abs(turned) * omega, edges, axis=1) / np.maximum(sizes, 1e-300)
             middles = np.maximum(middles, omega[1])
             left, weight = -np.angle(cells) / (2 * middles), np.abs(cells) * middles**2
-            off, times, parts = np.zeros(left.shape), np.zeros(left.shape), 0.0
-            for floor in np.unique(self.segments.hit):
-                same = self.segments.hit == floor
-                total = np.maximum(weight[same].sum(axis=0), 1e-300)
-                off[same] = left[same] - (weight * left)[same].sum(axis=0) / total
-                times[same] = around[same, None] - (weight * around[:, None])[same].sum(axis=0) / total
-                parts += float(np.sum(total**2 / np.maximum((weight[same] ** 2).sum(axis=0), 1e-300) - 1.0))
+            of_bands = np.maximum(weight.sum(axis=0), 1e-300)
+            mean = (weight * left).sum(axis=0) / of_bands
+            off, times = left - mean, around[:, None] - (weight * around[:, None]).sum(axis=0) / of_bands
+            parts = float(np.sum(of_bands**2 / np.maximum((weight**2).sum(axis=0), 1e-300) - 1.0))
             information = max(float((weight * times**2).sum()), 1e-300)
             more = float((weight * times * off).sum()) / information
             freedom = max(int(parts) - 1, 1)
             scatter = float((weight * (off - more * times) ** 2).sum()) / freedom
-            of_bands = np.maximum(weight.sum(axis=0), 1e-300)
-            mean, shares = (weight * left).sum(axis=0) / of_bands, of_bands / of_bands.sum()
+            shares = of_bands / of_bands.sum()
             late, slope = late + float(shares @ mean), slope + more
-        half = max(float(np.abs(around).max()), 1e-9)
-        slope_std = float(np.hypot(np.sqrt(scatter / information), STEADY / self.segments.rate / half))
+        slope_std = max(float(np.sqrt(scatter / information)), 1e-300)
         # Student's likelihood of the slope with that of none, and a uniform prior. A slope that the data do not tell
         # keeps its prior probability.
         gain = 0.5 * (freedom + 1) * np.log1p((slope / slope_std) ** 2 / freedom)
@@ -308,14 +281,9 @@ class Phases:
 
     @property
     def by_chance(self) -> float:
-        """The agreement that a channel without motion reaches: that at one delay, times root 2 log of those tried."""
+        """The agreement that a channel without motion exceeds at some delay or drift with probability `FAULTY`."""
         tried = 2 * LONGEST_DELAY * 8 * self.segments.rate * (2 * self._steps_of_drift[1] + 1)
-        return self.chance * float(np.sqrt(2.0 * np.log(tried)))
-
-    def nearer(self, seconds: float) -> bool:
-        """Whether the phases of the whole band agree better with a delay than without one."""
-        turned = self.squares.sum(axis=0) * np.exp(2j * self.segments.omega * seconds)
-        return bool(turned.real.sum() > self.squares.real.sum())
+        return self.chance * float(np.sqrt(2.0 * np.log(tried / FAULTY)))
 
 
 @dataclass(frozen=True)
@@ -369,10 +337,13 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     compared = [segments.against(clock, [k for k in everyone if k != clock]) for clock in everyone]
     common = np.array([each.agreement for each in compared])
     reference = ranking.first_largest(common)
-    silent = [clock for clock in range(len(names)) if _is_silent(common, clock, compared[clock].by_chance)]
+    chances = np.array([each.by_chance for each in compared])
+    heard = common > chances
+    # Where most channels show no more than chance the record is too short to tell.
+    silent = [clock for clock in range(len(names)) if not heard[clock] and 2 * heard.sum() > len(clocks)]
     findings = []
     for place in silent:
-        channel, chance = record.channels[place], compared[place].by_chance
+        channel, chance = record.channels[place], float(chances[place])
         numbers = {"channel": channel.name, "floor": channel.floor, "agreement": float(common[place]), "out": True}
         findings.append(finding("dead channel/silent", numbers, where=channel, chance=chance))
     left = [clock for clock in everyone if clock not in silent]
@@ -410,15 +381,6 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     return (in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
 
 
-def _is_silent(common: Floats, clock: int, by_chance: float) -> bool:
-    """Whether a channel has no more in common with the others than the best of many lines shows by chance."""
-    usual = float(np.median(np.delete(common, clock)))
-    own, live, dead = special.logit(np.clip([common[clock], usual, by_chance], 1e-6, 1.0 - 1e-6))
-    spread = np.array([LIVE, MOTIONLESS])
-    off = np.array([own - live, max(own - dead, 0.0)]) / spread
-    return bool(weigh(-0.5 * off**2 - np.log(spread), np.log([1.0 - FAULTY, FAULTY]))[1] >= SURE)
-
-
 def clock_drift(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
     """Report a clock that drifted, and has been set right."""
     numbers = {"channel": name, "reference": reference, "seconds": start, "drift": slope, "drift_std": std}
@@ -453,3 +415,120 @@ def mains_lines(length: int, rate: float) -> Ints:
         for near in (-1, 0, 1)
     }
     return np.array([place for place in sorted(places) if 0 <= place <= length // 2], dtype=np.int64)
+
+
+LONGEST = 0.05
+"""Largest offset, s, looked for in the phases of the modes: the phases of the whole band show longer ones before."""
+STEPS = 4001
+"""Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree."""
+FOLDED = 0.85
+"""Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances."""
+
+
+def folded_phase(values: Complexes) -> Floats:
+    """Angle off the real axis to the nearer side, rad."""
+    return np.angle(values * np.where(values.real < 0, -1.0, 1.0))
+
+
+def rms_phase(values: Complexes, weight: Floats | None = None) -> float:
+    """Root mean square angle off the real axis, degrees, weighted by default by the squared moduli."""
+    weight = np.abs(values) ** 2 if weight is None else weight
+    return float(np.degrees(np.sqrt(np.sum(weight * folded_phase(values) ** 2) / np.sum(weight))))
+
+
+@dataclass(frozen=True, eq=False)
+class Offsets:
+    """Estimated clock offsets.
+
+    Parameters
+    ----------
+    seconds : array, shape (clocks,)
+        Positive where a channel's record is late, against the clock that is nearest to all the others; the
+        channels in order of floor, then the input where its clock is seen.
+    unexplained : array, shape (clocks,)
+        Root mean square angle to the clock that the offsets count from, degrees, that the offset leaves over the modes.
+    before : array, shape (clocks,)
+        The same angle without the offset.
+    reference : int
+        The clock that the offsets count from.
+    """
+
+    seconds: Floats
+    unexplained: Floats
+    before: Floats
+    reference: int
+
+
+def offsets(
+    eigenvalues: Complexes,
+    shapes: Complexes,
+    participations: Complexes | None = None,
+    reference: int | None = None,
+    sampling_rate: float = np.inf,
+    loud: Bools | None = None,
+) -> Offsets:
+    """Estimate the offset of every channel's clock.
+
+    Parameters
+    ----------
+    eigenvalues : array of complex, shape (modes,)
+        1/s.
+    shapes : array of complex, shape (modes, channels)
+    participations : array of complex, shape (modes,), optional
+        What turns each shape into a residue that is real for a real mode and clocks that agree; the input's
+        clock is then estimated as well.
+    reference : int, optional
+        The clock to count from; the one nearest to all the others where None.
+    sampling_rate : float, optional
+        Hz. Modes above `FOLDED` of its half do not count, where two others are left.
+    loud : array of bool, shape (modes,), optional
+        The modes that count, where they are two at least: a straight line takes each for as sure as the others.
+
+    Returns
+    -------
+    Offsets
+    """
+    omega = np.abs(eigenvalues.imag)
+    used = np.ones(len(omega), dtype=bool)
+    for heard in (omega <= FOLDED * np.pi * sampling_rate, used if loud is None else loud):
+        if np.count_nonzero(used & heard) >= 2:
+            used = used & heard
+    omega, shapes = omega[used], shapes[used]
+    participations = None if participations is None else participations[used]
+    if participations is not None:
+        phasors = shapes * participations[:, None]
+    else:
+        floor = ranking.first_largest(np.min(np.abs(shapes), axis=0))
+        phasors = shapes * np.conj(shapes[:, [floor]])
+    phasors = phasors / np.maximum(np.linalg.norm(phasors, axis=1, keepdims=True), 1e-300)
+    seconds = np.array([_slope(omega, column) for column in phasors.T])
+    if participations is not None:
+        seconds, phasors = np.append(seconds, 0.0), np.column_stack([phasors, np.ones(len(omega))])
+    if reference is None:
+        # Of an even number of clocks the two in the middle are equally near to all the others.
+        reference = ranking.first_largest(-np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1))
+    seconds = seconds - seconds[reference]
+    between = phasors * np.conj(phasors[:, [reference]])
+    before = [rms_phase(column) for column in between.T]
+    left = [rms_phase(column * np.exp(1j * omega * each)) for column, each in zip(between.T, seconds, strict=True)]
+    return Offsets(seconds, np.array(left), np.array(before), reference)
+
+
+def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Complexes:
+    """Take the offsets' turns back, shape (modes, channels)."""
+    turn = np.exp(1j * np.abs(eigenvalues.imag)[:, None] * seconds[None, : shapes.shape[1]])
+    return np.asarray(shapes * turn)
+
+
+def _slope(omega: Floats, phasors: Complexes) -> float:
+    """Find the offset that makes the phasors most nearly real, the smallest of several that do."""
+    longest = min(LONGEST, 0.5 * np.pi / float(omega.min()))
+    grid = np.linspace(-longest, longest, STEPS)
+    turned = phasors[None, :] * np.exp(1j * grid[:, None] * omega[None, :])
+    cost = np.sum(turned.imag**2, axis=1) / np.sum(np.abs(phasors) ** 2)
+    start = grid[int(np.argmin(cost + 1e-3 * np.abs(grid) / longest))]
+    # On the line the remaining angles are small, and least squares in the angle is a division.
+    for _ in range(5):
+        angle, weight = folded_phase(phasors * np.exp(1j * start * omega)), np.abs(phasors) ** 2
+        start -= float(np.sum(weight * omega * angle) / np.sum(weight * omega**2))
+    return float(start)

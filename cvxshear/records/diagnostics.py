@@ -1,20 +1,17 @@
 """Findings about a record from its modes: clocks, signs, swaps, resolution, reciprocity, amplitude."""
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from cvxshear.records.clocks import FAULTY, Segments
-from cvxshear.records.deviations import SENSOR_STD, jackknife
-from cvxshear.records.estimate import SURROGATES, Details, Replication
+from cvxshear.records.clocks import FAULTY, LONGEST
+from cvxshear.records.estimate import Details, Replication, jackknife
 from cvxshear.records.examination import ROTATES
-from cvxshear.records.frf import FrfSource, ImpulseSource
-from cvxshear.records.mode_shapes import LONGEST
-from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, Parts, PoleCandidate, Values
-from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
-from cvxshear.records.result import OVERLOOKED_KIND, ModalResult
+from cvxshear.records.frf import FrfSource
+from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
+from cvxshear.records.record import Finding, FrfRecord, Record, finding
+from cvxshear.records.result import OVERLOOKED_KIND, SENSOR_STD, ModalResult
 from cvxshear.util import ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.odds import weigh
@@ -73,8 +70,6 @@ def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate
 
 LEAST_TURN = 1.0
 """Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
-COMPLEX = 5.0
-"""Least reported phase, degrees, that a real normal mode loses: its shape is 0.4 % smaller than the complex shape."""
 UNRECIPROCAL = 0.02
 """Least reported relative difference between the two directions of a transfer, for sensors and a hammer accurate to 1
 %."""
@@ -104,7 +99,7 @@ def modal_findings(
 
     `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
     """
-    yield from clock_findings(record, result, full)
+    yield from clock_findings(result, full)
     yield from resolution_findings(record, result)
     yield from reciprocity_findings(full, setting)
     yield from hit_findings(record, setting)
@@ -119,16 +114,10 @@ def modal_findings(
         yield finding("std", {"lost": lost}, count=len(setting.source.groups), unit=setting.source.unit)
 
 
-def found_twice(item: PoleCandidate) -> Finding:
-    """Report a second stable pole with the shape of another, which comes back in every piece of the record."""
-    return finding("split mode", {"frequency": item.frequency}, why=item.reason)
-
-
-def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterator[Finding]:
+def clock_findings(result: ModalResult, full: Details) -> Iterator[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
     names = list(result.clock_offsets)
-    segments = Segments.of(record) if isinstance(record, TimeRecord) else None
     for (name, (late, std)), left, before in zip(
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
@@ -139,14 +128,6 @@ def clock_findings(record: Record, result: ModalResult, full: Details) -> Iterat
         gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * LONGEST))
         if weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY]))[1] < SURE:
             continue
-        if segments is not None:
-            place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
-            floors = [floor for floor in range(len(record.channels)) if floor != place]
-            if beside == len(record.channels) and floors:
-                # Every resonance turns the phases between the input and a floor; those between two floors it does not.
-                beside = min(floors, key=lambda floor: abs(late_by[floor]))
-            if not segments.against(place, [beside]).nearer(float(late_by[place] - late_by[beside])):
-                continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
@@ -266,9 +247,6 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
     for item in sweep.candidates:
         if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint:
             yield finding("rotation/pole", {"frequency": item.frequency}, why=item.reason)
-    for mode, phase in zip(result.modes, result.lost_phase, strict=True):
-        if phase > COMPLEX:
-            yield finding("complex mode", {"mode": int(mode), "degrees": float(phase)})
 
 
 TYPICAL_CHANGE = 0.01
@@ -277,101 +255,54 @@ SMALLEST_CHANGE = 1e-3
 """Relative change of a frequency that says nothing: four degrees of temperature have this effect on a steel frame."""
 SIGNIFICANT = 3.0
 """Least change of a frequency, in standard deviations: chance exceeds it for one mode in 370."""
-FEWEST_BLOCKS = 8
-"""Least number of blocks: half of them, four, still determine the modes and their scatter."""
 
 
 def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:
-    """Modes whose frequency depends on amplitude: strong blocks against weak ones, a whole decay against its end.
+    """Report modes whose frequency depends on amplitude: the stronger half of the blocks against the weaker one.
 
     Two hypotheses, equally probable beforehand, are weighed over all modes together: no change, or changes of a
     typical size. The scatter is Student's, as it is estimated from a few pieces.
     """
-    blocks = setting.source.unit == "block" and len(setting.source.groups) >= FEWEST_BLOCKS
-    compared = _strong_and_weak(setting) if blocks else _early_and_late(setting, result)
-    if compared is None:
+    if setting.source.unit != "block":
         return
-    first, second, std, freedom = compared
-    changes = first - second
+    energies = setting.source.energies
+    strong = energies > np.median(energies)
+    # Noise that the stronger half hardly shows may be a tenth of the weaker: each half says itself how it scatters.
+    halves = [half for half in (_half(setting, strong), _half(setting, ~strong)) if half is not None]
+    if len(halves) < 2:
+        return
+    (first, first_std, first_freedom), (second, second_std, second_freedom) = halves
+    changes, freedom = first - second, np.minimum(first_freedom, second_freedom)
+    std = np.hypot(first_std, second_std)
     scales = np.hypot(np.maximum(std, SMALLEST_CHANGE), np.array([[0.0], [TYPICAL_CHANGE]]))
     likely = -np.log(scales) - 0.5 * (freedom + 1.0) * np.log1p((changes / scales) ** 2 / freedom)
     if weigh(likely.sum(axis=1))[1] < SURE:
         return
-    energies = setting.source.energies
-    strong = energies > np.median(energies)
     # Halves of a record differ by twice the scatter of the whole. What does not exceed that is left to the scatter.
-    least = SIGNIFICANT * 2.0 * result.frequency_std if blocks else 0.0
-    known = (likely[1] > likely[0]) & (np.abs(changes) > np.maximum(least, SMALLEST_CHANGE))
-    for place in np.flatnonzero(known).tolist():
+    least = np.maximum(SIGNIFICANT * 2.0 * result.frequency_std, SMALLEST_CHANGE)
+    ratio = float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))
+    for place in np.flatnonzero((likely[1] > likely[0]) & (np.abs(changes) > least)).tolist():
         numbers = {"mode": int(result.modes[place]), "change": float(changes[place]), "std": float(std[place])}
         frequencies = np.exp([first[place], second[place]])
-        if blocks:
-            numbers |= {"amplitude_ratio": float(np.sqrt(energies[strong].mean() / energies[~strong].mean()))}
-            yield finding("amplitude", numbers, strong=frequencies[0], weak=frequencies[1])
-        else:
-            yield finding("amplitude/decay", numbers, whole=frequencies[0], later=frequencies[1])
+        numbers |= {"amplitude_ratio": ratio}
+        yield finding("amplitude", numbers, strong=frequencies[0], weak=frequencies[1])
 
 
-_Compared = tuple[Floats, Floats, Floats, Floats]
-"""Log frequencies under strong and under weak motion, standard deviations of their differences, degrees of freedom."""
-
-
-def _strong_and_weak(setting: Replication) -> _Compared | None:
-    energies = setting.source.energies
-    strong = energies > np.median(energies)
-    first, second = _log_frequencies(setting, strong), _log_frequencies(setting, ~strong)
-    if first is None or second is None or np.all(np.abs(first - second) < SMALLEST_CHANGE):
-        return None
-    # Noise that the stronger half hardly shows may be a tenth of the weaker: each half says itself how it scatters.
-    scatters = [_scatter(setting, half) for half in (strong, ~strong)]
-    known = [each for each in scatters if each is not None]
-    if len(known) < 2:
-        return None
-    (first_std, first_freedom), (second_std, second_freedom) = known
-    return first, second, np.hypot(first_std, second_std), np.minimum(first_freedom, second_freedom)
-
-
-def _scatter(setting: Replication, half: Bools) -> tuple[Floats, Floats] | None:
-    """Find the standard deviations of the log frequencies of half of the blocks, and their degrees of freedom."""
+def _half(setting: Replication, half: Bools) -> tuple[Floats, Floats, Floats] | None:
+    """Log frequencies of half of the blocks, their standard deviations and degrees of freedom; None if not found."""
     blocks = np.flatnonzero(half)
 
     def estimate(keep: Bools) -> Floats | None:
         left = np.zeros(len(half), dtype=bool)
         left[blocks[keep]] = True
-        return _log_frequencies(setting, left)
+        values = setting.values(left)
+        return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
 
+    whole = estimate(np.ones(len(blocks), dtype=bool))
+    if whole is None:
+        return None
     try:
         covariance, freedom, _ = jackknife(estimate, np.zeros(len(blocks), dtype=np.int64), np.ones(len(blocks)))
     except InputError:
         return None
-    return np.sqrt(np.diag(covariance)), freedom
-
-
-def _early_and_late(setting: Replication, result: ModalResult) -> _Compared | None:
-    """Compare the impulse response from its start with the same once it has decayed to a third."""
-    impulse = setting.source.impulse()
-    if impulse is None:
-        return None
-    power = np.sum(impulse.sequence**2, axis=(1, 2))
-    left = np.cumsum(power[::-1])[::-1]
-    weak = np.flatnonzero(left < left[impulse.start] / 9)
-    if not weak.size or weak[0] > 0.6 * len(power):
-        return None
-    begun, rate = int(weak[0]), setting.source.sampling_rate
-    source = ImpulseSource(dataclasses.replace(impulse, start=begun), rate)
-    later = _logarithms(setting, Parts(source, setting.sweep.poles).values(setting.sweep.chosen, None))
-    if later is None:
-        return None
-    # Noise stays while each mode decays.
-    lost = 2 * np.pi * result.frequencies * result.damping_ratios * (begun - impulse.start) / rate
-    std = result.frequency_std * np.exp(np.clip(lost, 0.0, 50.0))
-    pieces = len(setting.source.groups) or SURROGATES
-    return np.log(result.frequencies), later, std, np.full(len(std), pieces - 1.0)
-
-
-def _log_frequencies(setting: Replication, keep: Bools) -> Floats | None:
-    return _logarithms(setting, setting.values(keep))
-
-
-def _logarithms(setting: Replication, values: Values | None) -> Floats | None:
-    return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
+    return whole, np.sqrt(np.diag(covariance)), freedom

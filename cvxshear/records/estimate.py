@@ -1,16 +1,16 @@
 """Compute frequencies, shapes, scales and deviations from the chosen poles, on all or part of the data."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
+from scipy.optimize import nnls
 
-from cvxshear.records import frf, mode_shapes
-from cvxshear.records.deviations import independent_std, jackknife, surrogate
-from cvxshear.records.mode_shapes import Offsets
-from cvxshear.records.picking import FAINT, Doubts, Parts, PoleCandidate, Sweep, Values
+from cvxshear.records import frf, picking
+from cvxshear.records.clocks import Offsets, offsets, rms_phase, undone
+from cvxshear.records.picking import Doubts, Parts, PoleCandidate, Values
 from cvxshear.records.pole_sweep import Criteria, DampedModes, Impulse, Source
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import ModalResult
@@ -63,8 +63,6 @@ SURROGATES = 20
 """Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
 FEW_PIECES = 6
 """Pieces of a record: fewer pieces often underestimate the scatter (three pieces by half in one case of five)."""
-LAST_SAMPLE = 4000
-"""Last sample of an impulse response for the residues; later samples have decayed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,7 @@ class Replication:
     """
 
     parts: Parts
-    sweep: Sweep
+    sweep: picking.Sweep
     floors: Ints
     quantity: str
     shift: float
@@ -100,7 +98,7 @@ class Replication:
     def loud(self) -> Bools:
         """Modes with enough energy to determine clocks by their phases, shape (m,)."""
         energy = np.array([item.energy for item in self.sweep.chosen])
-        return np.asarray(energy > FAINT * energy.max())
+        return np.asarray(energy > picking.FAINT * energy.max())
 
     def values(self, keep: Bools | None) -> Values | None:
         """Find the chosen modes on a part of the data; None where one of them is not found there."""
@@ -147,26 +145,26 @@ def details(setting: Replication, values: Values, keep: Bools | None, reference:
     products, driven = _products(setting, values, keep)
     turned = None if products is None else frf.participations(products, values.shapes)
     right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
-    clocks = mode_shapes.offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
-    straight = mode_shapes.undone(values.eigenvalues, values.shapes, clocks.seconds)
-    shapes = np.array([mode_shapes.main_axis(shape) for shape in straight])
-    real = np.array([mode_shapes.real_shape(shape) for shape in straight])
+    late = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
+    straight = undone(values.eigenvalues, values.shapes, late.seconds)
+    shapes = np.array([picking.main_axis(shape) for shape in straight])
+    real = np.array([picking.real_shape(shape) for shape in straight])
     places = ranking.largest(np.abs(real if reference is None else reference.real))
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
     if products is not None and not setting.base:
         found = [
-            frf.modal_scale(_turned_back(each, value, clocks), shape, setting.floors, driven)
+            frf.modal_scale(_turned_back(each, value, late.seconds), shape, setting.floors, driven)
             for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
         ]
         known = [scale for scale in found if scale is not None]
         scales = np.array(known) if len(known) == len(found) else None
-    return Details(values.eigenvalues + setting.shift, shapes, real, scales, clocks, products, driven)
+    return Details(values.eigenvalues + setting.shift, shapes, real, scales, late, products, driven)
 
 
-def _turned_back(products: Complexes, eigenvalue: complex, clocks: Offsets) -> Complexes:
+def _turned_back(products: Complexes, eigenvalue: complex, seconds: Floats) -> Complexes:
     """Products of one mode without the turns of the clocks of the channels and of the force."""
-    late = clocks.seconds[: len(products)] - clocks.seconds[-1]
+    late = seconds[: len(products)] - seconds[-1]
     return np.asarray(products * np.exp(1j * abs(eigenvalue.imag) * late)[:, None])
 
 
@@ -175,8 +173,7 @@ def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple
     if impulse is None or not (setting.base or np.all(impulse.driven > 0)):
         return None, np.zeros(0, dtype=np.int64)
     rate = setting.source.sampling_rate
-    sequence = impulse.sequence[:LAST_SAMPLE]
-    amplitudes = frf.residues(sequence, values.eigenvalues, rate, impulse.start)
+    amplitudes = frf.residues(impulse.sequence, values.eigenvalues, rate, impulse.start)
     if impulse.wrapped:
         amplitudes = frf.unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
     amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
@@ -293,7 +290,7 @@ def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
         return 0.0
     weight = np.abs(products) ** 2
     weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
-    return mode_shapes.rms_phase(products, weight)
+    return rms_phase(products, weight)
 
 
 def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
@@ -353,8 +350,8 @@ def assembled(
         mass_normalized=full.scales is not None,
         modes=_numbers(full.real, record, setting.sweep.chosen),
         complex_shapes=full.shapes,
-        phase_collinearity=np.array([mode_shapes.collinearity(shape) for shape in full.shapes]),
-        lost_phase=np.array([mode_shapes.lost_phase(shape) for shape in full.shapes]),
+        phase_collinearity=np.array([picking.collinearity(shape) for shape in full.shapes]),
+        lost_phase=np.array([picking.lost_phase(shape) for shape in full.shapes]),
         clock_offsets={
             name: (float(value), float(error))
             for name, value, error in zip(names, full.clocks.seconds, offset_std, strict=False)
@@ -400,7 +397,116 @@ def _numbers(shapes: Floats, record: Record, chosen: Sequence[PoleCandidate]) ->
     if numbers.all():
         return numbers
     if shapes.shape[1] == record.stories > 1:
-        changes = np.array([mode_shapes.sign_changes(shape) for shape in shapes], dtype=np.int64)
+        changes = np.array([picking.sign_changes(shape) for shape in shapes], dtype=np.int64)
         if np.all(np.diff(changes) > 0):
             return changes + 1
     return np.arange(1, len(shapes) + 1, dtype=np.int64)
+
+
+DRAWN = 0.3
+"""Weight of equal variances, relative to the weight of the covariance."""
+
+
+def independent_std(covariance: Floats, shape: Floats) -> Floats:
+    """Independent errors on all entries that, the scale free, scatter a shape as a covariance says.
+
+    An error along the shape itself is lost in the scale: with P the projector off the shape, P D P and
+    P cov P have the same diagonal for the diagonal matrix D = diag(std^2) sought, a linear system with
+    the squared entries of P. Solved for non-negative variances.
+
+    Parameters
+    ----------
+    covariance : array, shape (n, n)
+        In any scaling of the shape to a fixed length or entry.
+    shape : array, shape (n,)
+
+    Returns
+    -------
+    array, shape (n,)
+    """
+    off = np.eye(len(shape)) - np.outer(shape, shape) / (shape @ shape)
+    seen = np.diag(off @ covariance @ off)
+    typical = float(seen.sum()) / max(1, len(shape) - 1)
+    if typical <= 0:
+        return np.zeros(len(shape))
+    # Drawn towards equal variances: the system is singular for two floors, and a covariance from a score of
+    # pieces is no better known than that.
+    rows = np.vstack([off**2, DRAWN * np.eye(len(shape))])
+    variances = nnls(rows, np.concatenate([seen / typical, np.full(len(shape), DRAWN)]))[0] * typical
+    return np.sqrt(np.maximum(variances, 0.1 * typical))
+
+
+Estimate = Callable[[Bools], Floats | None]
+
+
+def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
+    """Find the covariance by leaving out one piece at a time.
+
+    Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
+    squares of what leaving it out changes is without bias where a piece's variance goes with 1 / p_j, and nearly so
+    where it does not (HC2 of MacKinnon and White 1985, "Some heteroskedasticity-consistent covariance matrix
+    estimators", J. Econometrics 29). For equal weights it is the usual jackknife.
+
+    Parameters
+    ----------
+    estimate : callable
+        From a mask of pieces to the parameters, shape (k,), or None where they are not found.
+    groups : array of int, shape (pieces,)
+        Stratum of each piece.
+    weights : array, shape (pieces,)
+        How much each piece tells.
+
+    Returns
+    -------
+    covariance : array, shape (k, k)
+    freedom : array, shape (k,)
+        Degrees of freedom of each variance, its strata's together (Satterthwaite 1946), a stratum's from its weights
+        (Bell and McCaffrey 2002).
+    lost : int
+        Pieces without which the parameters were not found; the other pieces replace them.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two pieces of some stratum can be left out.
+    """
+    parts, freedoms, lost = [], [], 0
+    for group in np.unique(groups):
+        found, rest = [], []
+        pieces = np.flatnonzero(groups == group)
+        shares = weights[pieces] / weights[pieces].sum()
+        for piece, share in zip(pieces, shares, strict=True):
+            keep = np.ones(len(groups), dtype=bool)
+            keep[piece] = False
+            values = estimate(keep)
+            if values is None:
+                lost += 1
+            else:
+                found.append(values)
+                rest.append(1 - share)
+        if len(found) < 2:
+            raise InputError(
+                "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
+                "the rest; record longer, or more hits"
+            )
+        spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
+        parts.append(spread.T @ spread * len(pieces) / len(found))
+        form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
+        freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
+    variances, total = np.array([np.diag(part) for part in parts]), np.sum(parts, axis=0)
+    squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
+    freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
+    return total, freedom, lost
+
+
+def surrogate(residual: Floats, random: np.random.Generator) -> Floats:
+    """Noise with the spectra and cross-spectra of a residual, shape (samples, channels), of random phase.
+
+    One random phase a line, the same for all channels, keeps their coherence (Prichard and Theiler 1994).
+    """
+    spectrum = np.fft.rfft(residual, axis=0)
+    phase = np.exp(2j * np.pi * random.random(len(spectrum)))
+    phase[0] = 1.0
+    if len(residual) % 2 == 0:
+        phase[-1] = 1.0
+    return np.fft.irfft(spectrum * phase[:, None], n=len(residual), axis=0)

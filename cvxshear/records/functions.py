@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -18,10 +17,6 @@ from cvxshear.records.frf import Spectra, hit_spectra, table_spectra
 from cvxshear.records.prepare import detrended, struck, without_offset
 from cvxshear.records.record import FrfRecord, Record, TimeRecord
 from cvxshear.util.typing import Complexes, Floats, Ints
-
-if TYPE_CHECKING:
-    pass
-
 
 LINES = 512
 """Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""

@@ -2,28 +2,22 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cvxshear.records import diagnostics, estimate
-from cvxshear.records.clocks import clock_drift, clock_offset
+from cvxshear.records import diagnostics, estimate, picking, placement, prepare
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.functions import measured_functions
-from cvxshear.records.picking import PICKABLE, ModeChoice, Parts, Sweep, Values, strongest, sweep_orders
-from cvxshear.records.placement import findings_of, weighed
+from cvxshear.records.picking import Sweep
 from cvxshear.records.pole_sweep import Criteria, Source
-from cvxshear.records.prepare import BLOCKS, MODAL_METHODS, default_method, scaled, source_of
-from cvxshear.records.record import Finding, FrfRecord, Record
+from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import ModalResult
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.quantities import SURE
-from cvxshear.util.typing import Json
 
 CLOCKS = ("clock offset", "clock drift")
 """Kinds of findings that the whole band and the modes may both tell of a channel."""
@@ -90,31 +84,12 @@ def _too_low(found: tuple[Source, Sweep]) -> bool:
     return not sweep.chosen or sweep.chosen[-1].frequency < LOWEST_SHARE * source.sampling_rate
 
 
-@dataclass(frozen=True)
-class Options:
-    """How to identify; the parameters of `identify_modes`."""
-
-    method: str | None = None
-    blocks: int = BLOCKS
-    criteria: Criteria = field(default_factory=Criteria)
-    count: int | None = None
-    accept_swapped: bool = False
-    seed: int = 0
-    pick: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.method is not None:
-            checks.choice(self.method, MODAL_METHODS, "method")
-        if self.pick and self.count is not None:
-            raise InputError("give either count or pick: the modes picked by hand are as many as they are")
-
-
 @usual_arithmetic
 def identify_modes(
     record: Record,
     *,
     method: str | None = None,
-    blocks: int = BLOCKS,
+    blocks: int = prepare.BLOCKS,
     criteria: Criteria | None = None,
     count: int | None = None,
     accept_swapped: bool = False,
@@ -159,13 +134,23 @@ def identify_modes(
         Where no mode of the frame was found.
     """
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
-    options = Options(method, blocks, criteria or Criteria(), count, accept_swapped, seed, picked)
+    if picked and count is not None:
+        raise InputError("give either count or pick: the modes picked by hand are as many as they are")
+    method = prepare.default_method(record) if method is None else method
+    checks.choice(method, prepare.MODAL_METHODS, "method")
+    wanted = _wanted(record, count, picked)
+    criteria = criteria or Criteria()
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
             looked = examined(record)
+            attempt = partial(
+                _attempt, method=method, blocks=blocks, criteria=criteria, wanted=wanted, picked=picked,
+                turning=looked.turning,
+            )  # fmt: skip
             try:
-                result = _identified(looked.record, options, looked.turning)
+                repaired = _repaired(looked.record, wanted, attempt, max(picked, default=0.0), accept_swapped)
+                result = _identified(*repaired, method, criteria, wanted, seed, looked.turning)
             except NoSolutionError as error:
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:
@@ -179,40 +164,63 @@ def identify_modes(
     except np.linalg.LinAlgError as error:
         # Records that no frame made, a channel twice or a constant, have no decomposition somewhere.
         reason = f"the record determines no model ({error}); is one channel a copy of another, or constant?"
-        raise NoSolutionError(options.method or default_method(record), reason) from error
+        raise NoSolutionError(method, reason) from error
 
 
-def _identified(record: Record, options: Options, turning: Callable[[float], float] | None = None) -> ModalResult:
-    method = options.method or default_method(record)
-    shift = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
-    wanted = _wanted(record, options)
+def _attempt(
+    record: Record,
+    order: Sequence[int] | None = None,
+    *,
+    method: str,
+    blocks: int,
+    criteria: Criteria,
+    wanted: int,
+    picked: tuple[float, ...],
+    turning: Callable[[float], float] | None,
+) -> tuple[Source, Sweep]:
+    """Bring a record into the method's form and sweep the orders; `order` puts the channels in that of their floors."""
+    source = prepare.source_of(record, method, blocks=blocks)
+    by_signs = len(record.channels) == record.stories > 1
+    choose = picking.ModeChoice(wanted, record.stories, by_signs, picked, order)
+    shift = _window_decay(record)
+    return source, picking.sweep_orders(source, criteria, choose, band=record.band, shift=shift, turning=turning)
 
-    def attempt(record: Record, order: Sequence[int] | None = None) -> tuple[Source, Sweep]:
-        source = source_of(record, method, blocks=options.blocks)
-        by_signs = len(record.channels) == record.stories > 1
-        choose = ModeChoice(wanted, record.stories, by_signs, options.pick, order)
-        limits: dict[str, Any] = {"band": record.band, "shift": shift, "turning": turning}
-        return source, sweep_orders(source, options.criteria, choose, **limits)
 
-    record, (source, sweep), of_places = _repaired(record, wanted, attempt, options)
-    if len(sweep.chosen) < len(options.pick):
-        raise InputError(_out_of_reach(sweep, options.pick))
-    parts = Parts(source, sweep.poles)
-    scattering = partial(estimate.scattering, parts, criteria=options.criteria)
+def _window_decay(record: Record) -> float:
+    return 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
+
+
+def _identified(
+    record: Record,
+    found: tuple[Source, Sweep],
+    of_places: list[Finding],
+    method: str,
+    criteria: Criteria,
+    wanted: int,
+    seed: int,
+    turning: Callable[[float], float] | None,
+) -> ModalResult:
+    """Values, deviations and findings of the modes that were chosen."""
+    source, sweep = found
+    picked = sweep.choose.picked
+    if len(sweep.chosen) < len(picked):
+        raise InputError(_out_of_reach(sweep, picked))
+    parts = picking.Parts(source, sweep.poles)
+    scattering = partial(estimate.scattering, parts, criteria=criteria)
     # Modes that were picked by hand stay; their standard deviations show their uncertainty.
-    while len(source.groups) and not options.pick and (doubts := scattering(sweep.chosen)):
+    while len(source.groups) and not picked and (doubts := scattering(sweep.chosen)):
         sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
     while sweep.chosen:
-        setting = estimate.Replication(parts, sweep, record.floors, record.quantity, shift, base)
-        of_leakage = estimate.settle_truncation(record, setting, _chosen(sweep))
-        full = estimate.details(setting, _chosen(sweep), None)
-        spread, how, lost = estimate.covariance(setting, full, options.seed)
+        setting = estimate.Replication(parts, sweep, record.floors, record.quantity, _window_decay(record), base)
+        of_leakage = estimate.settle_truncation(record, setting, picking.Values.of(sweep.chosen))
+        full = estimate.details(setting, picking.Values.of(sweep.chosen), None)
+        spread, how, lost = estimate.covariance(setting, full, seed)
         result = estimate.assembled(record, setting, full, spread, method=method, uncertainty=how)
         # Once clocks are right, and by surrogates where nothing can be left out.
         each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), result.frequency_std.tolist(), strict=True)
-        doubts = {k: v for item in each for k, v in estimate.doubted(*item, options.criteria).items()}
-        if options.pick or not doubts:
+        doubts = {k: v for item in each for k, v in estimate.doubted(*item, criteria).items()}
+        if picked or not doubts:
             break
         sweep = sweep.without(doubts)
     else:
@@ -226,7 +234,8 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
         twice = [item for item in others if item.twin in modes and not scattering([item])]
         sweep = sweep.without(scattering([item for item in others if item.physical]))
         setting = dataclasses.replace(setting, sweep=sweep)
-    findings = of_places + of_leakage + [diagnostics.found_twice(item) for item in twice]
+    findings = of_places + of_leakage
+    findings += [finding("split mode", {"frequency": item.frequency}, why=item.reason) for item in twice]
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     sizes = {"floors": len(record.channels), "stories": record.stories}
     left = diagnostics.left_out(sweep.candidates, sweep.chosen)
@@ -235,7 +244,7 @@ def _identified(record: Record, options: Options, turning: Callable[[float], flo
 
 
 def _repaired(
-    record: Record, wanted: int, attempt: Attempt, options: Options
+    record: Record, wanted: int, attempt: Attempt, highest: float, accept_swapped: bool
 ) -> tuple[Record, tuple[Source, Sweep], list[Finding]]:
     """Set signs and units right that the lowest modes show to be wrong; source and sweep of the record come second.
 
@@ -244,51 +253,45 @@ def _repaired(
     InputError
         Where two channels are in each other's place, and that was not accepted.
     """
-    highest = max(options.pick, default=0.0)
     found = settled(record, wanted, attempt, highest=highest)
-    frequencies, lowest = strongest(found[1], 2)
+    frequencies, lowest = picking.strongest(found[1], 2)
     if len(record.channels) < 2 or len(lowest) < 2:
         return record, found, []
-    hypotheses = weighed(frequencies, lowest, record.floors, record.stories)
-    findings = findings_of(hypotheses, record.channels, lowest[0])
+    hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
+    findings = placement.findings_of(hypotheses, record.channels, lowest[0])
     best = hypotheses[0]
     if findings and findings[0].kind == "swapped channels" and best.probability >= SURE:
-        if not options.accept_swapped:
+        if not accept_swapped:
             raise InputError(findings[0].message)
         order = list(range(len(record.channels)))
         low, high = best.places
         order[low], order[high] = high, low
-        record = scaled(record, {record.channels[place].name: -1.0 for place in best.turned})
+        record = prepare.scaled(record, {record.channels[place].name: -1.0 for place in best.turned})
         return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
     if findings and findings[0].numbers["corrected"]:
         factor = -1.0 if best.kind == "sign" else best.factor
         factors = dict.fromkeys(best.places, factor)
         factors |= {place: -factors.get(place, 1.0) for place in best.turned}
-        record = scaled(record, {record.channels[place].name: value for place, value in factors.items()})
+        record = prepare.scaled(record, {record.channels[place].name: value for place, value in factors.items()})
         found = settled(record, wanted, attempt, highest=highest)
     return record, found, findings
 
 
-def _wanted(record: Record, options: Options) -> int:
+def _wanted(record: Record, count: int | None, picked: tuple[float, ...]) -> int:
     """How many modes would be all."""
     most = record.stories
-    if len(options.pick) > most:
-        raise InputError(f"pick names {len(options.pick)} modes; a frame of {most} stories has no more than {most}")
-    if options.pick:
-        return len(options.pick)
-    return most if options.count is None else checks.whole(options.count, "count", least=1, most=most)
+    if len(picked) > most:
+        raise InputError(f"pick names {len(picked)} modes; a frame of {most} stories has no more than {most}")
+    return len(picked) or (most if count is None else checks.whole(count, "count", least=1, most=most))
 
 
 def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
     near = [item.frequency for item in sweep.chosen]
-    missing = [f for f in picked if not any(abs(f - other) <= PICKABLE * f for other in near)]
+    missing = [f for f in picked if not any(abs(f - other) <= picking.PICKABLE * f for other in near)]
     named = ", ".join(f"{f:g}" for f in missing or picked)
     there = ", ".join(f"{item.frequency:.4g}" for item in sweep.candidates)
-    return f"pick: no stable pole of its own within {100 * PICKABLE:g} % of {named} Hz; there are {there or 'none'} Hz"
-
-
-def _chosen(sweep: Sweep) -> Values:
-    return Values(np.array([item.eigenvalue for item in sweep.chosen]), np.array([item.shape for item in sweep.chosen]))
+    reach = 100 * picking.PICKABLE
+    return f"pick: no stable pole of its own within {reach:g} % of {named} Hz; there are {there or 'none'} Hz"
 
 
 def _nothing(sweep: Sweep) -> str:
@@ -320,32 +323,18 @@ def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult
 
 def _besides(looked: Examined) -> str:
     """Say what the record gets wrong, for the message of a record without modes."""
-    said = [f"{finding.kind}: {finding.message}" for finding in looked.findings]
+    said = [f"{item.kind}: {item.message}" for item in looked.findings]
     return f". What the record gets wrong: {'; '.join(said)}" if said else ""
 
 
 def _with_what_was_seen(looked: Examined, result: ModalResult) -> ModalResult:
-    """Add what was found before; clocks that were set right count together with what was left."""
-    seen, offsets = [], dict(result.clock_offsets)
-    for finding in looked.findings:
-        numbers: Json = finding.numbers
-        name, against = str(numbers.get("channel", "")), str(numbers.get("reference", ""))
-        if finding.kind not in CLOCKS or name not in offsets:
-            seen.append(finding)
-            continue
-        (rest, std), (zero, spread) = result.clock_offsets[name], result.clock_offsets.get(against, (0.0, 0.0))
-        if np.hypot(std, spread) > numbers.get("std", np.inf):
-            # The whole band tells it better: dampers turn the phases of the modes.
-            rest, zero, std, spread = 0.0, 0.0, numbers["std"], 0.0
-        apart = numbers["seconds"] + rest - zero
-        if finding.kind == "clock offset":
-            seen.append(clock_offset(name, against, apart, float(np.hypot(std, spread))))
-        else:
-            seen.append(clock_drift(name, against, apart, numbers["drift"], numbers["drift_std"]))
-        # The finding counts from the bands' reference, the offsets from that of the modes.
-        from_modes = result.clock_offsets.get(against, (0.0, 0.0))
-        offsets[name] = apart + from_modes[0], float(np.hypot(std, from_modes[1]))
-    # The remaining offset of a clock that the whole band corrected is counted above, or belongs to its drift.
-    told = {finding.numbers["channel"] for finding in seen if finding.kind in CLOCKS}
+    """Add what was found before; clocks that the whole band set right count together with what the modes leave."""
+    offsets, told = dict(result.clock_offsets), set()
+    for item in looked.findings:
+        name = item.numbers.get("channel")
+        if item.kind in CLOCKS and name in offsets:
+            told.add(name)
+            rest, std = offsets[name]
+            offsets[name] = item.numbers["seconds"] + rest, std
     left = [item for item in result.findings if item.kind not in CLOCKS or item.numbers["channel"] not in told]
-    return dataclasses.replace(result, findings=(*seen, *left), clock_offsets=offsets)
+    return dataclasses.replace(result, findings=(*looked.findings, *left), clock_offsets=offsets)

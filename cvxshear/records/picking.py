@@ -9,10 +9,11 @@ from operator import itemgetter
 
 import numpy as np
 
-from cvxshear.data.pairing import mac
-from cvxshear.records import pole_sweep
-from cvxshear.records.mode_shapes import collinearity, offsets, possible_changes, real_shape, sign_changes, undone
-from cvxshear.records.pole_sweep import Cluster, Criteria, Poles, Source  # fmt: skip
+from cvxshear.data.kinds import mac
+from cvxshear.measurement.reading import fewest_changes, most_changes
+from cvxshear.records import clocks, pole_sweep
+from cvxshear.records.pole_sweep import Criteria, Poles, Source
+from cvxshear.util import ranking
 from cvxshear.util.typing import Bools, Complexes, Floats
 
 MOSTLY_ROTATION = "mostly rotation"
@@ -78,6 +79,25 @@ class PoleCandidate:
     def frequency(self) -> float:
         """Hz."""
         return abs(self.eigenvalue) / (2 * np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Eigenvalues and shapes of the chosen modes, from all the data or a part.
+
+    Parameters
+    ----------
+    eigenvalues : array of complex, shape (modes,)
+    shapes : array of complex, shape (modes, outputs)
+    """
+
+    eigenvalues: Complexes
+    shapes: Complexes
+
+    @staticmethod
+    def of(items: Sequence[PoleCandidate]) -> Values:
+        """Eigenvalues and shapes of candidates."""
+        return Values(np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +219,7 @@ def sweep_orders(
     return choose(poles, stable, _set_aside(found, criteria, turning))
 
 
-def _lasting(cluster: Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
+def _lasting(cluster: pole_sweep.Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
     if len(cluster) < criteria.least_orders:
         return False, f"stable in {len(cluster)} orders only"
     if share < criteria.least_persistence:
@@ -242,7 +262,8 @@ def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
     if len(usable) < 2 or len(usable[0].shape) < 2:
         return None
     strong = [item for item in usable if item.energy > FAINT * max(other.energy for other in usable)]
-    return offsets(np.array([item.eigenvalue for item in strong]), np.array([item.shape for item in strong])).seconds
+    loud = Values.of(strong)
+    return clocks.offsets(loud.eigenvalues, loud.shapes).seconds
 
 
 def _set_aside(
@@ -256,7 +277,7 @@ def _set_aside(
     for item in found:
         reason = ""
         if item.physical and seconds is not None:
-            straight = undone(np.array([item.eigenvalue]), item.shape[None], seconds)[0]
+            straight = clocks.undone(np.array([item.eigenvalue]), item.shape[None], seconds)[0]
             measure = max(collinearity(straight), collinearity(item.shape))
             if measure < criteria.least_collinearity:
                 reason = f"modal phase collinearity {measure:.2f} only"
@@ -350,9 +371,8 @@ def _real(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Ite
 
 def _straight(items: list[PoleCandidate]) -> Floats:
     """Real shapes, the turns of clock offsets taken back first."""
-    eigenvalues, shapes = np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items])
-    seconds = _clocks(items)
-    straight = shapes if seconds is None else undone(eigenvalues, shapes, seconds)
+    found, seconds = Values.of(items), _clocks(items)
+    straight = found.shapes if seconds is None else clocks.undone(found.eigenvalues, found.shapes, seconds)
     return np.array([real_shape(shape) for shape in straight])
 
 
@@ -372,20 +392,6 @@ def strongest(sweep: Sweep, count: int) -> tuple[Floats, Floats]:
     if not loud:
         return np.zeros(0), np.zeros((0, 0))
     return np.array([item.frequency for item in loud]), _straight(loud)
-
-
-@dataclass(frozen=True, eq=False)
-class Values:
-    """Eigenvalues and shapes of the chosen modes, from all the data or a part.
-
-    Parameters
-    ----------
-    eigenvalues : array of complex, shape (modes,)
-    shapes : array of complex, shape (modes, outputs)
-    """
-
-    eigenvalues: Complexes
-    shapes: Complexes
 
 
 class Parts:
@@ -428,3 +434,69 @@ class Parts:
         if len(known) < len(found):
             return None
         return Values(np.array([value for value, _ in known]), np.array([shape for _, shape in known]))
+
+
+def collinearity(shape: Complexes) -> float:
+    """Modal phase collinearity (MPC): 1 where all entries lie on one line through the origin, 0 for a circle.
+
+    ((Sxx - Syy)^2 + 4 Sxy^2) / (Sxx + Syy)^2 with S the second moments of real and imaginary parts
+    (Pappa, Elliott and Schenk 1993).
+    """
+    x, y = shape.real, shape.imag
+    sxx, syy, sxy = x @ x, y @ y, x @ y
+    return float(((sxx - syy) ** 2 + 4 * sxy**2) / (sxx + syy) ** 2)
+
+
+def main_axis(shape: Complexes) -> Complexes:
+    """Turn a shape so that the sum of its squared imaginary parts is least; its largest entry is positive."""
+    turned = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
+    largest = turned[ranking.first_largest(np.abs(turned))]
+    return np.asarray(turned if largest.real > 0 else -turned)
+
+
+def real_shape(shape: Complexes) -> Floats:
+    """Find the real normal mode of a complex shape: moduli, with the sign of the real part on the main axis.
+
+    A phase that a clock offset or damping put there costs a modulus nothing.
+
+    Parameters
+    ----------
+    shape : array of complex, shape (n,)
+
+    Returns
+    -------
+    array, shape (n,)
+    """
+    turned = main_axis(shape)
+    return np.abs(turned) * np.where(turned.real < 0, -1.0, 1.0)
+
+
+def lost_phase(shape: Complexes) -> float:
+    """Angle off the main axis that a real shape leaves out, degrees, root mean square weighted by modulus squared."""
+    return clocks.rms_phase(main_axis(shape))
+
+
+def sign_changes(shape: Floats) -> int:
+    """How often the shape changes sign from the ground up."""
+    return fewest_changes(np.sign(shape))
+
+
+def possible_changes(shape: Floats, tolerance: float) -> tuple[int, int]:
+    """Fewest and most changes of sign, where entries below a part of the largest can have either sign.
+
+    Over a distance of d floors between entries whose sign is sure there are d changes at most, and an odd number of
+    them just where the signs differ.
+
+    Parameters
+    ----------
+    shape : array, shape (n,)
+    tolerance : float
+        Of the largest entry.
+    """
+    signs = np.where(np.abs(shape) > tolerance * np.abs(shape).max(), np.sign(shape), 0.0)
+    return fewest_changes(signs), most_changes(signs)
+
+
+def scaled_to_one(shape: Floats) -> Floats:
+    """Scale a shape to a largest entry of 1."""
+    return np.asarray(shape / shape[ranking.first_largest(np.abs(shape))])

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.util import checks, ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.records.deviations import DAMPING_REPRODUCED_TO, REPRODUCED_TO, entry_std, frequency_std
 from cvxshear.records.functions import Functions
 from cvxshear.records.picking import Sweep
 from cvxshear.records.record import Finding
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import Shown, ask, data_frame
+from cvxshear.util.results import Shown, data_frame
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 if TYPE_CHECKING:
     import pandas as pd
+
+SENSOR_STD = 0.005
+"""Systematic standard deviation of a shape entry, relative to the mode's largest: a sensor that is 5 degrees askew
+loses 0.4 %, and a transverse sensitivity of 3 % adds 3 % of the floor's other motions."""
+
+REPRODUCED_TO = 2e-4
+"""Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
+100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
+Without it a day's change of temperature between two tests would be found as a cause."""
+DAMPING_REPRODUCED_TO = 0.01
+"""Least relative std of a damping ratio: friction in joints and cables changes it by more between two tests."""
 
 OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
@@ -120,8 +129,20 @@ class ModalResult(Shown):
 
     @property
     def written_frequency_std(self) -> Floats:
-        """Relative standard deviations of the frequencies, with what no scatter shows, as files have them."""
-        return np.maximum(frequency_std(self.frequency_std, self.modes, self.findings), REPRODUCED_TO)
+        """Relative standard deviations of the frequencies, with what no scatter shows, as files have them.
+
+        The halves of the record, the stronger and the weaker one, lie a half of the whole range of amplitudes apart. A
+        frequency that changes by d between them is spread over 2 d, with a standard deviation of 2 d / sqrt(12). A mode
+        without a known change is given the smallest known change.
+        """
+        changes = {
+            item.numbers["mode"]: 2.0 * abs(item.numbers["change"]) / np.sqrt(12.0)
+            for item in self.findings
+            if item.kind == "amplitude"
+        }
+        least = min(changes.values(), default=0.0)
+        spread = [changes.get(mode, least) for mode in self.modes.tolist()]
+        return np.maximum(np.hypot(self.frequency_std, spread), REPRODUCED_TO)
 
     @property
     def written_damping_std(self) -> Floats:
@@ -131,8 +152,18 @@ class ModalResult(Shown):
 
     @property
     def written_entry_std(self) -> Floats:
-        """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n)."""
-        return entry_std(self.entry_std, self.mode_shapes, self.floors, self.findings)
+        """Standard deviations of the entries over each mode's largest, as files have them, shape (m, n).
+
+        They contain what sensors get wrong unseen. Where the response at floor i to a force at j differs from that at j
+        to a force at i by the share d, one of four calibrations is off: two sensors, and the force at two driving
+        points. If each has the standard deviation s, d has 2 s. An entry takes half of its sensor's error and half of
+        its driving point's, which is s / sqrt(2) = d / (2 sqrt(2)).
+        """
+        failures = [item.numbers for item in self.findings if item.kind == "reciprocity"]
+        of_floors = [[each["by_mode"] for each in failures if floor in each["floors"]] for floor in self.floors]
+        share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
+        relative = np.abs(self.mode_shapes) / np.max(np.abs(self.mode_shapes), axis=1, keepdims=True)
+        return np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.
@@ -160,26 +191,6 @@ class ModalResult(Shown):
             for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
         }
         return data_frame(columns).set_index("mode")
-
-    def pick(self, record_file: str | Path | None = None) -> Any:
-        """Open the stabilization diagram, where a click on a pole chooses it as a mode and another gives it up.
-
-        Parameters
-        ----------
-        record_file : str or Path, optional
-            The record file (TOML) whose key `pick` is to hold the choice; it is rewritten after each click.
-
-        Returns
-        -------
-        PolePicker
-            Its `frequencies`, Hz, are `pick` for `identify_modes`.
-
-        Raises
-        ------
-        InputError
-            Where matplotlib has no interactive backend, or the result holds no order sweep.
-        """
-        return ask("show", "picked", self, record_file)
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """Write the table `[[configuration]]` of a measurement file that these modes make."""

@@ -3,7 +3,7 @@
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response.compare import RecordComparison
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.peaks import FloorSpectra, Peaks, floor_spectra
+from cvxshear.response.peaks import Peaks
 from cvxshear.response.predicted import ModelResponse, RecordPrediction, predict
 from cvxshear.response.reconstruction import Reconstruction, reconstruct
 from cvxshear.response.sources import Fitted, Models, models_of_loop
@@ -15,7 +15,6 @@ __all__ = [
     "DrivenRecord",
     "DrivenRun",
     "Fitted",
-    "FloorSpectra",
     "IdentifiedDamping",
     "ModelResponse",
     "Models",
@@ -25,7 +24,6 @@ __all__ = [
     "RecordPrediction",
     "Response",
     "damping_of",
-    "floor_spectra",
     "models_of_loop",
     "predict",
     "reconstruct",

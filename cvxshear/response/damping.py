@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.fit.domain import Domain
+from cvxshear.fit.domain import Domain, Uncertainty
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
-from cvxshear.fit.uncertainty import Uncertainty
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.model.shear import Modes, modes, stiffness_matrix
+from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import constrained, refuse_contradictions, softened, statements

@@ -24,12 +24,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.data.pairing import scaled
+from cvxshear.data.kinds import scaled
 from cvxshear.effects import Effect
 from cvxshear.effects.readings import SensorGain
 from cvxshear.effects.stories import StoryChange
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.model.shear import Modes, modes, stiffness_matrix
+from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
 from cvxshear.util import ranking

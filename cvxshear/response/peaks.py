@@ -1,17 +1,15 @@
-"""Quantities of a response over time, their peaks, and response spectra of the floors."""
+"""Quantities of a response over time, and their peaks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
-from cvxshear.response.damping import DampedModel
 from cvxshear.response.state_space import Response
 from cvxshear.util import ranking
-from cvxshear.util.results import InJson, as_json
+from cvxshear.util.results import as_json
 from cvxshear.util.typing import Floats, Ints, Json
 
 
@@ -126,65 +124,3 @@ def _between_samples(sizes: Floats, at: Ints) -> Floats:
     smooth = inside & (bend > 0) & (np.minimum(before, after) > STRONG * top)
     rise: Floats = (after - before) ** 2 / (8 * np.where(smooth, bend, 1.0))
     return top + np.where(smooth, rise, 0.0)
-
-
-SPECTRUM_LINES = 60
-"""Number of frequencies of a response spectrum: twelve per octave over five octaves."""
-
-
-@dataclass(frozen=True, eq=False)
-class FloorSpectra(InJson):
-    """Largest total acceleration of an oscillator on each floor.
-
-    Parameters
-    ----------
-    frequencies : ndarray, shape (lines,)
-        Natural frequencies of the oscillator, Hz.
-    damping : float
-        Damping ratio of the oscillator.
-    acceleration : ndarray, shape (N, lines)
-        m/s2.
-    """
-
-    frequencies: Floats
-    damping: float
-    acceleration: Floats
-
-
-def floor_spectra(acceleration: Floats, step: float, frequencies: Floats, damping: float = 0.05) -> FloorSpectra:
-    """Compute the spectra of accelerations that are linear between samples.
-
-    The oscillator's total acceleration is -(2 zeta omega v + omega^2 u) = 2 Re(-s^2 z / (2 i omega_d)).
-
-    Parameters
-    ----------
-    acceleration : ndarray, shape (samples, N)
-        m/s2.
-    step : float
-        s.
-    frequencies : ndarray, shape (lines,)
-        Hz.
-    damping : float, optional
-    """
-    poles = 2 * np.pi * frequencies * (-damping + 1j * np.sqrt(1 - damping**2))
-    peaks = np.empty((acceleration.shape[1], len(frequencies)))
-    for place, s in enumerate(poles):
-        # z' = s z + p from rest, with p linear between samples: a filter with one pole.
-        x = s * step
-        whole = np.expm1(x) / x
-        now = step * (whole - 1) / x
-        start = -now * acceleration[:1]
-        z = signal.lfilter([now, step * whole - now], [1.0, -np.exp(x)], acceleration, axis=0, zi=start)[0]
-        peaks[:, place] = np.max(np.abs((-(s**2) / (1j * s.imag) * z).real), axis=0)
-    return FloorSpectra(frequencies, damping, peaks)
-
-
-def largest_spectra(model: DampedModel, accelerations: Sequence[Floats], step: float) -> FloorSpectra:
-    """Compute the response spectra of the floors at 5 % damping, the maximum over all runs of accelerations (m/s2).
-
-    The frequencies go from a fifth of the frame's first to three times its last frequency, if the sampling allows.
-    """
-    first, last = model.modes.frequencies[[0, -1]]
-    lines = np.geomspace(first / 5, max(min(3 * last, 0.25 / step), first), SPECTRUM_LINES)
-    runs = [floor_spectra(each, step, lines) for each in accelerations]
-    return FloorSpectra(lines, runs[0].damping, np.max([run.acceleration for run in runs], axis=0))

@@ -15,7 +15,7 @@ from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.peaks import FloorSpectra, Peaks, histories, largest_spectra, peaks_of
+from cvxshear.response.peaks import Peaks, histories, peaks_of
 from cvxshear.response.recording import recording_of
 from cvxshear.response.sensor_checks import as_predicted
 from cvxshear.response.sources import (
@@ -33,7 +33,7 @@ from cvxshear.response.sources import (
 )
 from cvxshear.response.state_space import Response, response
 from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
-from cvxshear.util.decorators import cached_property, usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown
 from cvxshear.util.typing import Floats
@@ -106,7 +106,7 @@ class RecordPrediction(Shown):
         "experiment=after.fitted.experiment.name record=motion.name input=motion.input "
         "configuration=configuration.name backend effects=after.fitted.effects "
         "frequencies=after.damped.model.modes.frequencies before=before.comparison after=after.comparison "
-        "peaks damping floor_spectra=spectra remarks"
+        "peaks damping remarks"
     )
 
     @property
@@ -115,15 +115,9 @@ class RecordPrediction(Shown):
         if self.before is None:
             return None
         before, after = self.before.fitted, self.after.fitted
-        # Without added effects, both models are the same estimate; files store all digits of the parameters.
+        # Without added effects, both models are the same estimate.
         same = not before.effects and not after.effects and np.array_equal(before.theta, after.theta)
         return None if same else self.before
-
-    @cached_property
-    def spectra(self) -> FloorSpectra:
-        """Response spectra of the floors at 5 % damping, the largest over all runs."""
-        accelerations = [item.acceleration for item in self.after.responses]
-        return largest_spectra(self.after.damped.model, accelerations, self.motion.step)
 
 
 @usual_arithmetic
@@ -142,8 +136,8 @@ def predict(
     Parameters
     ----------
     source : str, Path, Experiment, LoopResult, Estimate or Models
-        Source of the model. A file is a measurement file, a record file, or the JSON of `loop`. If the loop is not
-        closed yet, it is closed here.
+        Source of the model. A file is a measurement file or a record file. If the loop is not closed yet, it is closed
+        here.
     record : str, Path, TimeRecord or DrivenRecord
         Excitation of the frame: a record file or a record, with base motion or a force.
     backend : str or Backend, optional

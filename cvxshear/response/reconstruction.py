@@ -23,23 +23,20 @@ from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
-from cvxshear.response.peaks import FloorSpectra, Peaks, largest_spectra, peaks_of
+from cvxshear.response.peaks import Peaks, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.sensor_checks import SensorCheck, Whiteness, as_predicted, checked, whiteness, widening
+from cvxshear.response.sensor_checks import SensorCheck, as_predicted, checked, widening
 from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
-from cvxshear.util.decorators import cached_property, usual_arithmetic
+from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
-from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent, ranged
+from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent
 from cvxshear.util.results import Shown, as_json
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.typing import Floats, Ints, Json
 
 SIGN_KNOWN = 1.645
 """Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
-
-GAIN_OFF = 3.0, 0.005
-"""Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
 
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
@@ -77,7 +74,8 @@ class Reconstruction(Shown):
     predicted_peaks : Peaks or None
         Peaks that the identified model predicts from the excitation alone; None if the excitation was not measured.
     checks : tuple of SensorCheck
-    whiteness : tuple of Whiteness
+    spikes, missing : ndarray of int, shape (m,)
+        Numbers of samples of each sensor with a weight reduced by Huber's loss, and of missing samples.
     limits : Limits or None
     passed : ndarray, shape (L, N), or None
         Probability that the drift ratio of each story passed each limit; nan if it is unknown.
@@ -97,7 +95,8 @@ class Reconstruction(Shown):
     peaks: Peaks
     predicted_peaks: Peaks | None
     checks: tuple[SensorCheck, ...]
-    whiteness: tuple[Whiteness, ...]
+    spikes: Ints
+    missing: Ints
     limits: Limits | None
     passed: Floats | None
     remarks: tuple[str, ...]
@@ -105,7 +104,7 @@ class Reconstruction(Shown):
     json_keys = (
         "experiment=fitted.experiment.name record=recording.name input=recording.input "
         "configuration=configuration.name backend effects=fitted.effects measured_floors=recording.floors checks "
-        "widening whiteness"
+        "widening spikes missing"
     )
 
     @property
@@ -142,15 +141,10 @@ class Reconstruction(Shown):
         return bool(self.fitted.undetermined)
 
     @property
-    def coloured(self) -> tuple[int, ...]:
-        """Floors with colored innovations: the model misses a part of the motion there."""
-        return tuple(each.floor for each in self.whiteness if each.coloured)
-
-    @property
     def provisional(self) -> bool:
-        """Whether the model misses a part of the motion, or needs changes of three kinds at once to explain it."""
+        """Whether the record needs changes of three kinds at once."""
         kinds = (self.changed, self.dampers, self.gains_off, self.masses_changed)
-        return bool(self.coloured) or sum(map(bool, kinds)) >= len(kinds) - 1
+        return sum(map(bool, kinds)) >= len(kinds) - 1
 
     @property
     def sensor_drifts(self) -> list[tuple[int, int, float]]:
@@ -188,36 +182,23 @@ class Reconstruction(Shown):
     @property
     def masses_changed(self) -> bool:
         """Whether a mass change is reported."""
-        return self.names_changes and not self.coloured and self.frame.mass_probability >= SURE
+        return self.names_changes and self.frame.mass_probability >= SURE
 
     @property
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
         names += [f"the sensor of the {DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
-        deviations, least = GAIN_OFF
         return tuple(
             (name, float(value), float(std))
-            for name, value, std in zip(names, *self.frame.gains, strict=True)
-            if self.names_changes and abs(value) > max(deviations * std, least)
+            for name, value, std, chance in zip(names, *self.frame.gains, self.frame.probability("gain"), strict=True)
+            if self.names_changes and chance >= SURE and abs(value) > SIGN_KNOWN * std
         )
 
     @property
     def change_probability(self) -> Floats | None:
         """Probability that each story changed by itself, shape (N,); None if the frame was not fitted or determined."""
         return self.frame.story_probability if self.frame_fitted and not self.undetermined else None
-
-    @cached_property
-    def spectra(self) -> FloorSpectra:
-        """Response spectra of the floors at 5 % damping, the largest over all runs."""
-        return largest_spectra(self.model, [run.response.acceleration for run in self.runs], self.recording.step)
-
-    @cached_property
-    def spectra_std(self) -> Floats:
-        """Standard deviations of the spectra, shape (N, lines), from the relative deviations of the floors' peaks."""
-        peak = self.peaks.values["floor_acceleration"]
-        relative: Floats = self.peaks.std["floor_acceleration"] / np.where(peak > 0, peak, 1.0)
-        return self.spectra.acceleration * relative[:, None]
 
     def to_dict(self) -> Json:
         """Return the documented JSON; null for values that do not apply."""
@@ -260,7 +241,6 @@ class Reconstruction(Shown):
                 "sensor_drifts": [
                     {"from": lower, "to": upper, "drift": drift} for lower, upper, drift in self.sensor_drifts
                 ],
-                "floor_spectra": {**self.spectra.to_dict(), "acceleration_std": self.spectra_std},
                 "remarks": (*self.warnings, *self.remarks),
             }
         )
@@ -340,12 +320,6 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if found.limits is not None and found.passed is None:
         said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
-    if found.coloured:
-        said.append(
-            f"the innovations of floor {ranged(found.coloured)} are not white: the model misses a "
-            "part of the motion there; a channel whose clock is late (cvxshear modes says which), a story that yields "
-            "or another kind of damping (--damping) does that"
-        )
     return said
 
 
@@ -425,12 +399,14 @@ def reconstruct(
         checks.append(checked(work, fitted, smoothed, channel, predicted))
         advance()
     runs = work.runs(fitted, widening(checks))
+    weights = np.concatenate([each.weights for each in smoothed])
     peaks = peaks_of((run.response, run.std) for run in runs)
     limits = experiment.limits
     found = Reconstruction(
         work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, fallback,
         tuple(runs), peaks, None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
-        whiteness(work, smoothed), limits, None if limits is None else _passed(limits, peaks, told=not fallback), (),
+        np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), limits,
+        None if limits is None else _passed(limits, peaks, told=not fallback), (),
     )  # fmt: skip
     advance()
     said = state_remarks(experiment, recording, state, named=configuration is not None)

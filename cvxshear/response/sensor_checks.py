@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from cvxshear.records.motion import trend
 from cvxshear.response.compare import contradiction, moved_against
@@ -16,19 +15,12 @@ from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, refitted
 from cvxshear.response.frame_motion import FrameMotion, predicted_responses, shown_by
 from cvxshear.response.innovations import PredictionErrors, Segment
 from cvxshear.response.recording import Recording, earlier, rms
-from cvxshear.response.state_space import SPIKE, Response, Smoothed
+from cvxshear.response.state_space import Response, Smoothed
 from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Floats
 
 CHECKED_DIRECTIONS = 4
 """Number of directions propagated to a floor without its sensor."""
-
-COLOURED, WHITE_P_VALUE = 0.1, 0.01
-"""Least correlation of an innovation with an earlier one, and largest p-value, of a floor with an error of the model.
-In long records correlations of 0.02 are significant, but too small to change a drift."""
-
-WHITENESS_LAGS = 20
-"""Lags of the test of whiteness (Ljung and Box 1978)."""
 
 
 @dataclass(frozen=True)
@@ -55,40 +47,6 @@ class SensorCheck:
     measured: float
     prediction_error: float | None
     within: float
-
-
-@dataclass(frozen=True)
-class Whiteness:
-    """Test of whiteness of one floor's innovations.
-
-    Parameters
-    ----------
-    size : float
-        Standard deviation of the innovations, relative to the stated one.
-    correlation : float
-        Largest correlation with an earlier sample.
-    lag : float
-        Lag of this correlation, s.
-    p_value : float
-        p-value of Ljung and Box's statistic.
-    spikes : int
-        Number of samples with a weight reduced by Huber's loss.
-    missing : int
-        Number of missing samples.
-    """
-
-    floor: int
-    size: float
-    correlation: float
-    lag: float
-    p_value: float
-    spikes: int
-    missing: int
-
-    @property
-    def coloured(self) -> bool:
-        """Whether the model misses a part of the motion at this floor."""
-        return abs(self.correlation) > COLOURED and self.p_value < WHITE_P_VALUE
 
 
 def as_predicted(model: DampedModel, recording: Recording) -> Recording:
@@ -205,25 +163,3 @@ def checked(
 def widening(checks: Sequence[SensorCheck]) -> float:
     """Compute the factor on all bands: errors of left-out sensors relative to their stated deviations; at least 1."""
     return max(1.0, float(np.sqrt(np.mean([(each.error / each.stated) ** 2 for each in checks])))) if checks else 1.0
-
-
-def whiteness(work: FrameMotion, smoothed: Sequence[Smoothed]) -> tuple[Whiteness, ...]:
-    """Test the whiteness of the innovations of each floor, over all runs."""
-    found = []
-    lags = np.arange(1, min(WHITENESS_LAGS, min(len(each.weights) for each in smoothed) - 1) + 1)
-    for channel, floor in enumerate(work.recording.floors):
-        # A spike is not evidence against the model.
-        runs = [np.clip(np.nan_to_num(each.innovations[:, channel]), -SPIKE, SPIKE) for each in smoothed]
-        weights = np.concatenate([each.weights[:, channel] for each in smoothed])
-        power, count = sum(float(run @ run) for run in runs), int(np.sum(weights > 0))
-        correlation = np.array([sum(float(run[lag:] @ run[:-lag]) for run in runs) for lag in lags]) / power
-        statistic = count * (count + 2) * float(np.sum(correlation**2 / (count - lags)))
-        at = int(np.argmax(np.abs(correlation)))
-        found.append(
-            Whiteness(
-                int(floor), float(np.sqrt(power / count)), float(correlation[at]),
-                float(lags[at]) * work.recording.step, float(special.chdtrc(len(lags), statistic)),
-                int(np.sum((weights > 0) & (weights < 1))), int(np.sum(weights == 0)),
-            )
-        )  # fmt: skip
-    return tuple(found)

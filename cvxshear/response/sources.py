@@ -1,26 +1,21 @@
-"""Model of a prediction: the required parts of a fit, their JSON, and their sources.
-
-A source is a measurement, a record, a closed loop, or the JSON of a closed loop.
-"""
+"""Model of a prediction: the required parts of a fit, and their sources: a measurement, a record or a closed loop."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from cvxshear.backends import Backend
-from cvxshear.effects import LocatedEffect, Place, catalogue, open_classes
-from cvxshear.effects.readings import WrongPrior
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.io.modes import experiment_from_file
 from cvxshear.io.record_file import read_motion
-from cvxshear.io.toml import is_record_file, load, read_result, read_tables, with_modes_read
+from cvxshear.io.toml import is_record_file, load, read_tables, with_modes_read
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import Record
@@ -32,8 +27,7 @@ from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.quantities import listed, percent
-from cvxshear.util.results import InJson, as_json
-from cvxshear.util.typing import Floats, Json
+from cvxshear.util.typing import Floats
 
 NO_VARIANCE = 1e-12
 """Largest eigenvalue of a correlation matrix, relative to its maximum, that counts as rounding."""
@@ -43,7 +37,7 @@ IMPROBABLE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted(InJson):
+class Fitted:
     """A fitted model.
 
     Parameters
@@ -69,8 +63,6 @@ class Fitted(InJson):
     undetermined: tuple[tuple[str, ...], ...] = ()
     misfit: float = 1.0
     lacking: float = 0.0
-
-    json_keys = "effects theta covariance undetermined misfit lacking"
 
     @staticmethod
     def of(estimate: Estimate) -> Fitted:
@@ -122,34 +114,6 @@ class Fitted(InJson):
         root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
         return root
 
-    def to_dict(self) -> Json:
-        """Return parameters, covariance and effects as JSON; `Models` writes the experiment once for both models."""
-        effects = [{**placed.to_dict(), "fixed": list(placed.fixed)} for placed in self.effects]
-        return super().to_dict() | {"effects": effects}
-
-    @staticmethod
-    def from_dict(declared: object, experiment: Experiment, where: str) -> Fitted:
-        """Read the fitted model that `to_dict` wrote.
-
-        Raises
-        ------
-        InputError
-            If a key is missing or an array has the wrong size.
-        """
-        keys = ["effects", "theta", "covariance", "undetermined"]
-        table = checks.keys(declared, [*keys, "misfit", "lacking"], keys, where)
-        effects = tuple(_placed(item, f"{where}: effects", experiment) for item in table["effects"])
-        size = 2 * experiment.stories + sum(len(placed.effect.parameters) for placed in effects)
-        theta = checks.vector(table["theta"], f"{where}: theta", length=size)
-        covariance = None
-        if table["covariance"] is not None:
-            covariance = checks.table(table["covariance"], f"{where}: covariance", rows=size)
-            if covariance.shape != (size, size):
-                raise InputError(f"{where}: covariance must have {size} rows of {size} numbers, one a parameter")
-        undetermined = tuple(tuple(str(name) for name in names) for names in table["undetermined"])
-        misfit, lacking = float(table.get("misfit", 1.0)), float(table.get("lacking", 0.0))
-        return Fitted(experiment, effects, theta, covariance, undetermined, misfit, lacking)
-
 
 def _misfit(estimate: Estimate) -> tuple[float, float]:
     """Return chi-square per degree of freedom and the largest shape error if the fit is improbable, else 1 and 0."""
@@ -158,25 +122,8 @@ def _misfit(estimate: Estimate) -> tuple[float, float]:
     return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 
 
-def _placed(item: object, where: str, experiment: Experiment) -> LocatedEffect:
-    """Read an effect and its place; at this place the effect gets its parameters."""
-    table = checks.keys(item, ["name", "fixed", "floor", "to", "story", "configuration", "prior"], ["name"], where)
-    known = {effect.name: effect for effect in (*catalogue(), *open_classes())}
-    effect = known[checks.choice(table["name"], list(known), "effect")].bound(experiment)
-    place = Place(
-        table.get("floor"), table.get("story"), table.get("configuration"), table.get("to"), table.get("prior")
-    )
-    statements = [words for words, rows in experiment.soft_statements if rows]
-    if isinstance(effect, WrongPrior) and place.prior not in statements:
-        raise InputError(
-            f"{where}: prior must be a statement of the experiment that has a standard deviation "
-            f"({'; '.join(statements) or 'there is none'}), not {checks.shown(place.prior)}"
-        )
-    return LocatedEffect(effect.bound_at(experiment, place), place, tuple(table.get("fixed", ())))
-
-
 @dataclass(frozen=True, eq=False)
-class Models(InJson):
+class Models:
     """The models before and after closing the loop.
 
     Parameters
@@ -188,33 +135,6 @@ class Models(InJson):
 
     before: Fitted | None
     after: Fitted
-
-    def to_dict(self) -> Json:
-        """Return the documented JSON; null for shape entries that were not measured."""
-        return dict(as_json(super().to_dict()))
-
-    json_keys = "experiment=after.experiment name=after.experiment.name mass_known=after.mass_known before after"
-
-    @staticmethod
-    def from_dict(declared: object, where: str) -> Models:
-        """Read the models that `to_dict` wrote."""
-        keys = ["experiment", "name", "before", "after"]
-        table = checks.keys(declared, [*keys, "mass_known"], keys, where)
-        experiment = Experiment.from_dict(_with_nan(table["experiment"]), name=table["name"])
-        before = table["before"]
-        return Models(
-            None if before is None else Fitted.from_dict(before, experiment, f"{where}: before"),
-            Fitted.from_dict(table["after"], experiment, f"{where}: after"),
-        )
-
-
-def _with_nan(value: object) -> object:
-    """Replace null in lists by nan, for quantities that were not measured."""
-    if isinstance(value, Mapping):
-        return {key: _with_nan(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [math.nan if each is None else _with_nan(each) for each in value]
-    return value
 
 
 DRIVING = {"base": "base motion", "force": "force"}
@@ -230,7 +150,7 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Loca
     Parameters
     ----------
     source : str, Path, Experiment, LoopResult, Estimate or Models
-        A file is a measurement file, a record file, or the output of `loop --json`.
+        A file is a measurement file or a record file.
     backend : Backend
     assume : sequence of str or LocatedEffect, optional
         Effects that are in the model from the start of a loop that is closed here.
@@ -240,7 +160,7 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Loca
     InputError
         If a file cannot be read or has another format, or if effects are assumed for a model that already exists.
     """
-    if assume and (not isinstance(source, Experiment | str | Path) or Path(str(source)).suffix.lower() == ".json"):
+    if assume and not isinstance(source, Experiment | str | Path):
         raise InputError("assume needs a measurement; for a model that is already there, give it to close_loop")
     match source:
         case Models():
@@ -262,9 +182,7 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Loca
 
 
 def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | LocatedEffect]) -> Models:
-    """Read the models of a measurement file, a record file, or the output of `loop --json`."""
-    if Path(source).suffix.lower() == ".json":
-        return _of_json(Path(source))
+    """Close the loop on a measurement file or a record file."""
     recorded = is_record_file(source)
     experiment = experiment_from_file(source) if recorded else load_unscaled(source)
     names = [each.name for each in experiment.configurations]
@@ -290,14 +208,6 @@ def load_unscaled(path: str | Path) -> Experiment:
 def models_of_loop(closure: LoopResult) -> Models:
     """Return the models that a closed loop began and ended with."""
     return Models(Fitted.of(closure.before.estimate), Fitted.of(closure.estimate))
-
-
-def _of_json(path: Path) -> Models:
-    """Read the models from the output of `loop --json`."""
-    declared = read_result(path)
-    if not isinstance(declared.get("model"), dict):
-        raise InputError(f"{path} has no key 'model'; write it anew by: cvxshear loop FILE --json {path}")
-    return Models.from_dict(declared["model"], f"{path}: model")
 
 
 def motion_of(source: MotionSource) -> DrivenRecord:

@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg
 
-from cvxshear.model.shear import transformation
+from cvxshear.model import transformation
 from cvxshear.records.motion import DrivenRun
 from cvxshear.response.damping import DampedModel
 from cvxshear.util.decorators import cached_property

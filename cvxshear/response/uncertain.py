@@ -20,7 +20,7 @@ from cvxshear.backends import Backend
 from cvxshear.effects import State, compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
-from cvxshear.model.shear import Modes, modes, stiffness_matrix
+from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.response.damping import (
     LEAST_RATIO,
     DampedModel,

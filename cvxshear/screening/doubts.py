@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import MeasuredModes, repeated_configurations
 from cvxshear.screening import nearest_frame

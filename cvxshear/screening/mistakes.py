@@ -21,7 +21,7 @@ from scipy.optimize import linear_sum_assignment
 from cvxshear.measurement import reading as readings
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.measurement.reading import MeasuredModes
-from cvxshear.model.shear import Modes
+from cvxshear.model import Modes
 from cvxshear.screening import nearest_frame
 from cvxshear.screening.doubts import FileFinding, in_words
 from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames

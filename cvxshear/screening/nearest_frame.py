@@ -5,7 +5,7 @@ Floor masses and story stiffnesses minimize the sum of squares
     C = sum (log f_model - log f)^2 / s_f^2 + sum |(1 - u u') W phi|^2 + sum (log m_i - log m_i')^2 / s_m^2
         + sum (log k_i - log k_i' - mean)^2 / s_k^2,      u = W phi_model / |W phi_model|,
 
-by Gauss-Newton (`fit/gauss_newton.py`), with the residuals of `data/pairing.py`. The last two sums say how far floors
+by Gauss-Newton (`fit/gauss_newton.py`), with the residuals of `data/kinds.py`. The last two sums say how far floors
 and stories of one frame differ (`fit/domain.py`), or what is declared of them; they decide where the measurement does
 not. No real frame is a shear frame, so the noise of a reading includes a tolerance. Three tolerances are tried, and the
 most probable one is taken.
@@ -31,10 +31,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.data.pairing import frequency_residual, shape_residual
+from cvxshear.data.kinds import frequency_residual, shape_residual
 from cvxshear.fit import domain, gauss_newton, gaussian, optimality, start
 from cvxshear.measurement.reading import CLOSER, FARTHER, MeasuredModes
-from cvxshear.model.shear import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
+from cvxshear.model import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
 from cvxshear.util import errors, ranking

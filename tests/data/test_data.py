@@ -11,12 +11,12 @@ from cvxshear import Experiment, close_loop, identify
 from cvxshear.cli import main
 from cvxshear.data import Datum, ErrorFigure, Frequencies, Model, NoiseKind, Residual, Shapes, Static, data_of, register
 from cvxshear.data import base as registry_module
-from cvxshear.data.base import largest
-from cvxshear.data.pairing import numbered, scaled
+from cvxshear.data.base import largest, numbered
+from cvxshear.data.kinds import scaled
 from cvxshear.effects import compose
 from cvxshear.fit.misfit import Misfit
 from cvxshear.measurement.configuration import Configuration
-from cvxshear.model.shear import modes
+from cvxshear.model import modes
 from cvxshear.report import terminal
 from cvxshear.report.html import render
 from cvxshear.util.errors import InputError

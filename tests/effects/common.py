@@ -11,7 +11,7 @@ from cvxshear.effects import LocatedEffect, State, compose
 from cvxshear.effects import named as effects_named
 from cvxshear.effects.base import Place
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.model.shear import Modes, modes
+from cvxshear.model import Modes, modes
 from tests.fe.elements import Floats
 from tests.fe.frame import Building, SwayModes
 

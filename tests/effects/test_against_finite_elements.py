@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from cvxshear.data.pairing import numbered
+from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, open_classes
-from cvxshear.effects.attached_mass import LEAST_MASS
-from cvxshear.model.shear import frame_modes, modes
+from cvxshear.effects.masses import LEAST_MASS
+from cvxshear.model import frame_modes, modes
 from tests.effects.common import (
     ADDED,
     HEIGHTS,

@@ -234,8 +234,8 @@ def test_the_order_in_which_effects_are_named_does_not_matter(number):
     rng = np.random.default_rng(7)
     for order in [range(len(effects))[::-1], *(rng.permutation(len(effects)) for _ in range(20))]:
         state = composed([effects[i] for i in order], *(values[i] for i in order), number=number)
-        np.testing.assert_allclose(state.system.K, reference.system.K, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(state.system.M, reference.system.M, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(state.system.K, reference.system.K, rtol=0, atol=1e-14 * reference.system.K.max())
+        np.testing.assert_allclose(state.system.M, reference.system.M, rtol=0, atol=1e-14 * reference.system.M.max())
         np.testing.assert_allclose(state.gain, reference.gain, rtol=1e-15)
         own = np.concatenate([np.arange(8, 8 + starts[-1])[starts[i] : starts[i + 1]] for i in order])
         np.testing.assert_allclose(state.system.dK[8:], reference.system.dK[own], rtol=1e-9, atol=1e-8)

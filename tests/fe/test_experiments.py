@@ -6,7 +6,7 @@ import pytest
 
 from cvxshear.effects import LocatedEffect, Place, compose, named
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.model.shear import modes
+from cvxshear.model import modes
 from tests.fe.experiments import CHANGES, FREQUENCY_STD, MODE_SHAPE_STD, OF_MASSES, measured, simulated
 from tests.fe.frame import SwayModes
 

@@ -8,12 +8,11 @@ import pytest
 
 from cvxshear import Experiment, backends, identify
 from cvxshear.effects import Gravity, LocatedEffect
-from cvxshear.fit.domain import Domain, domain_of
+from cvxshear.fit.domain import Domain, domain_of, uncertainty
 from cvxshear.fit.efficient import efficient
 from cvxshear.fit.gauss_newton import gauss_newton
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import starts
-from cvxshear.fit.uncertainty import uncertainty
 from cvxshear.priors import Bounds, Nominal, Value
 from cvxshear.util.errors import UnsuitableError
 from tests.frames import configuration, experiment, modes_of

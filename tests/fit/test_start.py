@@ -7,7 +7,7 @@ from scipy import linalg
 from cvxshear import Experiment
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import filled, nearest_first, smooth_frames, solved_story_equations, starts, uniform
-from cvxshear.model.shear import modes
+from cvxshear.model import modes
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
 from tests.frames import chain, configuration, experiment, modes_of

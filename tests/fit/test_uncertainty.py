@@ -6,9 +6,8 @@ from scipy import linalg, stats
 
 from cvxshear import Experiment
 from cvxshear.effects import LocatedEffect, Place, Scale, named, open_classes
-from cvxshear.fit.domain import Domain, EffectPrior
+from cvxshear.fit.domain import Domain, EffectPrior, uncertainty
 from cvxshear.fit.gaussian import tailed
-from cvxshear.fit.uncertainty import uncertainty
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
 from tests.frames import experiment

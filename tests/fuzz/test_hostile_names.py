@@ -133,7 +133,7 @@ def sound(path) -> None:
     assert content
     if path.suffix == ".xlsx":
         sound_workbook(content)
-    elif path.suffix in (".json", ".toml", ".py", ".svg", ".csv", ".html", ".uff"):
+    elif path.suffix in (".json", ".toml", ".py", ".svg", ".csv", ".html"):
         sound_text(content.decode("utf-8"), path.suffix)
 
 
@@ -151,7 +151,7 @@ def check(run, folder, *arguments, outputs, printed=True) -> None:
         sound_text(out, ".json")
 
 
-OPTIONS = {".json": "--json", ".csv": "--csv", ".xlsx": "--xlsx", ".html": "--report", ".uff": "--uff", ".toml": "-o"}
+OPTIONS = {".json": "--json", ".csv": "--csv", ".xlsx": "--xlsx", ".html": "--report", ".toml": "-o"}
 
 
 def into(*endings: str, figures=()) -> list[tuple[str, str]]:
@@ -230,7 +230,7 @@ def test_backends(run, tmp_path):
 @pytest.mark.parametrize("start", range(0, 6, 3))
 def test_plan(start, run, tmp_path):
     file = measurement(tmp_path / "a.toml", few(start))
-    kinds = [*into(".json", ".toml"), ("--figure", "OUT.svg")]
+    kinds = into(".json", ".toml", ".csv")
     check(run, tmp_path, "plan", file, "--added-mass", "5", outputs=kinds)
 
 
@@ -303,11 +303,10 @@ def test_a_report_of_modes(run, tmp_path, few_pieces):
 @pytest.mark.parametrize("start", range(6))
 def test_figures_and_files_of_one_record(start, run, tmp_path, few_pieces):
     (made,) = records(tmp_path, few(start)[:1], few(start)[1:2], few(start)[2:3])
-    kinds = into(".uff", ".csv", ".xlsx", figures=["shapes", "stabilization"])
+    kinds = into(".csv", ".xlsx", figures=["shapes", "stabilization"])
     check(run, tmp_path, "modes", made, outputs=kinds, printed=False)
 
 
-MODELS = ("npz", "mat", "json", "py")
 PLACED = (*WORST, "=1+1", '=HYPERLINK("http://x.y","z")', "＠A1", "a\n=1+1", '"""', "\\", "{0}", "[/]")
 """Names that can break drawings, pages, tables, scripts and terminals, for the four names in a prediction."""
 
@@ -325,7 +324,6 @@ def test_predict(start, run, tmp_path):
     # Two floors: the third channel is left out.
     record.write_text(text[: text.rindex("[[channel]]")] + "\n", encoding="utf-8")
     kinds = [*into(".json", ".html"), ("--figure", "peaks:OUT-peaks.svg"), ("--out", "OUT.csv")]
-    kinds += [("--export", f"OUT-model.{kind}") for kind in MODELS]
     asked = ("predict", file, "--record", record, "--configuration", name)
     check(run, tmp_path, *asked, outputs=kinds, printed=start == 0)
 

@@ -19,7 +19,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import Fitter, ModelClass
 from cvxshear.loop.hypotheses import Hypothesis, Numbering, dual_frame
 from cvxshear.loop.search import named_entries
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from tests.fe.experiments import with_loose_joints, with_turning_joints
 from tests.fe.frame import Building, sway_modes
 from tests.studies.outside import simulated

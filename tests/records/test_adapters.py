@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.records import TimeRecord, from_arrays, from_pyoma, from_sdypy, identify_modes
+from cvxshear.records import TimeRecord, from_arrays, from_library, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import InputError
 
@@ -48,11 +48,12 @@ def test_complex_shapes_become_real():
     ("frequencies", "shapes", "options", "expected"),
     [
         ([3.0], SHAPES, {}, "mode_shapes has 2 rows, frequencies 1 entries"),
-        ([3.0, np.nan], SHAPES, {}, r"frequencies, entry \(2,\) is not finite"),
-        ([3.0, 9.0], SHAPES[0], {}, "mode_shapes must have 2 dimension"),
+        ([3.0, np.nan], SHAPES, {}, "frequencies, entry 2 must be a finite number"),
+        ([3.0, 9.0], [SHAPES[0], [np.inf, 1.0]], {}, "mode_shapes, row 2, entry 1 is not finite"),
+        ([3.0, 9.0], SHAPES[0], {}, "mode_shapes must be a table of samples by channels"),
         ([3.0, 9.0], SHAPES, {"floors": [1]}, "floors must have 2 entries"),
         ([3.0, 9.0], SHAPES, {"frequency_std": -1.0}, "frequency_std must be finite and not negative"),
-        (["a", "b"], SHAPES, {}, "frequencies must hold numbers"),
+        (["a", "b"], SHAPES, {}, "frequencies, entry 1 must be a number"),
     ],
 )
 def test_arrays_that_do_not_fit(frequencies, shapes, options, expected):
@@ -68,12 +69,12 @@ def test_pyoma_algorithm():
         Fn_std=np.array([0.003, 0.018]),
     )
     for item in (found, SimpleNamespace(result=found)):
-        result = from_pyoma(item, floors=[1, 2])
+        result = from_library(item, floors=[1, 2])
         np.testing.assert_allclose(result.mode_shapes, [[0.5, 1.0], [1.0, -0.6]])
         np.testing.assert_allclose(result.frequency_std, [0.001, 0.002])
         np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
     with pytest.raises(InputError, match="choose modes first"):
-        from_pyoma(SimpleNamespace(result=SimpleNamespace(Fn=None, Phi=None)))
+        from_library(SimpleNamespace(result=SimpleNamespace(Fn=None, Phi=None)))
 
 
 def test_sdypy_model():
@@ -81,14 +82,14 @@ def test_sdypy_model():
     shapes = np.array([[0.5, 1.0], [1.0, -0.6]])
     constants = shapes * shapes[:, [1]] / (2j * 2 * np.pi * np.array([[3.0], [9.0]]))
     model = SimpleNamespace(nat_freq=[3.0, 9.0], nat_xi=[0.01, 0.02], A=constants.T)
-    result = from_sdypy(model)
+    result = from_library(model)
     ratios = result.mode_shapes[:, 0] / result.mode_shapes[:, 1]
     np.testing.assert_allclose(ratios, [0.5, -1 / 0.6], rtol=1e-12)
     np.testing.assert_allclose(result.damping_ratios, [0.01, 0.02])
-    with pytest.raises(InputError, match="then call get_constants"):
-        from_sdypy(SimpleNamespace(nat_freq=[3.0]))
+    with pytest.raises(InputError, match="then get_constants"):
+        from_library(SimpleNamespace(nat_freq=[3.0]))
     with pytest.raises(InputError, match="found no pole for mode 2"):
-        from_sdypy(SimpleNamespace(nat_freq=[3.0, 0.0], nat_xi=[0.01, 0.0], A=constants.T))
+        from_library(SimpleNamespace(nat_freq=[3.0, 0.0], nat_xi=[0.01, 0.0], A=constants.T))
 
 
 @pytest.fixture(scope="module")

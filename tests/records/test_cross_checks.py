@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.data.pairing import mac
+from cvxshear.data.kinds import mac
 from cvxshear.io.modes import modes_from_file
-from cvxshear.records import Channel, Run, TimeRecord, from_pyoma, from_sdypy, identify_modes
+from cvxshear.records import Channel, Run, TimeRecord, from_library, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, base_record
 from tests.records.shared import DATA, needs_southampton, southampton
 
@@ -33,7 +33,7 @@ def test_pyoma2():
     setup.add_algorithms(algorithm)
     setup.run_by_name("ssi")
     setup.mpe("ssi", sel_freq=[1.03, 2.21, 3.28], order_in=10)
-    theirs, ours = from_pyoma(algorithm), identify_modes(record)
+    theirs, ours = from_library(algorithm), identify_modes(record)
     # Two estimators of one record differ by less than the uncertainty due to the record's length, 0.1 %.
     np.testing.assert_allclose(ours.frequencies, theirs.frequencies, rtol=2e-3)
     for first, second in zip(ours.mode_shapes, theirs.mode_shapes, strict=True):
@@ -76,15 +76,26 @@ def test_sdypy_ema(tmp_path):
     functions = (table[:, 1::2] + 1j * table[:, 2::2]).T
     model = ema.Model(functions, table[:, 0], lower=5, upper=60, pol_order_high=60, frf_type="accelerance")
     model.get_poles(show_progress=False)
-    model.select_closest_poles([6.51, 17.46, 26.50], f_window=2)
+    # Which order the library chooses depends on the last digits of the linear algebra, and some orders split a mode
+    # into two poles. The median over the orders does not depend on them.
+    model.pole_ind = np.array([median_pole(model, frequency) for frequency in (6.51, 17.46, 26.50)])
+    model.nat_freq = np.array([model.pole_freq[order][place] for order, place in model.pole_ind])
+    model.nat_xi = np.array([model.pole_xi[order][place] for order, place in model.pole_ind])
+    model.get_constants()
+    theirs = from_library(model, floors=[1, 2, 3])
     ours, _ = modes_from_file(southampton(tmp_path))
-    found = np.array(model.nat_freq) > 0
-    assert found.any()
-    # The last digits of the linear algebra change the order of the library's chosen pole. The poles of all orders lie
-    # within one line of the functions, 1/32 Hz.
-    np.testing.assert_allclose(np.array(model.nat_freq)[found], ours.frequencies[found], rtol=0, atol=1 / 32)
-    np.testing.assert_allclose(np.array(model.nat_xi)[found], ours.damping_ratios[found], rtol=0.15)
-    if found.all():
-        model.get_constants()
-        theirs = from_sdypy(model, floors=[1, 2, 3])
-        assert min(mac(a, b) for a, b in zip(theirs.mode_shapes, ours.mode_shapes, strict=True)) > 0.99
+    np.testing.assert_allclose(theirs.frequencies, ours.frequencies, rtol=5e-4)
+    np.testing.assert_allclose(theirs.damping_ratios, ours.damping_ratios, rtol=0.05)
+    assert min(mac(a, b) for a, b in zip(theirs.mode_shapes, ours.mode_shapes, strict=True)) > 0.99
+
+
+def median_pole(model, frequency):
+    """Return the order and the place of the pole that is nearest to the median of all orders' poles of a mode."""
+    indices = [
+        (order, place)
+        for order, (frequencies, dampings) in enumerate(zip(model.pole_freq, model.pole_xi, strict=True))
+        for place in np.flatnonzero((abs(frequencies - frequency) < 0.5) & (dampings > 0) & (dampings < 0.05))
+    ]
+    poles = np.array([model.all_poles[order][place] for order, place in indices])
+    median = np.median(poles.real) + 1j * np.median(abs(poles.imag))
+    return indices[int(np.argmin(abs(poles - median)))]

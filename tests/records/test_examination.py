@@ -12,7 +12,7 @@ import pytest
 from scipy import linalg, signal
 
 from cvxshear import Experiment, identify
-from cvxshear.records import Channel, Run, TimeRecord, from_arrays, identify_modes, second_opinion
+from cvxshear.records import Channel, Run, TimeRecord, identify_modes
 from cvxshear.records.examination import examined, one_a_floor
 from cvxshear.records.placement import ChannelMistake, findings_of, weighed
 from cvxshear.records.prepare import scaled
@@ -256,33 +256,6 @@ def test_a_mode_found_twice_is_said_and_takes_one_number():
     result = identify_modes(dataclasses.replace(before, runs=(before.runs[0], after.runs[0])))
     np.testing.assert_array_equal(result.modes, [1, 2, 3])
     assert "split mode" in {item.kind for item in result.findings}
-
-
-def test_a_peer_that_sees_other_modes_is_said():
-    frequencies, shapes = PAPER_FRAME.modes()
-    result = from_arrays(frequencies, shapes)
-    peer = from_arrays([frequencies[0] * 1.01, frequencies[1], 9.0], shapes[[0, 2, 1]], name="peer")
-    said = second_opinion(result, peer)
-    assert [(item.numbers.get("mode"), item.numbers["agrees"]) for item in said] == [
-        (1, True), (2, False), (3, False), (None, False), (None, False),
-    ]  # fmt: skip
-    assert said[0].message == "peer has mode 1 at 1.0439 Hz (+1.00 %), MAC 1.0000"
-    assert "peer has no mode 2, 2.21 Hz; its nearest is 2.21 Hz, MAC" in said[1].message
-
-
-def test_a_second_opinion_compares_the_nearest_mode_of_the_same_shape():
-    own = from_arrays([2.0, 5.0, 9.0], [[0.5, 1.0], [1.0, -0.5], [1.0, 0.1]], floors=[1, 2], stories=3, name="own")
-    shapes = [[0.45, 1.0], [0.5, 1.0], [1.0, -0.5], [0.1, -1.0]]
-    other = from_arrays([1.98, 2.05, 5.26, 9.1], shapes, floors=[1, 2], stories=4, name="other")
-    first, second, third, *more = second_opinion(own, other)
-    mac = (0.5 * 0.45 + 1.0) ** 2 / (0.5**2 + 1.0) / (0.45**2 + 1.0)
-    assert first.numbers == {
-        "mode": 1, "method": "other", "agrees": True, "frequency": pytest.approx(1.98), "change": pytest.approx(-0.01),
-        "mac": pytest.approx(mac),
-    }  # fmt: skip
-    # The second mode differs by 5.2 % in frequency, the third in shape.
-    assert [(each.numbers["mode"], each.numbers["agrees"]) for each in (second, third)] == [(2, False), (3, False)]
-    assert [each.numbers["frequency"] for each in more] == [2.05, 5.26, 9.1]
 
 
 def torsional_record() -> tuple[TimeRecord, float]:

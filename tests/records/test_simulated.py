@@ -12,7 +12,7 @@ from scipy import integrate, signal
 import cvxshear
 from cvxshear.records import Channel, Run, TimeRecord, identify_modes
 from cvxshear.records.estimate import jackknife
-from cvxshear.records.mode_shapes import possible_changes, sign_changes
+from cvxshear.records.picking import possible_changes, sign_changes
 from cvxshear.records.prepare import source_of
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.records.shared import SEEDS, TWO_STORY_FREQUENCIES, TWO_STORY_RATIOS

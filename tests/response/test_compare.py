@@ -9,7 +9,6 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response import DampedModel, response, sources, uncertain
 from cvxshear.response import compare as comparing
 from cvxshear.response.compare import Transfer, contradiction, moved_against
-from cvxshear.response.peaks import floor_spectra, largest_spectra
 from cvxshear.response.recording import RecordedRun, Recording, sensor_line
 from cvxshear.response.sensor_checks import _with_delays
 from tests.response.common import damped_frame, matrices
@@ -125,22 +124,6 @@ def test_the_state_of_a_record_is_said_where_it_was_taken_for_granted():
     assert said(two, None) == ["the record names no state"]
     assert sources.line_remarks(0.0099, "x") == []
     assert sources.line_remarks(0.0101, "x")[0].startswith("a straight line of up to 1.0 % of x was taken")
-
-
-def test_floor_spectra_reach_from_a_fifth_of_the_first_to_three_times_the_last():
-    def lines(step, frequencies):
-        model = SimpleNamespace(modes=SimpleNamespace(frequencies=np.array(frequencies)))
-        return largest_spectra(model, [np.eye(40, 1), 3.0 * np.eye(40, 1)], step)
-
-    for step, ends in ((0.001, (0.4, 24.0)), (0.02, (0.4, 12.5)), (0.2, (0.4, 2.0))):
-        found = lines(step, [2.0, 5.0, 8.0])
-        np.testing.assert_allclose(found.frequencies[[0, -1]], ends)
-        steps = np.diff(np.log(found.frequencies))
-        assert len(found.frequencies) == 60
-        np.testing.assert_allclose(steps, steps[0])
-        alone = floor_spectra(3.0 * np.eye(40, 1), step, found.frequencies)
-        np.testing.assert_allclose(found.acceleration, alone.acceleration)
-        assert found.damping == 0.05
 
 
 def test_directions_are_followed_half_of_a_mass_or_stiffness_at_most():

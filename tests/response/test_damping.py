@@ -8,7 +8,7 @@ import pytest
 import cvxshear
 from cvxshear import backends
 from cvxshear.fit.efficient import efficient
-from cvxshear.model.shear import modes
+from cvxshear.model import modes
 from cvxshear.response import Fitted, damping_of
 from cvxshear.response.damping import Ratios, story_dashpots
 from cvxshear.response.uncertain import UncertainFrame, propagated

@@ -15,7 +15,7 @@ from cvxshear.measurement.declaration import Limits
 from cvxshear.programs import LeastSquares
 from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.frame_motion import FrameMotion, readings_of
 from cvxshear.response.frame_prior import VariedFrame
@@ -433,16 +433,6 @@ def test_warnings_stand_before_the_numbers(softened):
     # A permanent property is no warning.
     (always,) = describe(found).sections[-1].parts
     assert (describe(found).sections[-1].title, always.texts) == ("What to bear in mind", found.remarks)
-
-
-def test_a_model_that_misses_a_part_of_the_motion_makes_drifts_provisional(softened):
-    """The innovations of the second sensor have a correlation of 0.3 between samples."""
-    found = softened[-1]
-    assert "provisional" not in describe(found).headline
-    white, other = found.whiteness
-    missed = dataclasses.replace(found, whiteness=(white, dataclasses.replace(other, correlation=0.3, p_value=1e-6)))
-    assert f"drifts are provisional: the model of {found.fitted.experiment.name}" in describe(missed).headline
-    assert f"misses a part of how floor {other.floor} moved" in describe(missed).headline
 
 
 def test_base_motion_that_nobody_measured_is_estimated(softened):

@@ -6,52 +6,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import ndimage, stats
+from scipy import ndimage
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
 from cvxshear.response.recording import RecordedRun, Recording, SensorRecord, earlier, recording_of, sensor_line
-from cvxshear.response.sensor_checks import whiteness, widening
+from cvxshear.response.sensor_checks import widening
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError
-
-
-def test_whiteness_is_ljung_and_boxs_statistic_over_all_runs():
-    rng = np.random.default_rng(0)
-    runs = [rng.standard_normal((count, 2)) for count in (300, 200)]
-    for run in runs:
-        run[7:, 1] -= 0.6 * run[:-7, 1]
-    weights = [np.ones_like(run) for run in runs]
-    # A spike counts like five deviations, a gap like zero.
-    weights[0][50, 0], runs[0][50, 0] = 0.3, 40.0
-    weights[1][[3, 4], 0], runs[1][[3, 4], 0] = 0.0, np.nan
-    smoothed = [SimpleNamespace(innovations=run, weights=each) for run, each in zip(runs, weights, strict=True)]
-    work = SimpleNamespace(recording=SimpleNamespace(floors=np.array([2, 4]), step=0.02))
-    found = whiteness(work, smoothed)
-    assert [(each.floor, each.spikes, each.missing) for each in found] == [(2, 1, 2), (4, 0, 0)]
-    assert (found[1].lag, found[1].p_value < 1e-9, found[0].p_value > 0.01) == (pytest.approx(0.14), True, True)
-    runs[0][50, 0], runs[1][[3, 4], 0] = 5.0, 0.0
-    for channel, each in enumerate(found):
-        series = [run[:, channel] for run in runs]
-        power = sum(x**2 for run in series for x in run)
-        count = 500 - 2 * (channel == 0)
-        rho = [
-            sum(a * b for run in series for a, b in zip(run[lag:], run, strict=False)) / power for lag in range(1, 21)
-        ]
-        box = count * (count + 2) * sum(r**2 / (count - lag) for lag, r in enumerate(rho, 1))
-        assert each.size == pytest.approx(np.sqrt(power / count))
-        assert abs(each.correlation) == pytest.approx(max(map(abs, rho)))
-        assert each.correlation in [pytest.approx(r) for r in rho]
-        assert each.p_value == pytest.approx(stats.chi2.sf(box, 20), rel=1e-6)
-
-
-def test_short_runs_have_fewer_lags():
-    run = SimpleNamespace(innovations=np.array([[1.0], [-1.0], [2.0]]), weights=np.ones((3, 1)))
-    (found,) = whiteness(SimpleNamespace(recording=SimpleNamespace(floors=[1], step=0.5)), [run])
-    box = 15 * ((-3 / 6) ** 2 / 2 + (2 / 6) ** 2 / 1)
-    assert (found.correlation, found.lag) == (pytest.approx(-0.5), 0.5)
-    assert found.p_value == pytest.approx(stats.chi2.sf(box, 2))
 
 
 def test_bands_are_widened_by_what_sensors_missed():

@@ -35,7 +35,6 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "at most twelve starts of motions and frames": ("loop.search", {"MOST_STARTS": 4}),
     "at most ten further effects": ("loop.search", {"MOST_FURTHER": 5}),
     "effects on accuracy": ("loop.search", {"RESCALING": 0}),
-    "pairs of changes at few floors": ("loop.close", {"MOST_PAIRED": 0}),
     "a second mode is no peak": ("fit.gaussian", {"SECOND_MODE": np.inf}),
 }
 """Name of a rule, the module that holds it, and the neutral values of its constants."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvxshear import Experiment
 from cvxshear.loop.close import search_for_effects
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from tests.studies.timing import table
 
 SIZES = (3, 8, 20)

@@ -57,7 +57,7 @@ def iterated(shapes, mass, step):
 
 def anew(shapes, start, total):
     def step(phi, mass):
-        problem, x = mass_rows(phi, mass, total, rows=True).to_cvxpy()
+        problem, x = mass_rows(phi, mass, total).to_cvxpy()
         problem.solve(solver="CLARABEL")
         return x.value
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.records.identify import identify_modes
-from cvxshear.records.mode_shapes import scaled_to_one
+from cvxshear.records.picking import scaled_to_one
 from cvxshear.records.record import TimeRecord
 from cvxshear.records.result import ModalResult
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record

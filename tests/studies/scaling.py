@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from cvxshear import Experiment, backends, identify
+from cvxshear import Experiment, identify
 from cvxshear.measurement.experiment import Configuration, Frame
-from cvxshear.model.shear import mass_matrix, modes, stiffness_matrix
-from cvxshear.programs.pair_rows import digits_lost, one_shot_rows
+from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.util.writing import json_text, write_file
 from tests.studies.timing import fastest, shown, table
 
@@ -68,7 +67,7 @@ def exact_experiment(stories: int, seed: int = 0) -> tuple[Experiment, np.ndarra
     return Experiment(frame, (Configuration(found.frequencies, found.shapes),)), mass, stiffness
 
 
-def cost(stories: int, method: str, *, repeats: int = 3, rows: bool | None = None) -> Cost:
+def cost(stories: int, method: str, *, repeats: int = 3) -> Cost:
     """Identify one exact frame of this height.
 
     Parameters
@@ -77,14 +76,12 @@ def cost(stories: int, method: str, *, repeats: int = 3, rows: bool | None = Non
     method : str
         "two-stage" or "one-shot".
     repeats : int, optional
-    rows : optional
-        Argument `rows` of `identify`.
     """
     experiment, mass, stiffness = exact_experiment(stories)
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()
-        part = identify(experiment, method, rows=rows).parts[0]
+        part = identify(experiment, method).parts[0]
         seconds.append(time.perf_counter() - began)
     return Cost(
         stories,
@@ -120,16 +117,6 @@ def main():
         ["stories", "eigenproblem", "`identify`", "`to_dict`", "the JSON file"],
         [_beside(n) for n in (300, 1000)],
     )
-    table(
-        "Rows against normal matrices",
-        ["stories", "rows of pairs", "normal matrix", "ratio"],
-        [_both(n) for n in (10, 30, 60, 100)],
-    )
-    table(
-        "Digits: forty modes that differ from one another by a part epsilon only (one-shot, against QR of the rows)",
-        ["epsilon", "digits lost, estimated", "normal matrix", "and one centred program"],
-        [_digits(part) for part in (1.0, 0.1, 0.01, 0.001)],
-    )
 
 
 def _beside(stories):
@@ -141,21 +128,3 @@ def _beside(stories):
     as_dict, _ = fastest(found.to_dict, 3, time.process_time)
     written, _ = fastest(lambda: write_file(os.devnull, json_text(found.to_dict())), 3, time.process_time)
     return [stories, shown(eigenproblem), *(f"{each / eigenproblem:.1f}" for each in (whole, as_dict, written))]
-
-
-def _both(stories):
-    rows, factors = (cost(stories, "one-shot", rows=rows).seconds for rows in (True, False))
-    return [stories, shown(rows), shown(factors), f"{rows / factors:.1f}"]
-
-
-def _digits(part):
-    rng = np.random.default_rng(0)
-    shapes = rng.standard_normal((40, 40))
-    shapes = shapes[:, :1] + part * shapes
-    kkt = backends.get("kkt")
-    exact = kkt.solve(one_shot_rows(shapes, 40.0, rows=True)).x
-    program = one_shot_rows(shapes, 40.0, rows=False)
-    once = kkt.solve(program).x
-    twice = once + kkt.solve(one_shot_rows(shapes, 40.0, rows=False, at=once)).x
-    errors = [np.max(np.abs(x - exact)) / np.max(np.abs(exact)) for x in (once, twice)]
-    return [part, f"{digits_lost(program.R):.1f}", *(f"{error:.0e}" for error in errors)]

@@ -16,7 +16,7 @@ ROOT = Path(cvxshear.__file__).parent
 
 CAPABILITIES = {
     "declare a measurement and what is known beforehand": ("measurement", "priors"),
-    "compare a shear frame, with effects, with data": ("model", "effects", "data"),
+    "compare a shear frame, with effects, with data": ("effects", "data"),
     "identify, on interchangeable backends": ("programs", "backends", "fit"),
     "find what the shear model lacks": ("loop",),
     "records to modes with their uncertainty": ("records",),

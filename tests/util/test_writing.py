@@ -148,7 +148,7 @@ def test_a_device_has_no_ending_to_go_by(tmp_path, terminal):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
 def test_what_does_not_fit_on_a_device_is_told_after_the_result(run):
-    for option in ("-o", "--figure"):
+    for option in ("-o", "--csv"):
         status, out, err = run("plan", "paper", "--fresh", option, "/dev/full")
         assert status == 2
         assert out.startswith("Measure every floor")
@@ -206,7 +206,7 @@ def test_what_the_content_was_made_from_is_kept(tmp_path):
 
 
 def test_no_other_module_writes():
-    """Only the module `writing` contains calls that write a file; `handover` fills streams in memory."""
+    """Only the module `writing` contains calls that write a file; `responses` fills streams in memory."""
     found = set()
     for path in PACKAGE.rglob("*.py"):
         calls = (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
@@ -222,7 +222,7 @@ def test_no_other_module_writes():
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
     # A closed standard stream is replaced by the null device.
     own = {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/output.py", "open")}
-    assert {each for each in found if each[0] != "report/handover.py"} == own
+    assert {each for each in found if each[0] != "report/responses.py"} == own
 
 
 KILLED = """
@@ -231,7 +231,6 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from cvxshear.cli.output import deliver
 from cvxshear.io.modes import write_merged
-from cvxshear.io.uff import write_uff
 from cvxshear.records import IdentifiedRecord, from_arrays
 from cvxshear.report import figures
 from cvxshear.util.writing import write_file
@@ -240,7 +239,6 @@ modes = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]])
 writers = {
     "json": lambda path: deliver({"a": 1}, path, lambda: []),
     "toml": lambda path: write_merged(path, [IdentifiedRecord("a.toml", modes, {})]),
-    "uff": lambda path: write_uff(path, modes),
     "html": lambda path: write_file(path, "page"),
     "svg": lambda path: figures.save(Figure((1, 1)), path),
 }
@@ -274,15 +272,14 @@ print(json.dumps(result))
 
 def test_killed_in_the_middle_of_every_writer(tmp_path):
     """Signal 9 at each step leaves the old file. A remaining temporary file does not disturb later writers."""
-    pytest.importorskip("pyuff")
     found = subprocess.run(
         [sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, text=True, check=True
     ).stdout
     result = json.loads(found)
-    assert len(result) == 15
+    assert len(result) == 12
     assert set(map(tuple, result.values())) == {(9, "old", True)}
     assert {each.name for each in tmp_path.iterdir() if each.suffix != ".part"} == {
-        f"a.{kind}" for kind in ("json", "toml", "uff", "html", "svg")
+        f"a.{kind}" for kind in ("json", "toml", "html", "svg")
     }
 
 
@@ -294,7 +291,6 @@ REFUSED = {
     "a folder": (["identify", "paper", "--json", "."], "--json: . is a folder; name a file in it"),
     "a report that is no page": (["loop", "paper", "--report", "a.pdf"], "--report: a.pdf must end in .html or .htm"),
     "a figure that is none": (["loop", "paper", "--figure", "a.doc"], "--figure: a.doc must end in .svg or .png or"),
-    "a universal file that is none": (["modes", "r.toml", "--uff", "a.txt"], "--uff: a.txt must end in .uff"),
     "JSON under another's name": (
         ["identify", "paper", "--json", "m.toml"], "--json: m.toml has the ending of another kind of file",
     ),
@@ -304,21 +300,18 @@ REFUSED = {
     "the raw record": (["modes", "r.toml", "--json", "raw.json"], "--json: raw.json would be written over sound.csv"),
     "one file twice": (["loop", "paper", "--figure", "a.svg", "--json", "twin.json"], "--json and --figure name"),
     "the design that a plan is for": (["plan", "m.toml", "-o", "m.toml"], "--output: m.toml would be written over m.t"),
-    "it, by a link": (["plan", "s.json", "-o", "s.toml"], "--output: s.toml would be written over s.json"),
     "the raw record that is predicted": (
         ["predict", "paper", "--out", "sound.csv", "--record", "r.toml"], "--out: sound.csv would be written over",
     ),
     "the model that predicts": (
-        ["predict", "s.json", "--record", "r.toml", "--export", "s.json"], "--export: s.json would be written over",
+        ["predict", "s.json", "--record", "r.toml", "--json", "s.json"], "--json: s.json would be written over",
     ),
     "a record of which the measurement is made": (
         ["predict", "r.toml", "--record", "r.toml", "--report", "raw.html"], "--report: raw.html would be written over",
     ),
-    "a model and its drawing": (
-        ["predict", "paper", "--record", "r.toml", "--export", "b.json", "--json", "b.json"], "--export and --json",
-    ),
-    "the record that validates": (
-        ["loop", "paper", "--csv", "sound.csv", "--validate", "r.toml"], "--csv: sound.csv would be written over",
+    "time series and peaks": (
+        ["predict", "paper", "--record", "r.toml", "--out", "b.csv", "--csv", "b.csv"],
+        "--csv and --out name the same file, b.csv",
     ),
     "what is compared": (["backends", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.to"),
 }  # fmt: skip
@@ -355,7 +348,7 @@ def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch
     ("arguments", "options", "printed"),
     [
         (("identify", "paper", "--method", "two-stage"), {"--json": ".json"}, "13.045"),
-        (("plan", "paper", "--fresh"), {"-o": ".toml", "--figure": ".svg"}, "Measure every floor in 1 test"),
+        (("plan", "paper", "--fresh"), {"-o": ".toml", "--csv": ".csv"}, "Measure every floor in 1 test"),
     ],
 )
 def test_the_result_is_printed_where_its_files_cannot_be_written(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from cvxshear.model.shear import (
+from cvxshear.model import (
     FloorObservation,
     Observation,
     ShearSystem,

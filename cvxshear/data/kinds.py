@@ -1,0 +1,353 @@
+"""The kinds of data: natural frequencies, mode shapes, and displacements of static tests.
+
+Frequencies are compared by their logarithms. Shapes have a free scale each, unless they are mass-normalized. A static
+test has known forces and measured displacements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
+from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD
+from cvxshear.measurement.declaration import DEFAULT_DISPLACEMENT_STD
+from cvxshear.measurement.experiment import Configuration, Experiment, StaticTest
+from cvxshear.util import ranking
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
+
+
+def mac(first: Floats | Complexes, second: Floats | Complexes) -> float:
+    """Modal assurance criterion |a^H b|^2 / (a^H a b^H b) of two shapes (Allemang and Brown 1982)."""
+    product = abs(np.vdot(first, second)) ** 2
+    return float(product / (np.vdot(first, first).real * np.vdot(second, second).real))
+
+
+def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Scales by least squares, and the unit vectors u, of each row.
+
+    Parameters
+    ----------
+    measured, modelled, weights : ndarray, shape (m, n)
+        Weight zero for missing entries.
+
+    Returns
+    -------
+    scale : ndarray, shape (m,)
+    unit : ndarray, shape (m, n)
+    """
+    weighted = weights * modelled
+    length = np.sum(weighted**2, axis=1)
+    safe = np.where(length > 0, length, 1.0)
+    return np.sum(weighted * weights * measured, axis=1) / safe, weighted / np.sqrt(safe)[:, None]
+
+
+def frequency_residual(
+    log_omega: Floats, eigenvalues: Floats, std: Floats, slopes: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """Return differences of log frequencies in standard deviations, with derivatives dlambda / (2 lambda).
+
+    Parameters
+    ----------
+    log_omega : ndarray, shape (m,)
+        Logarithms of the measured circular frequencies.
+    eigenvalues : ndarray, shape (m,)
+        Squares of the modelled circular frequencies.
+    std : ndarray, shape (m,)
+    slopes : ndarray, shape (p, m), optional
+        Derivatives of the eigenvalues.
+
+    Returns
+    -------
+    r : ndarray, shape (m,)
+    J : ndarray, shape (m, p)
+        Of no rows without `slopes`.
+    """
+    r = (0.5 * np.log(eigenvalues) - log_omega) / std
+    return r, np.zeros((0, 0)) if slopes is None else (slopes * (0.5 / (std * eigenvalues))).T
+
+
+def shape_residual(
+    measured: Floats, modelled: Floats, weights: Floats, slopes: Floats | None = None, *, mass_normalized: bool = False
+) -> tuple[Floats, Floats]:
+    """Return W (c phi - measured phi) with the scale c of each mode eliminated, and its derivatives.
+
+    At the c of least squares the sum of squares is stationary in c, so its gradient is J' r with
+    J = (1 - u u') W c dphi (Golub and Pereyra 1973, in Kaufman's form). Mass-normalized shapes have only a free sign.
+
+    Parameters
+    ----------
+    measured, modelled, weights : ndarray, shape (m, n)
+        Weight zero for missing entries.
+    slopes : ndarray, shape (p, m, n), optional
+        Derivatives of the modelled shapes.
+    mass_normalized : bool, optional
+
+    Returns
+    -------
+    r : ndarray, shape (m n,)
+    J : ndarray, shape (m n, p)
+        Of no rows without `slopes`.
+    """
+    scale, unit = scaled(measured, modelled, weights)
+    if mass_normalized:
+        scale = np.where(scale < 0, -1.0, 1.0)
+    r = (weights * (scale[:, None] * modelled - measured)).ravel()
+    if slopes is None:
+        return r, np.zeros((0, 0))
+    J = weights * scale[:, None] * slopes
+    if not mass_normalized:
+        J = J - unit * np.sum(unit * J, axis=2, keepdims=True)
+    return r, J.reshape(len(J), r.size).T
+
+
+@dataclass(frozen=True, eq=False)
+class Frequencies(Datum):
+    """r_j = (log f_j - log measured f_j) / std_j, with dlog f = dlambda / (2 lambda).
+
+    Parameters
+    ----------
+    tested : Configuration
+    used : ndarray of bool, shape (m,)
+        Which of its modes count.
+    """
+
+    noise = NoiseKind(
+        "frequency", "frequencies", DEFAULT_FREQUENCY_STD, 0.03,
+        "records of a few minutes give frequencies to 0.1 to 0.5 %; identified by hand they are right to 3 %",
+        (
+            ErrorFigure("max_frequency_error", "largest frequency error", "frequency_error", largest),
+            ErrorFigure(
+                "rms_frequency_error", "frequency error, root mean square", "frequency_error",
+                lambda errors: np.sqrt(np.mean(errors**2)),
+            ),
+        ),
+        negligible=1e-5,
+    )  # fmt: skip
+    tested: Configuration
+    used: Bools
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Sequence[Frequencies]:
+        """List the frequencies of each configuration."""
+        return [cls(each, np.ones(len(each.frequencies), dtype=bool)) for each in experiment.configurations]
+
+    @property
+    def count(self) -> int:
+        """Number of modes that count."""
+        return int(np.sum(self.used))
+
+    def residual(self, model: Model) -> Residual:
+        """Differences of logarithms over the standard deviation of the logarithm."""
+        logs, std = np.log(2 * np.pi * self.tested.frequencies[self.used]), self.tested.log_frequency_std[self.used]
+        slopes = model.mode_derivatives[0][:, self.used] if model.derivatives else None
+        return Residual(*frequency_residual(logs, model.modes.eigenvalues[model.paired][self.used], std, slopes))
+
+    def errors(self, model: Model) -> Mapping[str, Floats]:
+        """model / measured - 1 of each frequency."""
+        modelled = model.modes.frequencies[model.paired][self.used]
+        return {"frequency_error": modelled / self.tested.frequencies[self.used] - 1.0}
+
+    def without(self, left_out: Bools) -> Frequencies:
+        """Leave out these modes."""
+        return Frequencies(self.tested, self.used & ~left_out)
+
+    def describe(self, model: Model) -> list[Deviation]:
+        """Describe each mode."""
+        errors, r = self.errors(model)["frequency_error"], self.residual(model).r
+        modes = self.tested.modes[self.used]
+        return [
+            Deviation(self.noise.name, self.tested.name, f"mode {mode}", float(error), float(z))
+            for mode, error, z in zip(modes, errors, r, strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes(Datum):
+    """r = W (c phi - measured phi), the scale c of each mode eliminated (`shape_residual`).
+
+    Parameters
+    ----------
+    tested : Configuration
+    used : ndarray of bool, shape (m,)
+        Which of its modes count.
+    """
+
+    noise = NoiseKind(
+        "mode_shape", "mode shapes", DEFAULT_MODE_SHAPE_STD, 0.15,
+        "calibrated sensors show entries to 1 % of the largest; 15 % is more than an uncalibrated one is off",
+        (
+            ErrorFigure("min_mac", "smallest modal assurance criterion (MAC)", "mac", np.min, relative=False),
+            ErrorFigure("max_shape_error", "largest mode-shape error", "shape_error", largest),
+        ),
+        negligible=1e-4,
+    )  # fmt: skip
+    tested: Configuration
+    used: Bools
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Sequence[Shapes]:
+        """List the shapes of each configuration that has one."""
+        return [
+            cls(each, np.asarray(each.measured.any(axis=1)))
+            for each in experiment.configurations
+            if each.measured.any()
+        ]
+
+    @property
+    def count(self) -> int:
+        """Entries, less one a mode whose scale is free."""
+        entries = np.sum(self.tested.measured[self.used], axis=1)
+        return int(np.sum(np.maximum(entries - (0 if self.tested.mass_normalized else 1), 0)))
+
+    def _seen(self, model: Model) -> Floats:
+        """Return the modelled shapes as sensors would show them, on the model's scale, shape (used, n)."""
+        shapes = model.modes.shapes[model.paired[self.used]]
+        return model.state.observation.shown(shapes, self.tested.measured_floors - 1)
+
+    def seen(self, model: Model) -> Floats:
+        """Return the modelled shapes as sensors would show them, on the measured ones' scale, shape (used, n)."""
+        psi = self._seen(model)
+        scale, _ = scaled(self.tested.known_shapes[self.used], psi, self.tested.entry_weights[self.used])
+        if self.tested.mass_normalized:
+            scale = np.where(scale < 0, -1.0, 1.0)
+        return scale[:, None] * psi
+
+    @property
+    def floors(self) -> Ints:
+        """Floor of each entry, mode by mode."""
+        return np.tile(self.tested.measured_floors, int(self.used.sum()))
+
+    @property
+    def known(self) -> Bools:
+        """Entries that are not nan, mode by mode."""
+        return self.tested.measured[self.used].ravel()
+
+    def residual(self, model: Model) -> Residual:
+        """Differences of entries over their standard deviations; zero for missing entries."""
+        return self.widened_residual(model, np.ones(len(self.floors)))
+
+    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+        """Compute `residual`, the scale of each shape following the entries that have become less certain."""
+        measured = self.tested.known_shapes[self.used]
+        weights = self.tested.entry_weights[self.used] / factor.reshape(measured.shape)
+        slopes = None
+        if model.derivatives:
+            shapes, moved = model.modes.shapes[model.paired[self.used]], model.mode_derivatives[1][:, self.used]
+            floors = self.tested.measured_floors - 1
+            slopes = model.state.observation.shown_slopes(shapes, moved, model.by, floors)
+        normalized = self.tested.mass_normalized
+        return Residual(*shape_residual(measured, self._seen(model), weights, slopes, mass_normalized=normalized))
+
+    def errors(self, model: Model) -> Mapping[str, Floats]:
+        """MAC of each shape known at two floors, and the largest difference of an entry of each."""
+        measured, modelled = self._known_entries(model)
+        lengths = np.sum(measured**2, axis=1) * np.sum(modelled**2, axis=1)
+        several = np.sum(self.tested.measured[self.used], axis=1) > 1
+        criteria = np.sum(measured * modelled, axis=1)[several] ** 2 / lengths[several]
+        return {"mac": criteria, "shape_error": shape_errors(measured, modelled)}
+
+    def _known_entries(self, model: Model) -> tuple[Floats, Floats]:
+        """Measured and modelled shapes, zero for missing entries."""
+        return self.tested.known_shapes[self.used], np.where(self.tested.measured[self.used], self.seen(model), 0.0)
+
+    def without(self, left_out: Bools) -> Shapes:
+        """Leave out these modes."""
+        return Shapes(self.tested, self.used & ~left_out)
+
+    def describe(self, model: Model) -> list[Deviation]:
+        """Describe each mode."""
+        z = self.residual(model).r.reshape(int(self.used.sum()), -1)
+        known = self.tested.measured[self.used]
+        errors = shape_errors(*self._known_entries(model))
+        return [
+            Deviation(
+                self.noise.name,
+                self.tested.name,
+                f"mode {mode}",
+                float(error),
+                float(np.sqrt(np.mean(row[there] ** 2))),
+                int(there.sum()),
+            )
+            for mode, row, error, there in zip(self.tested.modes[self.used], z, errors, known, strict=True)
+        ]
+
+
+def shape_errors(measured: Floats, modelled: Floats) -> Floats:
+    """Largest difference of each mode, shape (m,).
+
+    The measured shape is scaled to a largest entry of 1, the model's to it by least squares; entries that were not
+    measured are zero in both.
+    """
+    unit = measured / measured[np.arange(len(measured)), ranking.largest(np.abs(measured))][:, None]
+    scale = np.sum(unit * modelled, axis=1) / np.sum(modelled**2, axis=1)
+    return np.asarray(np.max(np.abs(scale[:, None] * modelled - unit), axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Static(Datum):
+    """r = (K^-1 f - measured u) / std, with du = -K^-1 dK u.
+
+    Parameters
+    ----------
+    tested : StaticTest
+    """
+
+    noise = NoiseKind(
+        "displacement", "displacements", DEFAULT_DISPLACEMENT_STD, 0.15,
+        "dial gauges and load cells are good to 1 % of the largest reading; 15 % is a wire's slack or a soft support",
+        (ErrorFigure("max_displacement_error", "largest displacement error", "displacement_error", largest),),
+        negligible=1e-4,
+    )  # fmt: skip
+    tested: StaticTest
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Sequence[Static]:
+        """List the static tests."""
+        return [cls(each) for each in experiment.static]
+
+    @property
+    def count(self) -> int:
+        """Number of measured displacements."""
+        return len(self.floors)
+
+    @property
+    def floors(self) -> Ints:
+        """Floors with a measured displacement."""
+        return np.flatnonzero(self.tested.measured) + 1
+
+    def residual(self, model: Model) -> Residual:
+        """Differences of displacements over their standard deviations, measured floors only."""
+        test, known = self.tested, self.tested.measured
+        system = model.wanted
+        weights = 1.0 / test.entry_std[known]
+        u = _moved(system.K, test.force)
+        n = len(test.force)
+        r = weights * (u[:n] - test.displacement)[known]
+        if not model.derivatives:
+            return Residual(r, np.zeros((0, 0)))
+        slopes: Floats = -linalg.solve(system.K, system.stiffness_slopes(u).T, assume_a="sym")
+        return Residual(r, weights[:, None] * slopes[:n][known])
+
+    def errors(self, model: Model) -> Mapping[str, Floats]:
+        """model / measured - 1, relative to the largest measured displacement."""
+        test, known = self.tested, self.tested.measured
+        u = _moved(model.state.system.K, test.force)[: len(test.force)]
+        return {"displacement_error": (u - test.displacement)[known] / np.max(np.abs(test.displacement[known]))}
+
+    def describe(self, model: Model) -> list[Deviation]:
+        """Describe each measured floor."""
+        errors, r = self.errors(model)["displacement_error"], self.residual(model).r
+        return [
+            Deviation(self.noise.name, self.tested.name, f"floor {floor}", float(error), float(z))
+            for floor, error, z in zip(self.floors, errors, r, strict=True)
+        ]
+
+
+def _moved(K: Floats, force: Floats) -> Floats:
+    """Displacements of all motions under forces on the floors, which come first, m."""
+    load = np.concatenate([force, np.zeros(len(K) - len(force))])
+    return np.asarray(linalg.solve(K, load, assume_a="sym"))

@@ -1,1 +1,0 @@
-"""The forward model: matrices and modes of the shear frame, with derivatives."""
