@@ -327,8 +327,7 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
     if not final.fit.converged:
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():
-        said = f"whether it is there ({quantities.chance(posterior.of_effects[placed])}, as without them)"
-        yield f"{placed.label}: these data do not tell {said}; masses and stiffnesses are averaged without it"
+        yield f"{placed.label}: these data tell nothing of it; masses and stiffnesses are averaged without it"
     failed = [model for model in search.visited.values() if model.failure is not None]
     if failed:
         yield f"{len(failed)} of {len(search.visited)} sets of effects could not be fitted ({failed[0].failure})"
