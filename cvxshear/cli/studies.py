@@ -13,7 +13,6 @@ from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
 from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import Units
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -40,7 +39,6 @@ def plan(
     criterion: str = "D",
     fresh: bool = False,
     output: options.TomlOut = None,
-    units: options.UnitsOption = None,
     *,
     outputs: options.TableOptions,
 ) -> None:
@@ -83,7 +81,7 @@ def plan(
     """
     from cvxshear import planning, screening
 
-    files_of, display = outputs.prepared(planning.Plan), Units.parse(units)
+    files_of = outputs.prepared(planning.Plan)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
     wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
@@ -98,7 +96,7 @@ def plan(
     if output is not None:
         files.append(lambda: planning.write_template(output, result))
     said = {**result.to_dict(), **screening.in_json(doubts)}
-    deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result, display)], *files)
+    deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)
 
 
 def _noise(

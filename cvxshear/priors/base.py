@@ -19,7 +19,7 @@ from cvxshear.util.quantities import fitting
 from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
-QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
+QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m"}
 QUANTITIES = tuple(QUANTITY_UNITS)
 """Quantities that priors speak of, with their units."""
 
@@ -84,7 +84,7 @@ class Prior(checks.ReadOnlyArrays, ABC):
     kind : str
         The word for it in a measurement file; empty where it has none.
     quantity : str
-        "floor_mass" (kg), "story_stiffness" (N/m) or "story_damping" (N s/m).
+        "floor_mass" (kg) or "story_stiffness" (N/m).
     """
 
     kind: ClassVar[str] = ""

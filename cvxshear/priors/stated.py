@@ -55,7 +55,7 @@ class Value(_Equations):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     at : int
         Floor or story, 1 the lowest.
     value : float
@@ -107,7 +107,7 @@ class Nominal(_Equations):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     values : array_like, shape (N,)
         kg or N/m.
     std : float, optional
@@ -171,7 +171,7 @@ class Ratio(_Equations):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     of, to : int
         Floors or stories, 1 the lowest.
     value : float
@@ -219,7 +219,7 @@ class Bounds(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     lower, upper : float or array_like, shape (N,), optional
         kg or N/m; one number for all, or one a floor or story; at least one of the two.
     """
@@ -284,7 +284,7 @@ class Monotone(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     direction : str
         "decreasing" or "increasing", with height.
     """

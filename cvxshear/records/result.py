@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.records.functions import Functions
 from cvxshear.records.picking import Sweep
+from cvxshear.records.prepare import Functions
 from cvxshear.records.record import Finding
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
@@ -163,7 +163,8 @@ class ModalResult(Shown):
         of_floors = [[each["by_mode"] for each in failures if floor in each["floors"]] for floor in self.floors]
         share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
         relative = np.abs(self.mode_shapes) / np.max(np.abs(self.mode_shapes), axis=1, keepdims=True)
-        return np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
+        std: Floats = np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
+        return std
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.
