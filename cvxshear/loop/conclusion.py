@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
@@ -79,7 +80,7 @@ def conclude(
         assumed=fitter.assumed,
         numberings=tuple(each for each in posterior.numberings if each.probability >= REPORTED),
         models=tuple(_shown_sets(posterior)),
-        averaged=posterior.averaged(),
+        averaged=dataclasses.replace(posterior.averaged(), at_bounds=judged.frame.at_bounds),
         candidates=tuple(_candidates(posterior, fits)),
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(results.where_it_sits(final)) if significant and not negligible else (),

@@ -39,7 +39,7 @@ def _closure(result: LoopResult) -> blocks.Document:
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
     title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
-    frame = identified.frame_table(result.frame, "Identified frame", quantities.AUTOMATIC, "frame", result.averaged)
+    frame = identified.frame_table(result.averaged, "Identified frame", quantities.AUTOMATIC, "frame")
     return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes))
 
 
@@ -159,9 +159,9 @@ def _alike(one: Floats, other: Floats) -> Bools:
 
 
 def frame_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
-    """Tabulate the frame of the verdict's set and the average frame over all sets."""
-    title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
-    table = identified.frame_table(result.frame, title, units, averaged=result.averaged)
+    """Tabulate the frame averaged over all sets."""
+    title = "Masses without added mass; averaged over all sets of effects, each as probable as it is"
+    table = identified.frame_table(result.averaged, title, units)
     return blocks.section("frame", "The identified frame", table)
 
 
@@ -418,5 +418,4 @@ def _besides(result: LoopResult) -> str:
         return ""
     named = headline.some([f"{item.placed.label} ({quantities.chance(item.probability)})" for item in left], "or")
     first = "No rival is left in the place of what was found" if added else "Nothing has to be added"
-    averaged = "The averaged masses and stiffnesses allow for that; use those."
-    return f"{first}, but something may be there besides: {named}. {averaged}"
+    return f"{first}, but something may be there besides: {named}. The masses and stiffnesses allow for that."

@@ -129,24 +129,10 @@ def in_words(names: Iterable[str]) -> str:
 
 
 def frame_table(
-    frame: results.IdentifiedFrame,
-    title: str,
-    units: quantities.Units,
-    key: str = "identified",
-    averaged: results.IdentifiedFrame | None = None,
+    frame: results.IdentifiedFrame, title: str, units: quantities.Units, key: str = "identified"
 ) -> blocks.Table:
-    """Tabulate floor masses, their sum and story stiffnesses, the top first, with optional averages over models."""
-    columns, foot = [blocks.places(len(frame.floor_mass), "floor / story", "floor")], ["sum"]
-    for word, each in (("", frame), ("averaged ", averaged)):
-        if each is not None:
-            columns += _of_frame(each, units, word)
-            factor, _ = units.of_mass(frame.floor_mass.tolist())
-            foot += [quantities.significant(float(each.floor_mass.sum()) / factor, 5), ""]
-    return blocks.Table(key, title, tuple(columns), foot=tuple(foot), top_first=True)
-
-
-def _of_frame(frame: results.IdentifiedFrame, units: quantities.Units, word: str) -> Iterator[blocks.Column]:
-    """Write the masses and stiffnesses of a frame; values at a bound have no standard deviation."""
+    """Tabulate floor masses, their sum and story stiffnesses, the top first; values at a bound have no deviation."""
+    columns = [blocks.places(len(frame.floor_mass), "floor / story", "floor")]
     for quantity, values, std, unit, unit_of in (
         ("floor_mass", frame.floor_mass, frame.floor_mass_std, "kg", units.of_mass),
         ("story_stiffness", frame.story_stiffness, frame.story_stiffness_std, "N/m", units.of_stiffness),
@@ -158,10 +144,15 @@ def _of_frame(frame: results.IdentifiedFrame, units: quantities.Units, word: str
             for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
         ]
         own = np.where(at_bound, np.nan, std)
-        head, name = f"{word}{quantity.partition('_')[2]}, {shown}", f"{word.replace(' ', '_')}{quantity}"
-        yield blocks.Column(
-            head, tuple(texts), name=name, values=tuple(values.tolist()), std=tuple(own.tolist()), unit=unit
+        head = f"{quantity.partition('_')[2]}, {shown}"
+        columns.append(
+            blocks.Column(
+                head, tuple(texts), name=quantity, values=tuple(values.tolist()), std=tuple(own.tolist()), unit=unit
+            )
         )
+    factor, _ = units.of_mass(frame.floor_mass.tolist())
+    foot = ("sum", quantities.significant(float(frame.floor_mass.sum()) / factor, 5), "")
+    return blocks.Table(key, title, tuple(columns), foot=foot, top_first=True)
 
 
 def frames_table(result: results.Identification) -> blocks.Table:

@@ -201,7 +201,7 @@ def _wrapped(texts: Sequence[str]) -> str:
 def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_Mark], height: float) -> None:
     z, label = elevations(result.experiment)
     at = _Columns(0.10, 0.34)
-    _structure(axes, result.frame, z, at)
+    _structure(axes, result.averaged, z, at)
     _sensors(axes, result.experiment, state, z, at)
     total = float(axes.get_ylim()[1])
     base = np.concatenate([[0.0], z])
@@ -295,7 +295,7 @@ def frame(result: LoopResult | Identification) -> Figure:
     If each configuration was identified separately, each one has its panel.
     """
     if isinstance(result, LoopResult):
-        frames = [("", result.frame)]
+        frames = [("", result.averaged)]
     else:
         several = len(result.parts) > 1
         frames = [(style.letters(part.name) if several else "", part.frame) for part in result.parts]
