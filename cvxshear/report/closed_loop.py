@@ -103,9 +103,14 @@ def moving_mass(state: State) -> StateValues:
 
 
 def states_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
-    """Tabulate every story and floor that an effect changes: frame alone or reference state, each state, the change."""
-    stories = _by_state(result, "stories", "Sway stiffness of each story", sway_stiffness, units.of_stiffness)
-    floors = _by_state(result, "floors", "Mass that moves with each floor", moving_mass, units.of_mass)
+    """Tabulate every story and floor that an effect changes: frame alone or reference state, each state, the change.
+
+    The changes are those of the verdict's set, and the values they start from those of the averaged frame.
+    """
+    of_set, averaged = result.frame, result.averaged
+    stiffer, heavier = averaged.story_stiffness / of_set.story_stiffness, averaged.floor_mass / of_set.floor_mass
+    stories = _by_state(result, "stories", "Sway stiffness of each story", sway_stiffness, units.of_stiffness, stiffer)
+    floors = _by_state(result, "floors", "Mass that moves with each floor", moving_mass, units.of_mass, heavier)
     return blocks.section("states", "Every story and floor, before and after", *stories, *floors)
 
 
@@ -115,6 +120,7 @@ def _by_state(
     title: str,
     quantity: Callable[[State], StateValues],
     unit_of: Callable[[Iterable[float]], tuple[float, str]],
+    ratio: Floats,
 ) -> Iterator[blocks.Table]:
     """Tabulate one quantity in all states in which it differs; yield nothing if no effect changes it."""
     estimate, experiment = result.judged, result.experiment
@@ -136,11 +142,11 @@ def _by_state(
     if len(groups) == 1:
         return
     (_, before), *_ = groups
-    factor, unit = unit_of(before[0].tolist())
+    factor, unit = unit_of((ratio * before[0]).tolist())
     covariance = estimate.uncertainty.covariance()
     columns = [blocks.places(len(before[0]), "story" if key == "stories" else "floor")]
     for names, after in groups:
-        texts = quantities.significants((after[0] / factor).tolist(), 5)
+        texts = quantities.significants((ratio * after[0] / factor).tolist(), 5)
         change = after[0] / before[0] - 1.0
         by_parameters = (after[1] - (1.0 + change) * before[1]) / before[0]
         std = np.sqrt(np.einsum("pi,pq,qi->i", by_parameters, covariance, by_parameters))

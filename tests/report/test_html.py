@@ -170,7 +170,7 @@ def test_results_show_themselves_in_a_notebook(paper, unexplained, comparison):
     shown = notebook_html(paper)
     assert paper.effects[0].size.removesuffix(")") in html.unescape(shown)
     assert shown.count('<img src="data:image/png;base64,') == 1
-    assert f"{paper.averaged.story_stiffness[0] / 1000:.2f}" in shown
+    assert f"{paper.averaged.story_stiffness[0] / 1000:.1f}" in shown
     Page(shown)
     assert '<img src="http' not in notebook_html(unexplained)
     identified = notebook_html(cvxshear.identify(paper.experiment, method="two-stage"))
