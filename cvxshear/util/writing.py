@@ -78,7 +78,7 @@ def _shell_escaped(text: str) -> str:
 
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
     """Write a value as JSON, each row of numbers in one line; nan raises an error."""
-    mark, rows, marks = secrets.token_hex(8), [], dict[int, str]()
+    mark, rows, marks = secrets.token_hex(8), list[str](), dict[int, str]()
 
     def marked(item: object) -> object:
         # json writes indented text in Python, number by number, and a row without line breaks in C.
