@@ -17,7 +17,7 @@ from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.choice import CRITERIA, Choice, Criterion, choose
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
-from cvxshear.planning.tested_model import Declared, TestModel, TestNoise
+from cvxshear.planning.tested_model import Declared, TestModel
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
@@ -341,7 +341,7 @@ def plan(
     tests: int = 1,
     *,
     modes: int | Sequence[int] | None = None,
-    noise: TestNoise | None = None,
+    noise: Declared | None = None,
     added_mass: float | Sequence[float] | Floats | None = None,
     goal: str = "all",
     criterion: str = "D",
@@ -359,7 +359,7 @@ def plan(
         Number of tests.
     modes : int or sequence of int, optional
         Number of the lowest modes that will be identified, or the modes' numbers.
-    noise : TestNoise, optional
+    noise : Declared, optional
         By default, the noise that the source's tests declare; without it, 0.2 % of frequencies and 1 % of shapes.
     added_mass : float or array_like, shape (N,), optional
         Largest added mass of each floor, kg; by default no mass is added.
