@@ -124,7 +124,7 @@ def loop(
     Parameters
     ----------
     sources
-        A measurement file (TOML), 'paper' for the built-in example, or record files and patterns of them.
+        A measurement file (TOML), 'paper' for the built-in example, or record files.
     effects
         Which effects to look for, commas between; default: all. 'list' prints them, with the kinds of data and
         the verdicts.
