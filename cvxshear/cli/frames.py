@@ -20,7 +20,6 @@ from cvxshear.cli.options import (
     ReportOut,
     ResultOptions,
     SeriesOut,
-    UnitsOption,
     Writer,
     handed_over,
     input_files,
@@ -29,7 +28,6 @@ from cvxshear.cli.output import as_typed, deliver, doubts_of, heading_of, names,
 from cvxshear.report import terminal
 from cvxshear.report.describe import describe
 from cvxshear.util.errors import NoScaleError, UnsuitableError
-from cvxshear.util.quantities import Units
 from cvxshear.util.results import as_json
 from cvxshear.util.writing import write_file
 
@@ -51,7 +49,6 @@ def identify(
     backend: BackendName = "auto",
     initial_mass: str | None = None,
     tolerance: float = 1e-6,
-    units: UnitsOption = None,
     *,
     outputs: ResultOptions,
 ) -> None:
@@ -78,7 +75,7 @@ def identify(
     from cvxshear.response import Fitted, damping_of
     from cvxshear.screening import refuse_mistakes
 
-    files_of, display = outputs.prepared(Identification), Units.parse(units)
+    files_of = outputs.prepared(Identification)
     experiment, start = load(file), numbers(initial_mass, "--initial-mass")
     doubts = refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
@@ -93,7 +90,7 @@ def identify(
     deliver(
         said,
         outputs.out,
-        lambda: [*doubts_of(doubts), *_identified(result, beside, damping, display)],
+        lambda: [*doubts_of(doubts), *_identified(result, beside, damping)],
         *files_of(result),
         title=experiment.report.title or experiment.name,
     )
@@ -113,7 +110,6 @@ def loop(
     photograph: Annotated[str | None, typer.Option(callback=input_files)] = None,
     validate: Annotated[str | None, typer.Option(metavar="RECORD", callback=input_files)] = None,
     strict: bool = False,
-    units: UnitsOption = None,
     *,
     outputs: ResultOptions,
 ) -> None:
@@ -155,7 +151,7 @@ def loop(
     if effects == LIST:
         show(_catalogued())
         raise typer.Exit
-    files_of, display = outputs.prepared(LoopResult), Units.parse(units)
+    files_of = outputs.prepared(LoopResult)
     if report is not None:
         from cvxshear.report.html import photograph_of, render
     said_of_it = heading_of(report, title=title, client=client, author=author, date=date, photograph=photograph)
@@ -191,14 +187,14 @@ def loop(
         said["validation"] = tried.to_dict()
     files = files_of(result)
     if report is not None:
-        page = partial(render, result, as_typed(), units=display, prediction=tried, heading=heading)
+        page = partial(render, result, as_typed(), prediction=tried, heading=heading)
         files.append(lambda: write_file(report, page()))
     moved = damping if tried is None else tried
     beside = [*(() if moved is None else ("", *terminal.shown(moved))), *filter(None, [without])]
     deliver(
         said,
         outputs.out,
-        lambda: [*tables_of(found), *doubts_of(result.warnings), *terminal.shown(result, display), *beside],
+        lambda: [*tables_of(found), *doubts_of(result.warnings), *terminal.shown(result), *beside],
         *files,
         title=heading.title or experiment.name,
     )
@@ -207,13 +203,13 @@ def loop(
 
 
 def _identified(
-    result: Identification, beside: Identification | None, damping: IdentifiedDamping | None, units: Units
+    result: Identification, beside: Identification | None, damping: IdentifiedDamping | None
 ) -> Iterator[RenderableType]:
     """Render an identification, the frames of another one for comparison, and the damping."""
-    yield from terminal.shown(result, units)
+    yield from terminal.shown(result)
     if beside is not None:
         yield f"\nFor comparison: method {beside.method}, each configuration by itself"
-        for section in describe(beside, units).sections:
+        for section in describe(beside).sections:
             if section.key.startswith("part-"):
                 yield from terminal.rendered(section)
     if damping is not None:

@@ -187,10 +187,6 @@ ReportOut = Annotated[
     str | None, writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm"))
 ]
 TomlOut = Annotated[str | None, writes("--output", "-o", metavar="TOML", endings=(".toml",))]
-UnitsOption = Annotated[
-    str | None,
-    typer.Option("--units", help="Units that quantities are shown in, such as t,kN,mm.", metavar="MASS,FORCE,LENGTH"),
-]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
 BackendName = Annotated[
     str, typer.Option("--backend", help="Which solver; 'cvxshear backends' lists them.", metavar="NAME")

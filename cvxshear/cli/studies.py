@@ -7,22 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.options import (
-    BackendName,
-    FigureOptions,
-    File,
-    JsonOut,
-    Quiet,
-    ResultOptions,
-    TomlOut,
-    UnitsOption,
-    input_files,
-)
+from cvxshear.cli.options import BackendName, FigureOptions, File, JsonOut, Quiet, ResultOptions, TomlOut, input_files
 from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
 from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import Units
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -44,7 +33,6 @@ def plan(
     criterion: str = "D",
     fresh: bool = False,
     output: TomlOut = None,
-    units: UnitsOption = None,
     *,
     outputs: ResultOptions,
 ) -> None:
@@ -81,7 +69,7 @@ def plan(
     from cvxshear.planning import plan as run
     from cvxshear.screening import in_json, refuse_mistakes
 
-    files_of, display = outputs.prepared(Plan), Units.parse(units)
+    files_of = outputs.prepared(Plan)
     stds = {"frequency_std": frequency_std, "mode_shape_std": mode_shape_std}
     given = {name: value for name, value in stds.items() if value is not None}
     noise = Declared(**given) if given else None
@@ -98,7 +86,7 @@ def plan(
     if output is not None:
         files.append(lambda: write_template(output, result))
     said = {**result.to_dict(), **in_json(doubts)}
-    deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result, display)], *files)
+    deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)
 
 
 def _one_or_many(found: list[Any] | None) -> Any:

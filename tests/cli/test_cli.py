@@ -101,15 +101,6 @@ def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(run, tmp_path
         assert said in out
 
 
-def test_quantities_are_shown_in_the_units_that_were_asked_for(run):
-    _, out, _ = run("identify", "paper", "--method", "two-stage", "--units", "t,kN,mm")
-    assert "mass, t  stiffness, kN/mm" in out
-    assert "0.013045          0.025517" in out
-    status, out, err = run("loop", "paper", "--units", "lb")
-    assert (status, out) == (2, "")
-    assert "there is no display unit 'lb'" in err
-
-
 def test_effects_can_be_restricted_and_assumed(run):
     result = json.loads(run("loop", "paper", "--effects", "sensor_gain, story_change", "--json", "-")[1])
     assert {item["name"] for item in result["candidates"]} == {"sensor_gain", "story_change"}
@@ -254,7 +245,7 @@ FUNCTIONS = {
 
 OF_THE_COMMAND = {
     "author", "client", "csv", "date", "export", "figure", "help", "jobs", "json", "out", "output", "photograph",
-    "quiet", "record", "report", "strict", "title", "units", "validate", "xlsx",
+    "quiet", "record", "report", "strict", "title", "validate", "xlsx",
 }  # fmt: skip
 """Options for the files to read and write, and for the display of results."""
 

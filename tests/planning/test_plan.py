@@ -197,19 +197,6 @@ def test_the_figure_is_readable(paper, file):
     assert_readable(figures.plan(plan(file, 2, 2, added_mass=5.0, noise=Declared(0.001))))
 
 
-def test_the_command_shows_quantities_in_the_units_that_were_asked_for(file, run):
-    asked = ("plan", file, "--modes", "2", "--added-mass", "2000", "--tests", "2")
-    status, out, _ = run(*asked, "--units", "t,kN,mm")
-    assert status == 0
-    assert "mass, t" in out
-    assert "stiffness, kN/mm" in out
-    assert "added mass, t" in out
-    assert "added mass, kg" in run(*asked)[1]
-    status, out, err = run(*asked, "--units", "lb")
-    assert (status, out) == (2, "")
-    assert "there is no display unit 'lb'" in err
-
-
 def test_a_choice_that_changes_nothing_is_said_to_be_arbitrary(file, capsys):
     """A single sensor has no information on shapes of free scale: every floor is nearly equal to frequencies alone."""
     found = plan(file, sensors=1, modes=2)

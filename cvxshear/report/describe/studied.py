@@ -41,7 +41,7 @@ def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
         Section("choice", "", (Sentence(typical(result)), Sentence(sure(result)), Sentence(noise))),
-        Section("tests", "The tests", (expected_modes(result), added_masses(result, units), *grid(result))),
+        Section("tests", "The tests", (expected_modes(result), added_masses(result), *grid(result))),
     ]
     sections.append(Section("accuracy", "What they will determine", (accuracy(result, units), counts(result))))
     return Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
@@ -123,15 +123,13 @@ def expected_modes(result: Plan) -> Table:
     return table("expected-modes", f"expected modes ({result.names[0]})", shown)
 
 
-def added_masses(result: Plan, units: Units) -> Table:
+def added_masses(result: Plan) -> Table:
     """Tabulate the added mass of each test, the top floor first."""
-    # People place these masses by hand; the default unit is kg for every size.
-    factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
     rows = []
     for floor in range(result.model.design.stories, 0, -1):
-        masses = (significant(float(test[floor - 1]) / factor) for test in result.tests)
+        masses = (significant(float(test[floor - 1])) for test in result.tests)
         rows.append((str(floor), *masses, "x" if floor in result.sensors else ""))
-    return table_of_rows("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
+    return table_of_rows("added-mass", "tests: added mass, kg", ("floor", *result.names, "sensor"), rows)
 
 
 def accuracy(result: Plan, units: Units) -> Table:
