@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from cvxshear.records import picking
 from cvxshear.records.data_frames import matrix_of
-from cvxshear.records.functions import Functions
+from cvxshear.records.prepare import Functions
 from cvxshear.records.result import ModalResult
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError

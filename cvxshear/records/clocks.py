@@ -19,10 +19,8 @@ from scipy import special
 
 from cvxshear.records.prepare import in_step, only, struck
 from cvxshear.records.record import Finding, TimeRecord, finding
-from cvxshear.util import ranking
+from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.decorators import cached_property
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import SURE, significant
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 FAULTY = 0.02
@@ -157,10 +155,10 @@ class Phases:
     def fault(self) -> ClockFault:
         """Find the most probable delay, drift or loss of samples, and its odds."""
         lost = self._lost()
-        if lost is not None and lost.probability >= SURE:
+        if lost is not None and lost.probability >= quantities.SURE:
             return lost
         drifting = self._fitted(*self._best_line[1:])
-        if drifting.probability >= SURE:
+        if drifting.probability >= quantities.SURE:
             return drifting
         each = self.pairs.sum(axis=1)
         grid, top = self._delays(each)
@@ -169,14 +167,14 @@ class Phases:
         agreement = top / np.maximum(np.abs(each).sum(axis=1, keepdims=True), 1e-300)
         likely = PHASES * _log_likelihood(agreement).mean(axis=0)
         sound, late = likely[~beyond], likely[beyond]
-        odds = weigh(
+        chances = odds.weigh(
             np.append(sound.max(), late), np.log(np.append(1.0 - FAULTY, np.full(len(late), FAULTY / len(late))))
         )
         best = ranking.first_largest(late)
         near = np.abs(grid[beyond] - grid[beyond][best]) <= within
         fitted = self._fitted(float(grid[beyond][best]), 0.0)
         return replace(
-            fitted, slope=0.0, probability=float(odds[1:][near].sum()), evidence=float(late[best] - sound.max())
+            fitted, slope=0.0, probability=float(chances[1:][near].sum()), evidence=float(late[best] - sound.max())
         )
 
     def _lost(self) -> ClockFault | None:
@@ -194,10 +192,10 @@ class Phases:
         early, late = (float(grid[ranking.first_largest(each[split])]) for each in (before, after))
         size = max(float(np.abs(self.squares).sum()), 1e-300)
         gain = PHASES * float(_log_likelihood(tops[split] / size) - _log_likelihood(self._best_line[0] / size))
-        odds = weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
+        chance = odds.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
         time = float(self.times[split : split + 2].mean())
         jump = late - early if abs(late - early) >= SHORTEST_DELAY / self.segments.rate else 0.0
-        return ClockFault(early, 0.0, 0.0, 0.0, time, float(odds) if jump else 0.0, gain, jump)
+        return ClockFault(early, 0.0, 0.0, 0.0, time, float(chance) if jump else 0.0, gain, jump)
 
     def _delays(self, squares: Complexes) -> tuple[Floats, Floats]:
         """Sum phasors over the lines, turned back by each delay, shape (..., delays); the delays come first."""
@@ -270,7 +268,7 @@ class Phases:
             slope=slope,
             slope_std=slope_std,
             time=float(np.average(self.times, weights=np.maximum(self.weights, 1e-300))),
-            probability=float(weigh([0.0, gain], priors)[1]),
+            probability=float(odds.weigh([0.0, gain], priors)[1]),
             evidence=float(gain),
         )
 
@@ -351,9 +349,11 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     while len(wrong) + len(silent) < len(clocks) / 2:
         others = [clock for clock in left if clock not in wrong]
         faults = [segments.against(clock, [k for k in left if k != clock]).fault() for clock in others]
-        worst = ranking.first_largest([each.evidence if each.probability >= SURE else 0.0 for each in faults])
+        worst = ranking.first_largest(
+            [each.evidence if each.probability >= quantities.SURE else 0.0 for each in faults]
+        )
         fault, clock = faults[worst], others[worst]
-        if fault.probability < SURE:
+        if fault.probability < quantities.SURE:
             break
         if fault.jump:
             out = clock < len(names)
@@ -386,15 +386,15 @@ def clock_drift(name: str, reference: str, start: float, slope: float, std: floa
     numbers = {"channel": name, "reference": reference, "seconds": start, "drift": slope, "drift_std": std}
     numbers["corrected"] = True
     return finding(
-        "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope), std=significant(1e6 * std, 2),
-        start=abs(start), late="late" if start > 0 else "early",
+        "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope),
+        std=quantities.significant(1e6 * std, 2), start=abs(start), late="late" if start > 0 else "early",
     )  # fmt: skip
 
 
 def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
     """Report a clock that was late, or early, by the phases of the whole band, and has been set right."""
     numbers = {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True}
-    late, spread = "late" if seconds > 0 else "early", significant(1e3 * std, 2)
+    late, spread = "late" if seconds > 0 else "early", quantities.significant(1e3 * std, 2)
     return finding("clock offset", numbers, by=abs(seconds), late=late, spread=spread)
 
 

@@ -10,12 +10,12 @@ covariance L32 L32' + L33 L33', so that its singular values are the canonical co
 of a strong mode's channels stands before a weak mode, and bends its pole by the square of noise over motion, which no
 scatter over the record's pieces shows.
 
-The residues of its poles come from an observer. The responses are regressed on past inputs and past responses (Juang,
-Phan, Horta, Longman 1993, "Identification of observer/Kalman filter Markov parameters", J. Guidance 16(2)):
+The residues of its poles follow from the responses themselves. With the poles z_r known, each response is linear in the
+residues c_r and in what the first lags ring besides:
 
-    y_k = D u_k + sum_{i=1}^{p} (B_i u_{k-i} + A_i y_{k-i}) + e_k.
+    y_t = sum_{k < p} D_k u_{t-k} + sum_r 2 Re(c_r sum_{k >= p} z_r^k u_{t-k} + x_r z_r^t) + e_t.
 
-The system's Markov parameters follow by Y_0 = D, Y_k = B_k + sum_{i=1}^{k} A_i Y_{k-i}, with A_i and B_i zero beyond p.
+The x_r are what the motion before a block leaves in it, and are projected out block by block.
 
 Covariance-driven stochastic subspace identification: the covariances R_k = E[y_{t+k} y_t'] of the response to white
 noise are Markov parameters, R_k = C A^{k-1} G (Peeters and De Roeck 1999, "Reference-based stochastic subspace
@@ -28,45 +28,14 @@ unweighted, the chance scatter of a strong mode's covariances drowns a weak one.
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, signal
 
-from cvxshear.records.frf import ERA_COLUMNS, ERA_ROWS, RINGING
-from cvxshear.records.pole_sweep import Impulse, Source, block_hankel, left_factor
+from cvxshear.records import frf, pole_sweep
 from cvxshear.util.decorators import cached_property
-from cvxshear.util.errors import NoSolutionError
-from cvxshear.util.typing import Bools, Complexes, Floats
-
-LAGS, LAGS_A_STATE = 20, 7.0
-"""Lags of the observer: a minimum, and past responses for each state of the frame. Under
-noise an observer of few outputs forgets slowly; cut short, it bends the high modes by ten of their deviations."""
-
-MOST_UNKNOWNS = 0.1
-"""Of the samples: more of them an observer of that many lags would not average over."""
-
-LARGEST_GROWTH = 1.002
-"""A sample; a lightly damped pole may come out that much unstable by chance."""
-
-PANEL = 16
-"""Columns that LAPACK takes at a time; the time hardly depends on it."""
-
-
-def lags_for(stories: int, outputs: int, samples: int) -> int:
-    """Choose the number of lags of an observer of a frame's responses.
-
-    Parameters
-    ----------
-    stories : int
-        The frame has two states for each story.
-    outputs : int
-    samples : int
-        In the whole record.
-    """
-    wanted = int(np.ceil(LAGS_A_STATE * 2 * stories / outputs))
-    return max(LAGS, min(wanted, int(MOST_UNKNOWNS * samples / (1 + outputs))))
+from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 
 def rows_for(stories: int, outputs: int) -> int:
@@ -120,84 +89,8 @@ class Triangles:
 def _joined(first: Floats, second: Floats) -> Floats:
     """Triangle of two one above the other, which LAPACK makes without a look at their zeros."""
     size = len(first)
-    triangle: Floats = linalg.lapack.dtpqrt(size, min(PANEL, size), first, second)[0]
+    triangle: Floats = linalg.lapack.dtpqrt(size, size, first, second)[0]
     return triangle
-
-
-class Observer:
-    """The observer of a record with measured input, in blocks, and the Markov parameters that follow from it.
-
-    Parameters
-    ----------
-    pieces : sequence of (array, shape (samples, inputs); array, shape (samples, outputs))
-        Blocks of input and output; each carries `lags` samples of what came before it.
-    lags : int
-        p above.
-    """
-
-    def __init__(self, pieces: Sequence[tuple[Floats, Floats]], lags: int) -> None:
-        self.lags = lags
-        self.inputs = pieces[0][0].shape[1]
-        self.outputs = pieces[0][1].shape[1]
-        # Residues of the same pieces are asked for more than once.
-        self._latest: tuple[bytes | None, Floats] | None = None
-        self._triangles = Triangles([_triangle(_regression(u, y, lags)) for u, y in pieces])
-
-    def markov(self, keep: Bools | None = None) -> Floats:
-        """Markov parameters, shape (samples, outputs, inputs), the first one D."""
-        pieces = None if keep is None else keep.tobytes()
-        if self._latest is None or self._latest[0] != pieces:
-            self._latest = (pieces, self._regressed(keep))
-        return self._latest[1]
-
-    def _regressed(self, keep: Bools | None) -> Floats:
-        triangle = self._triangles.together(keep)
-        split = triangle.shape[1] - self.outputs
-        weights = linalg.lstsq(triangle[:split, :split], triangle[:split, split:], check_finite=False)[0]
-        direct = weights[: self.inputs].T
-        lagged = weights[self.inputs :].reshape(self.lags, self.inputs + self.outputs, self.outputs)
-        past = lagged.transpose(0, 2, 1)
-        return _system_markov(direct, past[:, :, : self.inputs], past[:, :, self.inputs :], ERA_ROWS + ERA_COLUMNS)
-
-
-def _regression(excitation: Floats, response: Floats, lags: int) -> Floats:
-    """Rows [u_k, u_{k-1}, y_{k-1}, ..., u_{k-p}, y_{k-p} | y_k], shape (samples - lags, ...)."""
-    both = np.hstack([excitation, response])
-    windows = np.lib.stride_tricks.sliding_window_view(both, lags + 1, axis=0)
-    past = windows[:, :, lags - 1 :: -1].transpose(0, 2, 1).reshape(len(windows), -1)
-    return np.hstack([excitation[lags:], past, response[lags:]])
-
-
-def _system_markov(direct: Floats, inputs: Floats, outputs: Floats, count: int) -> Floats:
-    """Markov parameters 0 to `count` of the system behind the observer, without what in it explodes.
-
-    With x the observer's state in its canonical form, x' = F x + G u, y = x_1 + D u, the parameters are Y_k = C F^{k-1}
-    G, summed over the eigenvalues of F. An eigenvalue well outside the unit circle is not a mode. It comes from the
-    edge of the band and would exceed all others.
-    """
-    lags, rows, columns = inputs.shape
-    transition = np.eye(lags * rows, k=rows)
-    transition[:, :rows] = outputs.reshape(lags * rows, rows)
-    drive = (inputs + outputs @ direct).reshape(lags * rows, columns)
-    values, vectors = linalg.eig(transition)
-    weights = _in_vectors(vectors, drive.astype(np.complex128))
-    kept = np.abs(values) < LARGEST_GROWTH
-    powers = np.cumprod(np.vstack([np.ones(kept.sum()), np.tile(values[kept], (count - 1, 1))]), axis=0)
-    later = np.einsum("ks,os,si->koi", powers, vectors[:rows, kept], weights[kept], optimize=True)
-    return np.concatenate([direct[None], later.real])
-
-
-def _in_vectors(vectors: Complexes, drive: Complexes) -> Complexes:
-    """Expand the drive in F's eigenvectors; where these fall together F's powers are no sum over eigenvalues."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", linalg.LinAlgWarning)
-        try:
-            return np.asarray(linalg.solve(vectors, drive))
-        except (linalg.LinAlgError, linalg.LinAlgWarning):
-            raise NoSolutionError(
-                "subspace",
-                "the observer of this record has no separate poles; is one channel a copy of another, or constant?",
-            ) from None
 
 
 SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
@@ -208,11 +101,10 @@ SILENCE = 1e-4
 hum, 40 dB below the motion, otherwise give poles."""
 
 
-class SubspaceSource(Source):
+class SubspaceSource(pole_sweep.Source):
     """A record with measured input, in blocks, for PO-MOESP.
 
-    The projection gives the poles and shapes; noise is not correlated with its instruments. Residues of these poles
-    come from the Markov parameters of an observer on the same blocks.
+    The projection gives the poles and shapes; noise is not correlated with its instruments.
 
     Parameters
     ----------
@@ -224,25 +116,18 @@ class SubspaceSource(Source):
         Where a force acts; 0 for a base acceleration.
     rows : int, optional
         Block rows of past and of future.
-    lags : int, optional
-        Of the observer.
     """
 
     unit = "block"
 
     def __init__(
-        self,
-        pieces: Sequence[tuple[Floats, Floats]],
-        sampling_rate: float,
-        floor: int = 0,
-        rows: int = SUBSPACE_ROWS,
-        lags: int = LAGS,
+        self, pieces: Sequence[tuple[Floats, Floats]], sampling_rate: float, floor: int = 0, rows: int = SUBSPACE_ROWS
     ) -> None:
         self.sampling_rate = sampling_rate
         self.floor = floor
-        self._observer = Observer(pieces, min(lags, 2 * rows - 1))
         self.rows = rows
-        self.inputs, self.outputs = self._observer.inputs, self._observer.outputs
+        self.pieces = list(pieces)
+        self.inputs, self.outputs = pieces[0][0].shape[1], pieces[0][1].shape[1]
         self.groups = np.zeros(len(pieces), dtype=np.int64)
         self.energies = np.array([float(np.mean(response**2)) for _, response in pieces])
         self._triangles = Triangles([_triangle(_data(u, y, rows)) for u, y in pieces])
@@ -252,11 +137,11 @@ class SubspaceSource(Source):
         explained, rest = self._future(keep)
         weight = _root(explained @ explained.T + rest @ rest.T, SILENCE)
         weighted = linalg.solve_triangular(weight, explained, lower=True, check_finite=False)
-        return np.asarray(weight @ left_factor(weighted))
+        return np.asarray(weight @ pole_sweep.left_factor(weighted))
 
     def data(self) -> Floats:
         """Left factor of the future outputs as the past explains them."""
-        return left_factor(self._future(None)[0])
+        return pole_sweep.left_factor(self._future(None)[0])
 
     def _future(self, keep: Bools | None) -> tuple[Floats, Floats]:
         """Split the future outputs, the future inputs projected out, into what the past explains and what is left."""
@@ -265,13 +150,30 @@ class SubspaceSource(Source):
         past = future_inputs + self.rows * (self.inputs + self.outputs)
         return triangle[past:, future_inputs:past], triangle[past:, past:]
 
-    def impulse(self, keep: Bools | None = None) -> Impulse:
-        """Return the observer's Markov parameters, from the first that rings no more.
+    def residues(self, eigenvalues: Complexes, keep: Bools | None = None) -> tuple[Complexes, Ints]:
+        """Find the amplitudes of the modes in the impulse response by least squares of the responses."""
+        poles = np.exp(eigenvalues / self.sampling_rate)
+        used = self.pieces if keep is None else [piece for piece, kept in zip(self.pieces, keep, strict=True) if kept]
+        rows = np.vstack([_on_modes(excitation[:, 0], response, poles) for excitation, response in used])
+        modes, columns = len(poles), rows.shape[1] - self.outputs
+        fit = np.linalg.lstsq(rows[:, :columns], rows[:, columns:], rcond=None)[0][-2 * modes :]
+        return (fit[:modes] + 1j * fit[modes:])[:, :, None], np.array([self.floor])
 
-        An impulse response starts with a step; sampled, it rings at half the sampling rate, and residues of the first
-        samples would be 0.1 to 0.7 % low in the highest modes.
-        """
-        return Impulse(self._observer.markov(keep), RINGING, np.full(self.inputs, self.floor, dtype=np.int64))
+
+def _on_modes(excitation: Floats, response: Floats, poles: Complexes) -> Floats:
+    """Regress a block on [first lags of the input | modes that it drives | response], the free motion projected out.
+
+    An input starts with a step; sampled, it rings at half the sampling rate, and residues of the first samples would be
+    0.1 to 0.7 % low in the highest modes.
+    """
+    lags = [excitation[frf.RINGING - lag : len(excitation) - lag] for lag in range(frf.RINGING)]
+    late = excitation[: len(excitation) - frf.RINGING]
+    driven = [pole**frf.RINGING * signal.lfilter([1.0], [1.0, -pole], late) for pole in poles]
+    free = poles[:, None] ** np.arange(len(late))
+    modes = [*(2 * each.real for each in driven), *(-2 * each.imag for each in driven)]
+    rows = np.column_stack([*lags, *modes, response[frf.RINGING :]])
+    basis = linalg.qr(np.vstack([free.real, free.imag]).T, mode="economic", check_finite=False)[0]
+    return np.asarray(rows - basis @ (basis.T @ rows))
 
 
 def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
@@ -292,7 +194,7 @@ LEAST_NOISE = 1e-8
 """Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular."""
 
 
-class CovarianceSource(Source):
+class CovarianceSource(pole_sweep.Source):
     """An ambient record, in blocks, for covariance-driven SSI.
 
     Parameters
@@ -329,14 +231,14 @@ class CovarianceSource(Source):
         covariances = self.markov(keep)
         future = _root(_toeplitz(covariances, self.rows))
         past = _root(_toeplitz(covariances.transpose(0, 2, 1), self.columns))
-        hankel = block_hankel(covariances, self.rows, self.columns)
+        hankel = pole_sweep.block_hankel(covariances, self.rows, self.columns)
         half = linalg.solve_triangular(future, hankel, lower=True, check_finite=False)
         weighted = linalg.solve_triangular(past, half.T, lower=True, check_finite=False).T
-        return np.asarray(future @ left_factor(weighted))
+        return np.asarray(future @ pole_sweep.left_factor(weighted))
 
     def data(self) -> Floats:
         """Left factor of the block Hankel matrix as it is."""
-        return left_factor(block_hankel(self.markov(), self.rows, self.columns))
+        return pole_sweep.left_factor(pole_sweep.block_hankel(self.markov(), self.rows, self.columns))
 
 
 def _covariances(response: Floats, lags: int) -> Floats:

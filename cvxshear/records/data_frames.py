@@ -1,16 +1,14 @@
 """Tables that are handed in from Python, and the sampling rate that their time stamps show."""
 
-from collections.abc import Hashable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cvxshear.util import checks
+from cvxshear.util import checks, quantities
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import IN_SI, counted
 from cvxshear.util.typing import Bools, Floats, Ints
 
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
@@ -54,123 +52,53 @@ def sound_pieces(sound: Bools, breaks: Iterable[int] = (), asked: slice = slice(
     return kept if used >= LEAST_USED * (last - first) else [slice(first, last)]
 
 
-@dataclass(frozen=True, eq=False)
-class TableColumns:
-    """Columns of a table.
+class _InMemory:
+    """Names of an array or a data frame, for messages."""
 
-    Parameters
-    ----------
-    values : ndarray, shape (samples, columns)
-    names : list of str
-        By `label`.
-    times : ndarray, shape (samples,), or None
-        s, of a table that has times.
-    unit : str or None
-        In which the table says that its values are.
-    """
-
-    values: Floats
-    names: list[str]
-    times: Floats | None
-    unit: str | None = None
-
-    def samples(self, name: Hashable) -> Floats:
-        """Return the samples of one column, shape (samples,)."""
-        if label(name) not in self.names:
-            raise InputError(f'there is no channel "{label(name)}" in the table; there are {", ".join(self.names)}')
-        return np.asarray(self.values[:, self.names.index(label(name))])
-
-    @property
-    def source(self) -> str:
-        """Name of the table in messages."""
-        return "the table"
+    source = "the table"
 
     def at(self, row: int) -> str:
         """Name the place of a row."""
         return f"the table, sample {row + 1}"
 
-    def sampling_rate(self, given: float | None = None) -> float:
-        """Hz, from the times, or as given.
 
-        Raises
-        ------
-        InputError
-            The rate is unknown, the times are not evenly spaced, or times and rate contradict each other.
-        """
-        if self.times is None or len(self.times) < 2:
-            if given is None:
-                raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
-            return given
-        return sampling_rate_of(self.times, self, "the time", given)
+def columns_of(table: Any, sampling_rate: float | None) -> tuple[dict[str, Floats], float]:
+    """Read the columns of an array or a pandas DataFrame by their names, and their sampling rate, Hz.
 
-
-def label(name: Hashable) -> str:
-    """Write the name of a column, with blanks between several levels."""
-    return " ".join(map(str, name)) if isinstance(name, tuple) else str(name)
-
-
-def table_columns(table: Any) -> TableColumns:
-    """Read the columns of a table; their names, times and unit as a data frame or a data array has them.
-
-    The first dimension of a data array is time; the second has one named coordinate for each channel. Times of any
-    numeric or date type but whole numbers count, which are taken for a count of rows. The unit is `attrs["units"]`.
+    The time is the index of a data frame, numbers (s) or dates, or a column with one of `TIME_NAMES`. An index of whole
+    numbers is taken for a count of rows.
 
     Raises
     ------
     InputError
-        The object is not a table, a name occurs twice, or a unit is not a unit of acceleration, velocity or
-        displacement.
+        The object is not a table, a name occurs twice, the rate is unknown, the times are not evenly spaced, or times
+        and rate contradict each other.
     """
-    names: Any = None
-    times: Any = None
-    if hasattr(table, "columns") and hasattr(table, "index"):
-        names, times = list(table.columns), table.index
-        if getattr(times, "tz", None) is not None:
-            times = times.tz_convert("UTC").tz_localize(None)
-    elif hasattr(table, "dims") and hasattr(table, "coords"):
-        if len(table.dims) != 2:
-            raise InputError(f"the data array has the dimensions {tuple(table.dims)}; it needs two, time and channels")
-        time, channel = table.dims
-        names = list(table.coords[channel].values.tolist()) if channel in table.coords else None
-        times = table.coords.get(time, None)
-    values = matrix_of(getattr(table, "values", table), "the table", np.float64)
-    seconds = _seconds(times)
-    column = next((place for place, name in enumerate(names or ()) if name in TIME_NAMES), None)
-    if column is not None and seconds is None:
-        seconds, values = values[:, column], np.delete(values, column, axis=1)
-        names = [name for place, name in enumerate(names) if place != column]
-    if names is None:
-        names = [f"channel {place}" for place in range(1, values.shape[1] + 1)]
-    names = [label(name) for name in names]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise InputError(f'the table has the column "{twice[0]}" {names.count(twice[0])} times; name each once')
-    return TableColumns(values, names, seconds, _unit_of(table))
+    framed = hasattr(table, "columns") and hasattr(table, "index")
+    values = matrix_of(table.to_numpy() if framed else table, "the table", np.float64)
+    names = [str(name) for name in table.columns] if framed else [f"channel {k + 1}" for k in range(values.shape[1])]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f'the table has the column "{name}" {names.count(name)} times; name each once')
+    columns = dict(zip(names, values.T, strict=True))
+    times = _seconds(table.index) if framed else None
+    if times is None:
+        times = next((columns.pop(name) for name in names if framed and name in TIME_NAMES), None)
+    if times is not None and len(times) > 1:
+        return columns, sampling_rate_of(times, _InMemory(), "the time", sampling_rate)
+    if sampling_rate is None:
+        raise InputError("give sampling_rate, in Hz: the table has no time that tells it")
+    return columns, sampling_rate
 
 
-def _seconds(times: Any) -> Floats | None:
-    """Return times in seconds; None without times, or if the index counts rows."""
-    values = np.asarray(getattr(times, "values", times))
-    if times is None or values.ndim != 1 or values.dtype.kind not in "fmM":
-        return None
-    if values.dtype.kind in "mM":
-        return np.asarray((values - values[0]) / np.timedelta64(1, "s"))
-    unit = str(getattr(times, "attrs", {}).get("units", "s"))
-    if unit not in TIME_UNITS:
-        raise InputError(f'the unit of the time is "{unit}"; it must be one of {", ".join(TIME_UNITS)}')
-    return values.astype(np.float64) * TIME_UNITS[unit]
-
-
-def _unit_of(table: Any) -> str | None:
-    """Read the unit in which a table says that its values are, as it is called here; None where it says none."""
-    said = getattr(table, "attrs", {}).get("units")
-    if said is None:
-        return None
-    plain = "".join(str(said).split()).replace("^", "").replace("**", "").replace("s-2", "/s2").replace("s-1", "/s")
-    known = {unit.lower(): unit for units in IN_SI.values() for unit in units}
-    if plain.replace("//", "/").lower() not in known:
-        raise InputError(f'units = "{said}" of the table is none of {", ".join(known.values())}')
-    return known[plain.replace("//", "/").lower()]
+def _seconds(index: Any) -> Floats | None:
+    """Return the times of an index in seconds; None if it counts rows."""
+    if getattr(index, "tz", None) is not None:
+        index = index.tz_convert("UTC").tz_localize(None)
+    times = np.asarray(index)
+    if times.dtype.kind in "mM":
+        return np.asarray((times - times[0]) / np.timedelta64(1, "s"))
+    return times.astype(np.float64) if times.dtype.kind == "f" else None
 
 
 def matrix_of(value: Any, where: str, dtype: type) -> Any:
@@ -200,23 +128,16 @@ SAME_RATE = 0.01
 UNEVEN_STEP = 0.25
 """Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate."""
 
-COARSE = 0.1
-"""Largest fraction of unusual steps that gaps explain."""
-
-FINEST, COARSEST = -9, 0
-"""Powers of ten, s, that loggers round to."""
+FINEST = -9
+"""Power of ten, s, of the finest rounding that is looked for; the coarsest is a second."""
 WHOLE = 1e-4
 """Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step."""
-SLACK = 0.1
-"""Width added to the band of stamps on either side for the line's own error, as a fraction of the rounding step."""
 SHORTEST = 0.75
 """Shortest interval between samples that still shows when one is missing, as a fraction of the rounding step."""
 LONGEST_IN_BAND = 1.5
 """Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too."""
 LEAST_SHARE = 0.02
 """Unusual steps are gaps, and not rounding, if they are a smaller fraction of the steps."""
-DIGITS = 1e-12
-"""Rounding of the binary number itself, as a fraction of the largest stamp."""
 
 
 class Stamped(Protocol):
@@ -269,28 +190,23 @@ def _rate_of_steps(time: Floats, table: Stamped, name: str, declared: float | No
     odd = np.flatnonzero(np.abs(steps - step) > UNEVEN_STEP * abs(step))
     if step > 0 and not odd.size:
         return float((len(time) - 1) / (time[-1] - time[0]))
-    rounded = rate_within_rounding(time, declared)
-    if rounded is None:
-        if step <= 0 or odd.size > COARSE * len(steps):
-            _refuse_coarse(time, step, table, name)
-        _refuse_uneven(steps, step, odd, table, name)
-    return rounded
+    rate = rate_within_rounding(time, declared)
+    if rate is None:
+        _refuse_uneven(time, steps, step, odd, table, name, declared)
+    return rate
 
 
-def _refuse_coarse(time: Floats, step: float, table: Stamped, name: str) -> None:
-    """Refuse stamps that repeat because they are rounded to more than a sample, where they do."""
-    rounding = rounding_of(time)
-    repeats = bool(np.any(np.isclose(step, (0.0, rounding), atol=1e-9))) and bool(np.all(np.diff(time) >= 0))
-    if repeats and time[-1] > time[0]:
+def _refuse_uneven(
+    time: Floats, steps: Floats, step: float, odd: Ints, table: Stamped, name: str, declared: float | None
+) -> NoReturn:
+    repeated = int(np.count_nonzero(steps == 0))
+    if declared is None and repeated > 1 and np.all(steps >= 0) and time[-1] > time[0]:
         raise InputError(
-            f"{table.source}: {name} is rounded to {rounding:g} s, more than a sample, so that stamps repeat; give "
-            "sampling_rate, in Hz"
+            f"{table.source}: {name} is rounded to {rounding_of(time):g} s, more than a sample, so that stamps repeat; "
+            "give sampling_rate, in Hz"
         )
     if step <= 0:
         raise InputError(f"{table.source}: {name} must ascend; its median step is {step:g} s")
-
-
-def _refuse_uneven(steps: Floats, step: float, odd: Ints, table: Stamped, name: str) -> NoReturn:
     first = int(odd[0])
     if steps[first] <= 0:
         raise InputError(
@@ -308,7 +224,7 @@ def _refuse_uneven(steps: Floats, step: float, odd: Ints, table: Stamped, name: 
         )
     raise InputError(
         f"{table.at(first + 1)}: {name} has a gap of {steps[first]:g} s where the step is {step:g} s "
-        f"({counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
+        f"({quantities.counted(int(odd.size), 'uneven step')} in all); hand in what lies before and after as two runs"
     )
 
 
@@ -320,10 +236,9 @@ def rounding_of(time: Floats) -> float:
     time : array, shape (samples,)
         s.
     """
-    for power in range(COARSEST, FINEST - 1, -1):
+    for power in range(0, FINEST - 1, -1):
         in_steps = time * 10.0**-power
-        error = np.abs(in_steps - np.round(in_steps)).max()
-        if error < WHOLE + DIGITS * np.abs(in_steps).max():
+        if np.abs(in_steps - np.round(in_steps)).max() < WHOLE:
             return 10.0**power
     return 0.0
 
@@ -349,7 +264,7 @@ def rate_within_rounding(time: Floats, declared: float | None = None) -> float |
     places = np.arange(len(time)) - (len(time) - 1) / 2
     interval = float(places @ (time - time.mean()) / (places @ places))
     residual = time - time.mean() - interval * places
-    if interval <= 0 or np.ptp(residual) > (1 + 2 * SLACK) * rounding:
+    if interval <= 0 or np.ptp(residual) > (1 + UNEVEN_STEP) * rounding:
         return None
     if declared is None and interval < SHORTEST * rounding:
         return None

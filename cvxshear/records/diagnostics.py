@@ -5,17 +5,11 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from cvxshear.records.clocks import FAULTY, LONGEST
-from cvxshear.records.estimate import Details, Replication, jackknife
-from cvxshear.records.examination import ROTATES
-from cvxshear.records.frf import FrfSource
-from cvxshear.records.picking import FAINT, MOSTLY_ROTATION, PoleCandidate
+from cvxshear.records import clocks, estimate, examination, frf, picking
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import OVERLOOKED_KIND, SENSOR_STD, ModalResult
-from cvxshear.util import ranking
+from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.errors import InputError
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import SURE, counted, listed, numbered, significant
 from cvxshear.util.typing import Bools, Floats, Ints
 
 A_MODE = 0.3
@@ -24,7 +18,7 @@ direction, of twisting, of a floor or of noise it is as often."""
 
 
 def overlooked_modes(
-    frequencies: Floats, modes: Ints, left_out: Sequence[PoleCandidate], *, floors: int, stories: int
+    frequencies: Floats, modes: Ints, left_out: Sequence[picking.PoleCandidate], *, floors: int, stories: int
 ) -> list[Finding]:
     """Name the resonances that put the numbers of modes in doubt.
 
@@ -56,13 +50,15 @@ def overlooked_modes(
         moved = modes + (np.arange(len(modes)) >= place)
         if not 0 < place < len(modes) or moved[-1] > stories:
             continue
-        below, above, at = modes[place - 1], modes[place], listed([f"{each:.4g}" for each in resonances])
+        below, above, at = modes[place - 1], modes[place], quantities.listed([f"{each:.4g}" for each in resonances])
         numbers = {"frequency": resonances[0], "modes": moved.tolist(), "probability": share}
         findings.append(finding(OVERLOOKED_KIND, numbers, below=below, above=above, at=at, next=above + 1))
     return findings
 
 
-def left_out(candidates: Sequence[PoleCandidate], chosen: Sequence[PoleCandidate]) -> list[PoleCandidate]:
+def left_out(
+    candidates: Sequence[picking.PoleCandidate], chosen: Sequence[picking.PoleCandidate]
+) -> list[picking.PoleCandidate]:
     """List the candidates that are resonances of something, and not among those chosen."""
     taken = {item.members for item in chosen}
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
@@ -88,8 +84,8 @@ FEWEST_PERIODS = 500
 def modal_findings(
     record: Record,
     result: ModalResult,
-    setting: Replication,
-    full: Details,
+    setting: estimate.Replication,
+    full: estimate.Details,
     lost: int,
     *,
     wanted: int,
@@ -108,13 +104,13 @@ def modal_findings(
     yield from _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
     for mode, share in zip(result.modes.tolist(), shares, strict=False):
-        if share > ROTATES:
+        if share > examination.ROTATES:
             yield finding("rotation", {"mode": mode, "share": share})
     if lost:
         yield finding("std", {"lost": lost}, count=len(setting.source.groups), unit=setting.source.unit)
 
 
-def clock_findings(result: ModalResult, full: Details) -> Iterator[Finding]:
+def clock_findings(result: ModalResult, full: estimate.Details) -> Iterator[Finding]:
     """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
     highest = 2 * np.pi * float(full.frequencies.max())
     names = list(result.clock_offsets)
@@ -125,13 +121,13 @@ def clock_findings(result: ModalResult, full: Details) -> Iterator[Finding]:
         if len(full.frequencies) < 2 or turn < LEAST_TURN or std <= 0.0:
             continue
         # The deviation holds the phases that the straight line leaves. Delays are equally probable up to the longest.
-        gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * LONGEST))
-        if weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY]))[1] < SURE:
+        gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * clocks.LONGEST))
+        if odds.weigh([0.0, gain], np.log([1.0 - clocks.FAULTY, clocks.FAULTY]))[1] < quantities.SURE:
             continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
-            late="late" if late > 0 else "early", spread=significant(std * 1e3, 2),
+            late="late" if late > 0 else "early", spread=quantities.significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
             which="" if len(names) > 2 else "; which of the two is off no third clock tells",
         )  # fmt: skip
@@ -154,7 +150,7 @@ def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding
             yield finding("resolution/ambient", numbers, needed=FEWEST_PERIODS)
 
 
-def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Finding]:
+def reciprocity_findings(full: estimate.Details, setting: estimate.Replication) -> Iterator[Finding]:
     """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
     if full.products is None or setting.base:
         return
@@ -175,10 +171,10 @@ def reciprocity_findings(full: Details, setting: Replication) -> Iterator[Findin
             yield finding("reciprocity", numbers, low=low, high=high, worst=worst)
 
 
-def hit_findings(record: Record, setting: Replication) -> Iterator[Finding]:
+def hit_findings(record: Record, setting: estimate.Replication) -> Iterator[Finding]:
     """Name hits that the frame answers otherwise than the other hits at the same floor: another floor was hit."""
     source = setting.source
-    if isinstance(record, FrfRecord) or not isinstance(source, FrfSource):
+    if isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):
         return
     for floor in source.floors.tolist():
         places = [place for place, item in enumerate(source.spectra) if item.floor == floor]
@@ -189,10 +185,12 @@ def hit_findings(record: Record, setting: Replication) -> Iterator[Finding]:
         others = np.flatnonzero(~alike[int(np.argmax(alike.sum(axis=1)))])
         if others.size:
             runs = [record.runs[places[place]].name for place in others]
-            yield finding("hit", {"floor": floor, "runs": runs}, names=listed([f'"{name}"' for name in runs]))
+            yield finding(
+                "hit", {"floor": floor, "runs": runs}, names=quantities.listed([f'"{name}"' for name in runs])
+            )
 
 
-def driving_point_findings(full: Details, setting: Replication) -> Iterator[Finding]:
+def driving_point_findings(full: estimate.Details, setting: estimate.Replication) -> Iterator[Finding]:
     """Report declared driving points with negative residues of a mode: the force acted elsewhere.
 
     The residue of mode r with response and force at one floor is phi^2 / (2 i omega), phi real: its sign is the same in
@@ -208,7 +206,7 @@ def driving_point_findings(full: Details, setting: Replication) -> Iterator[Find
         if floor in right or floor not in setting.floors:
             continue
         if right:
-            said = f"as if the force acted at floor {listed([str(at) for at in right])}"
+            said = f"as if the force acted at floor {quantities.listed([str(at) for at in right])}"
             fits = "only it fits" if len(right) == 1 else "they fit"
             change = f"write that input_floor (of floors with a sensor {fits})"
         elif np.any([np.all(there * row < 0) for row in full.real.T]):
@@ -218,7 +216,9 @@ def driving_point_findings(full: Details, setting: Replication) -> Iterator[Find
         yield finding("scale", {"floor": floor, "positive_at": right}, as_if=said, change=change)
 
 
-def _mode_findings(record: Record, result: ModalResult, setting: Replication, wanted: int) -> Iterator[Finding]:
+def _mode_findings(
+    record: Record, result: ModalResult, setting: estimate.Replication, wanted: int
+) -> Iterator[Finding]:
     sweep = setting.sweep
     by_signs = len(record.channels) == record.stories > 1
     # Fewer than there are stories, by a count or picked by hand, and all of them found.
@@ -226,26 +226,29 @@ def _mode_findings(record: Record, result: ModalResult, setting: Replication, wa
     if by_signs and len(sweep.chosen) < record.stories:
         absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
         yield finding(
-            "missing mode", {"modes": absent}, which=numbered("mode", absent), stories=record.stories,
+            "missing mode", {"modes": absent}, which=quantities.numbered("mode", absent), stories=record.stories,
             were="was" if len(absent) == 1 else "were", asked="not asked for" if asked else "not found in the record",
         )  # fmt: skip
     if len(record.channels) < record.stories and len(sweep.chosen) < record.stories:
-        numbers, were = listed([str(mode) for mode in result.modes]), "were asked for" if asked else "were found"
+        numbers = quantities.listed([str(mode) for mode in result.modes])
+        were = "were asked for" if asked else "were found"
         sizes = {"measured": len(record.channels), "stories": record.stories}
         yield finding("missing mode/few sensors", sizes, count=len(sweep.chosen), were=were, numbers=numbers)
+    stories = quantities.counted(record.stories, "story")
     for item in sweep.candidates:
         if item.physical and not any(item is other for other in sweep.chosen):
-            what = (
-                "not among the modes asked for" if asked
-                else OTHER.format("not a sway mode that the frame still lacks", "a floor or a sign is not as declared")
-                if len(sweep.chosen) < record.stories
-                else OTHER.format(f"one more than {counted(record.stories, 'story')} can have", "the frame has more")
-            )  # fmt: skip
+            what = OTHER.format(f"one more than {stories} can have", "the frame has more")
+            if asked:
+                what = "not among the modes asked for"
+            elif len(sweep.chosen) < record.stories:
+                what = OTHER.format(
+                    "not a sway mode that the frame still lacks", "a floor or a sign is not as declared"
+                )
             yield finding("other mode", {"frequency": item.frequency, "energy": item.energy}, what=what)
     # A model of noise has poles of rotation as well.
-    faint = FAINT * max(item.energy for item in sweep.candidates)
+    faint = picking.FAINT * max(item.energy for item in sweep.candidates)
     for item in sweep.candidates:
-        if item.reason.startswith(MOSTLY_ROTATION) and item.energy > faint:
+        if item.reason.startswith(picking.MOSTLY_ROTATION) and item.energy > faint:
             yield finding("rotation/pole", {"frequency": item.frequency}, why=item.reason)
 
 
@@ -257,7 +260,7 @@ SIGNIFICANT = 3.0
 """Least change of a frequency, in standard deviations: chance exceeds it for one mode in 370."""
 
 
-def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Finding]:
+def amplitude_findings(setting: estimate.Replication, result: ModalResult) -> Iterator[Finding]:
     """Report modes whose frequency depends on amplitude: the stronger half of the blocks against the weaker one.
 
     Two hypotheses, equally probable beforehand, are weighed over all modes together: no change, or changes of a
@@ -276,7 +279,7 @@ def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Fi
     std = np.hypot(first_std, second_std)
     scales = np.hypot(np.maximum(std, SMALLEST_CHANGE), np.array([[0.0], [TYPICAL_CHANGE]]))
     likely = -np.log(scales) - 0.5 * (freedom + 1.0) * np.log1p((changes / scales) ** 2 / freedom)
-    if weigh(likely.sum(axis=1))[1] < SURE:
+    if odds.weigh(likely.sum(axis=1))[1] < quantities.SURE:
         return
     # Halves of a record differ by twice the scatter of the whole. What does not exceed that is left to the scatter.
     least = np.maximum(SIGNIFICANT * 2.0 * result.frequency_std, SMALLEST_CHANGE)
@@ -288,21 +291,23 @@ def amplitude_findings(setting: Replication, result: ModalResult) -> Iterator[Fi
         yield finding("amplitude", numbers, strong=frequencies[0], weak=frequencies[1])
 
 
-def _half(setting: Replication, half: Bools) -> tuple[Floats, Floats, Floats] | None:
+def _half(setting: estimate.Replication, half: Bools) -> tuple[Floats, Floats, Floats] | None:
     """Log frequencies of half of the blocks, their standard deviations and degrees of freedom; None if not found."""
     blocks = np.flatnonzero(half)
 
-    def estimate(keep: Bools) -> Floats | None:
+    def replicate(keep: Bools) -> Floats | None:
         left = np.zeros(len(half), dtype=bool)
         left[blocks[keep]] = True
         values = setting.values(left)
         return None if values is None else np.log(np.abs(values.eigenvalues + setting.shift) / (2 * np.pi))
 
-    whole = estimate(np.ones(len(blocks), dtype=bool))
+    whole = replicate(np.ones(len(blocks), dtype=bool))
     if whole is None:
         return None
     try:
-        covariance, freedom, _ = jackknife(estimate, np.zeros(len(blocks), dtype=np.int64), np.ones(len(blocks)))
+        covariance, freedom, _ = estimate.jackknife(
+            replicate, np.zeros(len(blocks), dtype=np.int64), np.ones(len(blocks))
+        )
     except InputError:
         return None
     return whole, np.sqrt(np.diag(covariance)), freedom

@@ -8,10 +8,8 @@ import numpy as np
 from scipy import special
 from scipy.optimize import nnls
 
-from cvxshear.records import frf, picking
+from cvxshear.records import frf, picking, pole_sweep
 from cvxshear.records.clocks import Offsets, offsets, rms_phase, undone
-from cvxshear.records.picking import Doubts, Parts, PoleCandidate, Values
-from cvxshear.records.pole_sweep import Criteria, DampedModes, Impulse, Source
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import ModalResult
 from cvxshear.util import ranking
@@ -19,16 +17,18 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 
-def scattering(parts: Parts, chosen: Sequence[PoleCandidate], criteria: Criteria) -> Doubts:
+def scattering(
+    parts: picking.Parts, chosen: Sequence[picking.PoleCandidate], criteria: pole_sweep.Criteria
+) -> picking.Doubts:
     """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
 
     Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
     Each mode is judged separately, with its complex shape; other modes and clocks do not matter here.
     """
-    doubts: Doubts = {}
+    doubts: picking.Doubts = {}
     for item in chosen:
 
-        def replicate(keep: Bools, item: PoleCandidate = item) -> Floats | None:
+        def replicate(keep: Bools, item: picking.PoleCandidate = item) -> Floats | None:
             found = parts.found_again(item, keep)
             if found is None:
                 return None
@@ -50,7 +50,9 @@ def scattering(parts: Parts, chosen: Sequence[PoleCandidate], criteria: Criteria
     return doubts
 
 
-def doubted(item: PoleCandidate, of_shape: float, of_frequency: float, criteria: Criteria) -> Doubts:
+def doubted(
+    item: picking.PoleCandidate, of_shape: float, of_frequency: float, criteria: pole_sweep.Criteria
+) -> picking.Doubts:
     """Doubt a mode if the standard deviation of its shape or its frequency is too large."""
     steady = of_frequency <= criteria.largest_frequency_std
     if of_shape <= criteria.largest_shape_std and steady:
@@ -82,7 +84,7 @@ class Replication:
         Whether the input is a base acceleration.
     """
 
-    parts: Parts
+    parts: picking.Parts
     sweep: picking.Sweep
     floors: Ints
     quantity: str
@@ -90,7 +92,7 @@ class Replication:
     base: bool
 
     @property
-    def source(self) -> Source:
+    def source(self) -> pole_sweep.Source:
         """The data."""
         return self.parts.source
 
@@ -100,13 +102,13 @@ class Replication:
         energy = np.array([item.energy for item in self.sweep.chosen])
         return np.asarray(energy > picking.FAINT * energy.max())
 
-    def values(self, keep: Bools | None) -> Values | None:
+    def values(self, keep: Bools | None) -> picking.Values | None:
         """Find the chosen modes on a part of the data; None where one of them is not found there."""
         return self.parts.values(self.sweep.chosen, keep)
 
 
 @dataclass(frozen=True, eq=False)
-class Details(DampedModes):
+class Details(pole_sweep.DampedModes):
     """The modes of one set of data.
 
     Parameters
@@ -140,7 +142,9 @@ class Details(DampedModes):
         )
 
 
-def details(setting: Replication, values: Values, keep: Bools | None, reference: Details | None = None) -> Details:
+def details(
+    setting: Replication, values: picking.Values, keep: Bools | None, reference: Details | None = None
+) -> Details:
     """Find all parameters of the modes from poles, shapes and the residues of the data kept."""
     products, driven = _products(setting, values, keep)
     turned = None if products is None else frf.participations(products, values.shapes)
@@ -168,16 +172,12 @@ def _turned_back(products: Complexes, eigenvalue: complex, seconds: Floats) -> C
     return np.asarray(products * np.exp(1j * abs(eigenvalue.imag) * late)[:, None])
 
 
-def _products(setting: Replication, values: Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
-    impulse = setting.source.impulse(keep)
-    if impulse is None or not (setting.base or np.all(impulse.driven > 0)):
+def _products(setting: Replication, values: picking.Values, keep: Bools | None) -> tuple[Complexes | None, Ints]:
+    found = setting.source.residues(values.eigenvalues, keep)
+    if found is None:
         return None, np.zeros(0, dtype=np.int64)
     rate = setting.source.sampling_rate
-    amplitudes = frf.residues(impulse.sequence, values.eigenvalues, rate, impulse.start)
-    if impulse.wrapped:
-        amplitudes = frf.unwrapped(amplitudes, values.eigenvalues, len(impulse.sequence) / rate)
-    amplitudes = amplitudes / impulse.excited(values.eigenvalues, rate)[:, None, :]
-    return frf.modal_products(amplitudes, values.eigenvalues, rate, setting.quantity, base=setting.base), impulse.driven
+    return frf.modal_products(found[0], values.eigenvalues, rate, setting.quantity, base=setting.base), found[1]
 
 
 def covariance(setting: Replication, full: Details, seed: int) -> tuple[Floats, str, int]:
@@ -234,7 +234,7 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
         noise = surrogate(residual.reshape(len(residual), -1), random).reshape(residual.shape)
         noisy = np.concatenate([impulse.sequence[: impulse.start], fit + noise])
         source = frf.ImpulseSource(dataclasses.replace(impulse, sequence=noisy), setting.source.sampling_rate)
-        other = dataclasses.replace(setting, parts=Parts(source, setting.sweep.poles))
+        other = dataclasses.replace(setting, parts=picking.Parts(source, setting.sweep.poles))
         values = other.values(None)
         if values is not None:
             replicates.append(details(other, values, None, full))
@@ -244,9 +244,9 @@ def disturbed(setting: Replication, full: Details, seed: int) -> Floats:
     return np.cov(np.array(rows), rowvar=False)
 
 
-def _fit(impulse: Impulse, eigenvalues: Complexes, rate: float) -> Floats:
+def _fit(impulse: pole_sweep.Impulse, eigenvalues: Complexes, rate: float) -> Floats:
     """Return the chosen modes' part of the impulse responses, from their start on."""
-    amplitudes = frf.residues(impulse.sequence, eigenvalues, rate, impulse.start)
+    amplitudes = impulse.amplitudes(eigenvalues, rate)
     powers = np.exp(np.outer(np.arange(impulse.start, len(impulse.sequence)), eigenvalues) / rate)
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))
 
@@ -255,7 +255,7 @@ NOTICEABLE = 0.01
 """Share of a mode's impulse response that is left at the end of the window."""
 
 
-def settle_truncation(record: Record, setting: Replication, values: Values) -> list[Finding]:
+def settle_truncation(record: Record, setting: Replication, values: picking.Values) -> list[Finding]:
     """Decide, where the record does not say, which of the two a table of functions is; sets the source's flag.
 
     The products of a real mode's shape entries are real. The hypothesis with more nearly real products is chosen; each
@@ -283,7 +283,7 @@ def settle_truncation(record: Record, setting: Replication, values: Values) -> l
     return [_leakage(truncated, why, length, left)]
 
 
-def _phase_off(setting: Replication, values: Values, left: Floats) -> float:
+def _phase_off(setting: Replication, values: picking.Values, left: Floats) -> float:
     """Root mean square phase of the products, degrees, weighted by their size and by what is left at the end."""
     products = details(setting, values, None).products
     if products is None:
@@ -391,7 +391,7 @@ def _scale_std(full: Details, covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(floors * together * np.diag(of_scales))[:, None] * np.abs(full.real))
 
 
-def _numbers(shapes: Floats, record: Record, chosen: Sequence[PoleCandidate]) -> Ints:
+def _numbers(shapes: Floats, record: Record, chosen: Sequence[picking.PoleCandidate]) -> Ints:
     """Which modes of the frame these are: as they were chosen or by changes of sign, where these tell; else from 1."""
     numbers = np.array([item.number for item in chosen], dtype=np.int64)
     if numbers.all():

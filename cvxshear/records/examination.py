@@ -6,29 +6,25 @@ center far beyond the sensors, U is their mean.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import scipy
 
-from cvxshear.records.clocks import with_right_clocks
-from cvxshear.records.functions import welch
-from cvxshear.records.prepare import AnyRecord, detrended, impulsive, only, scaled, with_responses
+from cvxshear.records import prepare
+from cvxshear.records.clocks import SEGMENT, with_right_clocks
+from cvxshear.records.prepare import AnyRecord, only, scaled
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
-from cvxshear.util import ranking
+from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.errors import InputError
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import IN_SI, STANDARD_GRAVITY, SURE
 from cvxshear.util.typing import Floats, Ints
 
 ACROSS = 30.0
 """Largest angle, degrees, between a useful sensor and the direction of test or its opposite."""
 ROTATES = 0.05
 """Share of a floor's mean square motion in its rotation that is worth a word."""
-LINES_A_HERTZ, NEARBY = 20.0, 0.01
-"""Number of spectral lines for a mode's rotation, and their relative distance from its frequency."""
 LARGEST_WEIGHTS = 1.5
 """Largest root of the sum of squares of the sensors' weights in the motion of the center. If the center is so far
 beyond the sensors that noise grows by half, their mean (0.7 for two) is taken."""
@@ -56,7 +52,6 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
     """
     record, findings = along(record)
     groups = [np.flatnonzero(record.floors == floor) for floor in np.unique(record.floors)]
-    findings += _beside_the_center(record, groups)
     if len(groups) == len(record.channels):
         return record, findings
     channels: list[Channel] = []
@@ -71,24 +66,7 @@ def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
         np.column_stack([run.responses[:, group] @ weight for group, weight in zip(groups, weights, strict=True)])
         for run in record.runs
     ]
-    return with_responses(record, centers, tuple(channels)), findings
-
-
-def _beside_the_center(record: Record, groups: Sequence[Ints]) -> Iterator[Finding]:
-    """Report floors with a single sensor beside their center: its record contains the rotation."""
-    across = np.array([np.nan if channel.position is None else channel.position[1] for channel in record.channels])
-    # Half the distance of sensors whose difference shows the rotation.
-    half = [0.5 * float(np.ptp(across[group])) for group in groups if len(group) > 1 and np.ptp(across[group]) > 0]
-    for group in groups:
-        channel, off = record.channels[int(group[0])], abs(float(across[group[0]]))
-        if len(group) == 1 and off > 0:
-            seen = (
-                "its entries are as uncertain as the other floors turn" if half else "no floor shows how much it turns"
-            )
-            # The place of the sensor is known; the center between two sensors may be anywhere (see `records.identify`).
-            arm = off * np.sqrt(3.0) / np.mean(half) if half else 0.0
-            numbers = {"floor": channel.floor, "channels": [channel.name], "placed": False, "arm": float(arm)}
-            yield finding("rotation/one sensor", numbers, off=off, seen=seen)
+    return prepare.with_responses(record, centers, tuple(channels)), findings
 
 
 def center_weights(channels: Sequence[Channel], group: Ints) -> tuple[Floats, bool]:
@@ -113,7 +91,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     if not groups:
         return None
     rate = record.sampling_rate
-    length = min(int(LINES_A_HERTZ * rate), *(run.samples for run in record.runs)) // 2 * 2
+    length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
     lines = np.fft.rfftfreq(length, 1 / rate)
     mean, differences = np.zeros(len(lines)), np.zeros(len(lines))
     for run in record.runs:
@@ -125,7 +103,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
             differences += run.samples * scipy.signal.welch(off, rate, nperseg=length, axis=0)[1].mean(axis=1)
 
     def share(frequency: float) -> float:
-        near = np.abs(lines - frequency) <= max(2 * lines[1], NEARBY * frequency)
+        near = np.abs(lines - frequency) <= 2 * lines[1]
         return float(differences[near].sum() / max(differences[near].sum() + mean[near].sum(), 1e-300))
 
     return share
@@ -174,7 +152,7 @@ def _rotation(record: Record, group: Ints) -> Finding:
     if ratio > SAME_SCALE:
         raise InputError(
             f"{most} and {least} are on one floor and contradict each other: {what} {ratio:.1f} times as large in the "
-            f"first; is one of them in another unit (g is {STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
+            f"first; is one of them in another unit (g is {quantities.STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
         )
     if against > CONTRADICTING * together:
         raise InputError(
@@ -279,21 +257,21 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     if gains is None:
         return record, []
     level, std = gains
-    units = {size: name for name, size in reversed(IN_SI["acceleration"].items())}
+    units = {size: name for name, size in reversed(quantities.IN_SI["acceleration"].items())}
     factors = np.array([sign * size for sign in (1.0, -1.0) for size in sorted(units, key=lambda size: size != 1.0)])
     priors = np.where(factors > 0, 1.0, REVERSED) * np.where(np.abs(factors) == 1.0, 1.0, OTHER_UNIT)
     # Rows: the input as declared, and reversed; then the channels; then the factors that mend a channel.
     spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))
     off = (np.outer([1.0, -1.0], level)[:, :, None] - 1.0 / factors) / spread
     likely = np.exp(-0.5 * off**2) / spread * priors + NEITHER
-    turned = int(weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, REVERSED]))[1] >= SURE)
+    turned = int(odds.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, REVERSED]))[1] >= quantities.SURE)
     findings, changes = [], {}
     if turned:
         findings.append(finding("sign/input", {"channel": "input", "corrected": True}))
         changes["input"] = -1.0
     for channel, value, error, each in zip(record.channels, level * (1 - 2 * turned), std, likely[turned], strict=True):
         best = ranking.first_largest(each)
-        if best == 0 or each[0] > (1.0 - SURE) * each.sum():
+        if best == 0 or each[0] > (1.0 - quantities.SURE) * each.sum():
             continue
         factor = float(factors[best])
         changes[channel.name] = factor
@@ -313,14 +291,14 @@ def unit_of(gain: float) -> str | None:
 
 def _nearest_unit(size: float) -> str | None:
     """Name the unit of acceleration of this size in m/s2; None without a near unit."""
-    off = {name: abs(np.log(size / each)) for name, each in IN_SI["acceleration"].items()}
+    off = {name: abs(np.log(size / each)) for name, each in quantities.IN_SI["acceleration"].items()}
     nearest = min(off, key=lambda name: off[name])
     return nearest if off[nearest] < SAME_RATIO else None
 
 
 def unit_in_truth(channel: Channel, factor: float) -> str | None:
     """Name the unit of a channel whose values need a factor: declared unit or m/s2, times factor; None if unknown."""
-    return _nearest_unit(IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+    return _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
 
 
 def in_unit(channel: Channel, factor: float, why: str) -> Finding:
@@ -344,16 +322,18 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     right; T(0) is fitted to the real parts of H1 below half the lowest frequency with |T| = 2.
     """
     rate = record.sampling_rate
-    if record.quantity != "acceleration" or any(run.excitation is None or impulsive(run) for run in record.runs):
+    if record.quantity != "acceleration" or any(
+        run.excitation is None or prepare.impulsive(run) for run in record.runs
+    ):
         return None
-    length = min(int(20 * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
+    length = min(int(SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
     if length < 64:
         return None
     columns = len(record.channels) + 1
     cross, power = np.zeros((length // 2 + 1, columns), dtype=np.complex128), np.zeros((length // 2 + 1, columns))
-    for run in detrended(record).runs:
+    for run in prepare.detrended(record).runs:
         assert run.excitation is not None
-        each, own = welch(np.column_stack([run.excitation, run.responses]), 0, rate, length)
+        each, own = prepare.welch(np.column_stack([run.excitation, run.responses]), 0, rate, length)
         cross, power = cross + run.samples * each, power + run.samples * own
     frequencies, base = rate / length * np.arange(length // 2 + 1), power[:, :1]
     cross, power = cross[:, 1:], power[:, 1:]

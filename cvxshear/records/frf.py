@@ -11,37 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.records.pole_sweep import Impulse, Source, block_hankel, left_factor
+from cvxshear.records import pole_sweep
 from cvxshear.records.record import FrfRecord, Run, TimeRecord
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 """How often each quantity is a displacement differentiated by time."""
-
-
-def residues(sequence: Floats, eigenvalues: Complexes, sampling_rate: float, start: int) -> Complexes:
-    """Complex amplitudes c of a sequence Y_k = sum_r 2 Re(c_r z_r^k), k >= start, by least squares.
-
-    Parameters
-    ----------
-    sequence : array, shape (samples, outputs, inputs)
-    eigenvalues : array of complex, shape (modes,)
-        1/s.
-    sampling_rate : float
-        Hz.
-    start : int
-
-    Returns
-    -------
-    array of complex, shape (modes, outputs, inputs)
-    """
-    count = len(sequence) - start
-    powers = np.exp(np.outer(np.arange(start, start + count), eigenvalues) / sampling_rate)
-    design = np.hstack([2 * powers.real, -2 * powers.imag])
-    flat = np.linalg.lstsq(design, sequence[start:].reshape(count, -1), rcond=None)[0]
-    modes = len(eigenvalues)
-    return np.asarray((flat[:modes] + 1j * flat[modes:]).reshape(modes, *sequence.shape[1:]))
 
 
 def modal_products(
@@ -56,11 +32,6 @@ def modal_products(
     factor = 2j * np.abs(eigenvalues.imag) / eigenvalues ** DERIVATIVES[quantity]
     sign = -1.0 if base else 1.0
     return np.asarray(sign * amplitudes * (factor * sampling_rate)[:, None, None])
-
-
-def unwrapped(amplitudes: Complexes, eigenvalues: Complexes, length: float) -> Complexes:
-    """Compute the amplitudes of a response from its copy folded onto itself after `length` seconds."""
-    return np.asarray(amplitudes * (1 - np.exp(eigenvalues * length))[:, None, None])
 
 
 def participations(products: Complexes, shapes: Complexes) -> Complexes:
@@ -131,7 +102,7 @@ class Spectra:
     floor: int
 
 
-class FrfSource(Source):
+class FrfSource(pole_sweep.Source):
     """Responses to forces at one or several floors, for the eigensystem realization algorithm.
 
     The cross-spectra of response and force, summed over the hits at a floor, are divided by the root of the force's
@@ -226,7 +197,7 @@ class FrfSource(Source):
             shares = [
                 self.weights[used & (at == floor)].sum() / self.weights[at == floor].sum() for floor in impulse.driven
             ]
-            return left_factor(markov_hankel(impulse.sequence / shares, self._start))
+            return pole_sweep.left_factor(markov_hankel(impulse.sequence / shares, self._start))
         total = np.zeros(self._own.shape[1:])
         for floor, sequence in zip(impulse.driven, np.moveaxis(impulse.sequence, 2, 0), strict=True):
             left = used & (at == floor)
@@ -236,10 +207,10 @@ class FrfSource(Source):
         positive = values > 0
         return np.asarray((vectors[:, positive] * np.sqrt(values[positive]))[:, ::-1])
 
-    def impulse(self, keep: Bools | None = None) -> Impulse:
+    def impulse(self, keep: Bools | None = None) -> pole_sweep.Impulse:
         """Find the responses to pulses, of all hits or of some."""
         responses, pulses, floors = self._answered(keep)
-        return Impulse(responses, self._start, floors, self.wrapped, pulses[: self._start])
+        return pole_sweep.Impulse(responses, self._start, floors, self.wrapped, pulses[: self._start])
 
     def _answered(self, keep: Bools | None) -> tuple[Floats, Floats, Ints]:
         """Return the responses, the pulses that they answer to, and the floors where these act."""
@@ -265,7 +236,7 @@ def _pairs(energies: Floats) -> float:
     return float(energies.sum() ** 2 - np.sum(energies**2))
 
 
-class ImpulseSource(Source):
+class ImpulseSource(pole_sweep.Source):
     """Impulse responses or free decays as they stand, for the eigensystem realization algorithm.
 
     Parameters
@@ -277,7 +248,7 @@ class ImpulseSource(Source):
         Whether the columns are decays from several releases; three or more can be left out one at a time.
     """
 
-    def __init__(self, impulse: Impulse, sampling_rate: float, *, releases: bool = False) -> None:
+    def __init__(self, impulse: pole_sweep.Impulse, sampling_rate: float, *, releases: bool = False) -> None:
         self._impulse = impulse
         self.sampling_rate = sampling_rate
         _, self.outputs, columns = impulse.sequence.shape
@@ -289,9 +260,9 @@ class ImpulseSource(Source):
     def factor(self, keep: Bools | None = None) -> Floats:
         """Left factor of the block Hankel matrix."""
         impulse = self.impulse(keep)
-        return left_factor(markov_hankel(impulse.sequence, impulse.start))
+        return pole_sweep.left_factor(markov_hankel(impulse.sequence, impulse.start))
 
-    def impulse(self, keep: Bools | None = None) -> Impulse:
+    def impulse(self, keep: Bools | None = None) -> pole_sweep.Impulse:
         """Return the impulse responses, or the decays kept."""
         whole = self._impulse
         if keep is None:
@@ -303,7 +274,7 @@ def markov_hankel(sequence: Floats, start: int) -> Floats:
     """Arrange an impulse response or a decay that starts at sample `start` as a block Hankel matrix."""
     rows = min(ERA_ROWS, (len(sequence) - start) // 3)
     columns = min(ERA_COLUMNS, len(sequence) - start - rows)
-    return block_hankel(sequence, rows, columns, start)
+    return pole_sweep.block_hankel(sequence, rows, columns, start)
 
 
 def table_spectra(record: FrfRecord, highest: float = np.inf) -> tuple[list[Spectra], int]:
@@ -360,21 +331,6 @@ def hit_start(run: Run) -> int:
             break
         start = int(place)
     return max(0, start - RINGING)
-
-
-APART = 0.5
-"""Least time, s, between separate hits: a hammer that bounces comes back sooner."""
-
-AHEAD = 0.1
-"""Seconds of quiet that a hit parted from others keeps ahead of its blow."""
-
-
-def hit_times(run: Run, sampling_rate: float) -> list[float]:
-    """Find when the hits of a run begin, s since its first sample, a little ahead of each blow."""
-    force = np.abs(_excitation(run))
-    loud = np.flatnonzero(force > 0.25 * force.max()) / sampling_rate
-    first = loud[np.append(True, np.diff(loud) > APART)]
-    return [float(time) for time in np.maximum(first - AHEAD, 0.0)]
 
 
 def _quiet_after_blow(force: Floats) -> Floats:

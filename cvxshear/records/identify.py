@@ -7,17 +7,13 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cvxshear.records import diagnostics, estimate, picking, placement, prepare
+from cvxshear.records import diagnostics, estimate, picking, placement, pole_sweep, prepare
 from cvxshear.records.examination import Examined, examined
-from cvxshear.records.functions import measured_functions
-from cvxshear.records.picking import Sweep
-from cvxshear.records.pole_sweep import Criteria, Source
-from cvxshear.records.record import Finding, FrfRecord, Record, finding
+from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
-from cvxshear.util import checks
+from cvxshear.util import checks, quantities
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
-from cvxshear.util.quantities import SURE
 
 CLOCKS = ("clock offset", "clock drift")
 """Kinds of findings that the whole band and the modes may both tell of a channel."""
@@ -33,10 +29,11 @@ LOWEST_SHARE = 0.1
 """Fraction of the sampling rate. With a lower highest mode, the rate is reduced."""
 
 
-Attempt = Callable[..., tuple[Source, Sweep]]
+SourceAndSweep = tuple[pole_sweep.Source, picking.Sweep]
+Attempt = Callable[..., SourceAndSweep]
 
 
-def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> tuple[Source, Sweep]:
+def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0) -> SourceAndSweep:
     """Find the sampling rate that suits the modes, and source and sweep at it.
 
     Parameters
@@ -75,11 +72,11 @@ def settled(record: Record, wanted: int, attempt: Attempt, highest: float = 0.0)
     return best
 
 
-def _suits(found: tuple[Source, Sweep], wanted: int) -> bool:
+def _suits(found: SourceAndSweep, wanted: int) -> bool:
     return len(found[1].chosen) == wanted and not _too_low(found)
 
 
-def _too_low(found: tuple[Source, Sweep]) -> bool:
+def _too_low(found: SourceAndSweep) -> bool:
     source, sweep = found
     return not sweep.chosen or sweep.chosen[-1].frequency < LOWEST_SHARE * source.sampling_rate
 
@@ -90,7 +87,7 @@ def identify_modes(
     *,
     method: str | None = None,
     blocks: int = prepare.BLOCKS,
-    criteria: Criteria | None = None,
+    criteria: pole_sweep.Criteria | None = None,
     count: int | None = None,
     accept_swapped: bool = False,
     seed: int = 0,
@@ -139,7 +136,7 @@ def identify_modes(
     method = prepare.default_method(record) if method is None else method
     checks.choice(method, prepare.MODAL_METHODS, "method")
     wanted = _wanted(record, count, picked)
-    criteria = criteria or Criteria()
+    criteria = criteria or pole_sweep.Criteria()
     try:
         # The matrices are small: with all cores, threads wait for each other longer than they compute.
         with threadpool_limits(1):
@@ -158,7 +155,7 @@ def identify_modes(
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
             if functions:
                 result = dataclasses.replace(
-                    result, functions=measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=prepare.measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
                 )
             return result
     except np.linalg.LinAlgError as error:
@@ -173,11 +170,11 @@ def _attempt(
     *,
     method: str,
     blocks: int,
-    criteria: Criteria,
+    criteria: pole_sweep.Criteria,
     wanted: int,
     picked: tuple[float, ...],
     turning: Callable[[float], float] | None,
-) -> tuple[Source, Sweep]:
+) -> SourceAndSweep:
     """Bring a record into the method's form and sweep the orders; `order` puts the channels in that of their floors."""
     source = prepare.source_of(record, method, blocks=blocks)
     by_signs = len(record.channels) == record.stories > 1
@@ -192,10 +189,10 @@ def _window_decay(record: Record) -> float:
 
 def _identified(
     record: Record,
-    found: tuple[Source, Sweep],
+    found: SourceAndSweep,
     of_places: list[Finding],
     method: str,
-    criteria: Criteria,
+    criteria: pole_sweep.Criteria,
     wanted: int,
     seed: int,
     turning: Callable[[float], float] | None,
@@ -225,17 +222,13 @@ def _identified(
         sweep = sweep.without(doubts)
     else:
         raise NoSolutionError(method, _nothing(sweep))
-    twice = []
     if len(source.groups):
         # Report other stable poles only if every piece of the record has them: models of noise have stable poles as
         # well.
-        modes = {item.members for item in sweep.chosen}
-        others = [item for item in sweep.candidates if item.members not in modes]
-        twice = [item for item in others if item.twin in modes and not scattering([item])]
+        others = diagnostics.left_out(sweep.candidates, sweep.chosen)
         sweep = sweep.without(scattering([item for item in others if item.physical]))
         setting = dataclasses.replace(setting, sweep=sweep)
     findings = of_places + of_leakage
-    findings += [finding("split mode", {"frequency": item.frequency}, why=item.reason) for item in twice]
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     sizes = {"floors": len(record.channels), "stories": record.stories}
     left = diagnostics.left_out(sweep.candidates, sweep.chosen)
@@ -245,7 +238,7 @@ def _identified(
 
 def _repaired(
     record: Record, wanted: int, attempt: Attempt, highest: float, accept_swapped: bool
-) -> tuple[Record, tuple[Source, Sweep], list[Finding]]:
+) -> tuple[Record, SourceAndSweep, list[Finding]]:
     """Set signs and units right that the lowest modes show to be wrong; source and sweep of the record come second.
 
     Raises
@@ -260,18 +253,16 @@ def _repaired(
     hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
     findings = placement.findings_of(hypotheses, record.channels, lowest[0])
     best = hypotheses[0]
-    if findings and findings[0].kind == "swapped channels" and best.probability >= SURE:
+    if findings and findings[0].kind == "swapped channels" and best.probability >= quantities.SURE:
         if not accept_swapped:
             raise InputError(findings[0].message)
         order = list(range(len(record.channels)))
         low, high = best.places
         order[low], order[high] = high, low
-        record = prepare.scaled(record, {record.channels[place].name: -1.0 for place in best.turned})
         return record, settled(record, wanted, lambda record: attempt(record, order), highest=highest), findings
     if findings and findings[0].numbers["corrected"]:
         factor = -1.0 if best.kind == "sign" else best.factor
         factors = dict.fromkeys(best.places, factor)
-        factors |= {place: -factors.get(place, 1.0) for place in best.turned}
         record = prepare.scaled(record, {record.channels[place].name: value for place, value in factors.items()})
         found = settled(record, wanted, attempt, highest=highest)
     return record, found, findings
@@ -285,7 +276,7 @@ def _wanted(record: Record, count: int | None, picked: tuple[float, ...]) -> int
     return len(picked) or (most if count is None else checks.whole(count, "count", least=1, most=most))
 
 
-def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
+def _out_of_reach(sweep: picking.Sweep, picked: tuple[float, ...]) -> str:
     near = [item.frequency for item in sweep.chosen]
     missing = [f for f in picked if not any(abs(f - other) <= picking.PICKABLE * f for other in near)]
     named = ", ".join(f"{f:g}" for f in missing or picked)
@@ -294,7 +285,7 @@ def _out_of_reach(sweep: Sweep, picked: tuple[float, ...]) -> str:
     return f"pick: no stable pole of its own within {reach:g} % of {named} Hz; there are {there or 'none'} Hz"
 
 
-def _nothing(sweep: Sweep) -> str:
+def _nothing(sweep: picking.Sweep) -> str:
     seen = [f"{item.frequency:.3g} Hz ({item.reason or 'not a sway mode'})" for item in sweep.candidates[:8]]
     return "no mode of the frame was found; " + (
         f"candidates: {', '.join(seen)}" if seen else "no pole is stable from order to order"
@@ -302,16 +293,15 @@ def _nothing(sweep: Sweep) -> str:
 
 
 def _about_unknown_centers(looked: Examined, result: ModalResult) -> ModalResult:
-    """Widen the entries of floors without a sensor at their center, or with an unknown center."""
-    unknown = {item.numbers["floor"]: item.numbers for item in looked.findings if item.numbers.get("placed") is False}
+    """Widen the entries of floors whose center lies somewhere between their sensors."""
+    unknown = {item.numbers["floor"] for item in looked.findings if item.numbers.get("placed") is False}
     if looked.turning is None or not unknown:
         return result
     shares = np.array([looked.turning(frequency) for frequency in result.frequencies.tolist()])
     # Half the sensors' difference over their mean; a center that may be anywhere between them is off by a uniform part.
     off = np.sqrt(shares / np.maximum(1.0 - shares, 1e-9) / 3.0)
     shapes = np.abs(result.mode_shapes) / np.abs(result.mode_shapes).max(axis=1, keepdims=True)
-    arms = np.array([unknown[floor].get("arm", 1.0) if floor in unknown else 0.0 for floor in result.floors.tolist()])
-    std = off[:, None] * shapes * arms
+    std = off[:, None] * shapes * np.isin(result.floors, list(unknown))
     added = np.concatenate([np.zeros(len(result.modes)), std.ravel()])
     return dataclasses.replace(
         result,

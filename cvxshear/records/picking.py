@@ -12,7 +12,6 @@ import numpy as np
 from cvxshear.data.kinds import mac
 from cvxshear.measurement.reading import fewest_changes, most_changes
 from cvxshear.records import clocks, pole_sweep
-from cvxshear.records.pole_sweep import Criteria, Poles, Source
 from cvxshear.util import ranking
 from cvxshear.util.typing import Bools, Complexes, Floats
 
@@ -60,8 +59,6 @@ class PoleCandidate:
         Whether that is because pieces of the record give it another shape, at nearly the same frequency.
     number : int
         Which mode of the frame it is, where its changes of sign tell; 0 else.
-    twin : tuple of (int, int)
-        Members of the candidate whose frequency and shape it repeats; none else.
     """
 
     members: tuple[tuple[int, int], ...]
@@ -73,7 +70,6 @@ class PoleCandidate:
     reason: str = ""
     shaky: bool = False
     number: int = 0
-    twin: tuple[tuple[int, int], ...] = ()
 
     @property
     def frequency(self) -> float:
@@ -116,7 +112,7 @@ class Sweep:
         The frame's modes, ascending.
     """
 
-    poles: list[Poles]
+    poles: list[pole_sweep.Poles]
     stable: list[list[int]]
     candidates: tuple[PoleCandidate, ...]
     chosen: tuple[PoleCandidate, ...]
@@ -158,7 +154,7 @@ class ModeChoice:
     picked: tuple[float, ...] = ()
     order: Sequence[int] | None = None
 
-    def __call__(self, poles: list[Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
+    def __call__(self, poles: list[pole_sweep.Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
         """Choose the modes among the candidates, which are ascending in frequency."""
         if self.picked:
             return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
@@ -174,8 +170,8 @@ class ModeChoice:
 
 
 def sweep_orders(
-    source: Source,
-    criteria: Criteria,
+    source: pole_sweep.Source,
+    criteria: pole_sweep.Criteria,
     choose: ModeChoice,
     *,
     band: tuple[float, float] | None = None,
@@ -219,7 +215,7 @@ def sweep_orders(
     return choose(poles, stable, _set_aside(found, criteria, turning))
 
 
-def _lasting(cluster: pole_sweep.Cluster, share: float, criteria: Criteria) -> tuple[bool, str]:
+def _lasting(cluster: pole_sweep.Cluster, share: float, criteria: pole_sweep.Criteria) -> tuple[bool, str]:
     if len(cluster) < criteria.least_orders:
         return False, f"stable in {len(cluster)} orders only"
     if share < criteria.least_persistence:
@@ -227,7 +223,7 @@ def _lasting(cluster: pole_sweep.Cluster, share: float, criteria: Criteria) -> t
     return True, ""
 
 
-def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandidate]:
+def _distinct(found: list[PoleCandidate], criteria: pole_sweep.Criteria) -> list[PoleCandidate]:
     """Of clusters with nearly one frequency and one shape the one that first appeared; lasting others named as such."""
     kept: list[PoleCandidate] = []
     for item in sorted(found, key=lambda item: (not item.physical, item.members[0][0])):
@@ -240,7 +236,7 @@ def _distinct(found: list[PoleCandidate], criteria: Criteria) -> list[PoleCandid
         if twins and item.physical:
             alike = mac(item.shape, twins[0].shape)
             reason = f"a mode found twice: it has the shape of {twins[0].frequency:.4f} Hz, MAC {alike:.3f}"
-            kept.append(dataclasses.replace(item, physical=False, reason=reason, twin=twins[0].members))
+            kept.append(dataclasses.replace(item, physical=False, reason=reason))
         elif not twins:
             kept.append(item)
     return sorted(kept, key=lambda item: item.frequency)
@@ -267,7 +263,7 @@ def _clocks(found: Sequence[PoleCandidate]) -> Floats | None:
 
 
 def _set_aside(
-    found: list[PoleCandidate], criteria: Criteria, turning: Callable[[float], float] | None
+    found: list[PoleCandidate], criteria: pole_sweep.Criteria, turning: Callable[[float], float] | None
 ) -> list[PoleCandidate]:
     """Set candidates aside that are no sway modes: of scattered phases, or mostly rotation.
 
@@ -404,9 +400,9 @@ class Parts:
         Of all the data, one an order.
     """
 
-    def __init__(self, source: Source, poles: Sequence[Poles]) -> None:
+    def __init__(self, source: pole_sweep.Source, poles: Sequence[pole_sweep.Poles]) -> None:
         self.source, self._whole = source, poles
-        self._found: dict[bytes, list[Poles]] = {}
+        self._found: dict[bytes, list[pole_sweep.Poles]] = {}
 
     def found_again(self, item: PoleCandidate, keep: Bools | None) -> tuple[complex, Complexes] | None:
         """Eigenvalue and shape of a candidate on a part of the data; None where it is not found there.

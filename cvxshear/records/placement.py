@@ -16,9 +16,7 @@ import numpy as np
 
 from cvxshear.records.examination import OTHER_UNIT, REVERSED, in_unit, unit_in_truth
 from cvxshear.records.record import Channel, Finding, finding
-from cvxshear.util import ranking
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import STANDARD_GRAVITY, SURE, chance, listed
+from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
 PRIOR_EXCHANGED = 0.02
@@ -55,8 +53,6 @@ class ChannelMistake:
         After the modes have been seen.
     missed : float
         Probability of a missed mode, given the hypothesis.
-    turned : tuple of int
-        Channels that are reversed beside two that are exchanged, or one in another unit.
     """
 
     kind: str
@@ -64,12 +60,10 @@ class ChannelMistake:
     factor: float = 1.0
     probability: float = 0.0
     missed: float = 0.0
-    turned: tuple[int, ...] = ()
 
     def undone(self, shapes: Floats) -> Floats:
         """Return the shapes as they are where the hypothesis is true, shape (m, n)."""
         result = np.array(shapes, dtype=np.float64)
-        result[:, list(self.turned)] *= -1.0
         if self.kind == "swapped channels":
             result[:, list(self.places)] = result[:, list(self.places[::-1])]
         elif self.kind == "sign":
@@ -93,30 +87,23 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     """
     count = len(floors)
     pairs = list(itertools.combinations(range(count), 2))
-    # All channels but some reversed is the same as those reversed. Whoever makes one mistake may make another.
-    singles = range(count if count > 2 else 1)
-    also = [(), *((i,) for i in range(count if count > 2 else 0))]
+    # All channels but some reversed is the same as those reversed.
     prior = [(ChannelMistake("sound"), 1.0)]
-    prior += [(ChannelMistake("sign", (i,)), REVERSED) for i in singles]
+    prior += [(ChannelMistake("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
     prior += [(ChannelMistake("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
-    for turned in also:
-        share = REVERSED ** len(turned)
-        prior += [
-            (ChannelMistake("swapped channels", pair, turned=turned), share * PRIOR_EXCHANGED / (count - 1))
-            for pair in pairs
-        ]
-        prior += [
-            (ChannelMistake("unit", (i,), factor, turned=turned), share * OTHER_UNIT)
-            for i in range(count)
-            for factor in (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
-        ]
+    prior += [(ChannelMistake("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
+    prior += [
+        (ChannelMistake("unit", (i,), factor), OTHER_UNIT)
+        for i in range(count)
+        for factor in (quantities.STANDARD_GRAVITY, 1.0 / quantities.STANDARD_GRAVITY)
+    ]
     likely = [
         [_likelihood(frequencies, item.undone(shapes), floors, stories, numbers) for numbers in FREQUENCY_RATIOS]
         for item, _ in prior
     ]
     of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
     log_priors = np.log([[before] for _, before in prior]) + of_numbers
-    probabilities = weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
+    probabilities = odds.weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
     found = [
         dataclasses.replace(item, probability=float(row.sum()), missed=float(row[1:].sum() / max(row.sum(), 1e-300)))
         for (item, _), row in zip(prior, probabilities, strict=True)
@@ -200,28 +187,26 @@ def findings_of(hypotheses: Sequence[ChannelMistake], channels: Sequence[Channel
     """
     best = hypotheses[0]
     sound = next(item.probability for item in hypotheses if item.kind == "sound")
-    if best.kind != "sound" and best.probability >= SURE:
-        each = [best]
-        if best.kind == "unit" and best.turned:
-            each.append(dataclasses.replace(best, kind="sign", places=best.turned, turned=()))
-        return [_said(item, channels, first, sound) for item in each]
+    if best.kind != "sound" and best.probability >= quantities.SURE:
+        return [_said(best, channels, first, sound)]
     rivals = [item for item in hypotheses if item.kind != "sound" and item.probability > best.probability / 3]
     if not rivals or rivals[0].probability < DOUBTFUL:
         return []
     names = list(dict.fromkeys(name for item in rivals for name in _named(item, channels)))
-    options = [f"{_in_words(item, channels)} ({chance(item.probability)})" for item in rivals]
+    options = [f"{_in_words(item, channels)} ({quantities.chance(item.probability)})" for item in rivals]
     missed = next(item.missed for item in hypotheses if item.kind == "sound")
     otherwise = "a mode was missed and " if missed > 0.5 else ""
-    options.append(f"{otherwise}the channels are as declared ({chance(sound)})")
+    options.append(f"{otherwise}the channels are as declared ({quantities.chance(sound)})")
     rest = max(1.0 - sound - sum(item.probability for item in rivals), 0.0)
-    options.append(f"something else is wrong ({chance(rest)})")
+    options.append(f"something else is wrong ({quantities.chance(rest)})")
     # Where one is more probable than all others together the modes do tell, only not surely enough to change anything.
     said = (
-        f"by the lowest modes {options[0]}, or {listed(options[1:], 'or')}"
+        f"by the lowest modes {options[0]}, or {quantities.listed(options[1:], 'or')}"
         if rivals[0].probability > 0.5
-        else f"the lowest modes cannot tell what is wrong: {listed(options, 'or')}"
+        else f"the lowest modes cannot tell what is wrong: {quantities.listed(options, 'or')}"
     )
-    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {100 * SURE:.0f} %"
+    sure = 100 * quantities.SURE
+    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {sure:.0f} %"
     numbers = {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False}
     return [Finding(rivals[0].kind, said, numbers)]
 
@@ -230,23 +215,22 @@ def _named(item: ChannelMistake, channels: Sequence[Channel]) -> list[str]:
     """List the names of the channels that a hypothesis is about; of two channels either may be the reversed one."""
     if item.kind == "sign" and len(channels) == 2:
         return [channel.name for channel in channels]
-    return list(dict.fromkeys(channels[place].name for place in (*item.places, *item.turned)))
+    return list(dict.fromkeys(channels[place].name for place in item.places))
 
 
 def _in_words(item: ChannelMistake, channels: Sequence[Channel]) -> str:
-    named = listed([str(channels[place]) for place in item.places])
-    reversed_ = "".join(f" and {channels[place]} is reversed" for place in item.turned)
+    named = quantities.listed([str(channels[place]) for place in item.places])
     if item.kind == "sign" and len(channels) == 2:
-        return f"{listed(list(map(str, channels)), 'or')} is reversed"
+        return f"{quantities.listed(list(map(str, channels)), 'or')} is reversed"
     if item.kind == "sign":
         return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
     if item.kind == "unit":
         channel = channels[item.places[0]]
         unit = unit_in_truth(channel, item.factor)
         if channel.unit is not None:
-            return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared{reversed_}"
-        return f"{named} is in {unit if unit is not None else 'm/s2 and the others in g'}{reversed_}"
-    return f"{named} are in each other's place{reversed_}"
+            return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared"
+        return f"{named} is in {unit if unit is not None else 'm/s2 and the others in g'}"
+    return f"{named} are in each other's place"
 
 
 def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
@@ -262,11 +246,8 @@ def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, soun
         what, signs = _in_words(item, channels), "its sign" if one else "their signs"
         return finding("sign", {**numbers, **more, "corrected": True}, what=what, shape=shape, odds=odds, signs=signs)
     low, high = (channels[place] for place in item.places)
-    also = "".join(f", and {channels[place]} reversed" for place in item.turned)
-    signs = ", and turn that sign round" if item.turned else ""
     still = [channels[place] for place in item.places if abs(first[place]) < SHAPE_ERROR * np.abs(first).max()]
     dead = "".join(f", unless {channel} carries no motion at all: is its cable cut?" for channel in still)
     return finding(
-        "swapped channels", {**numbers, "corrected": False}, low=low, high=high, also=also, shape=shape, odds=odds,
-        signs=signs, dead=dead,
+        "swapped channels", {**numbers, "corrected": False}, low=low, high=high, shape=shape, odds=odds, dead=dead,
     )  # fmt: skip

@@ -61,8 +61,22 @@ class Source(ABC):
         return self.factor()
 
     def impulse(self, keep: Bools | None = None) -> Impulse | None:
-        """Return the impulse responses behind the factor; None where no input was measured, and none can be known."""
+        """Return the impulse responses behind the factor; None where there are none."""
         return None
+
+    def residues(self, eigenvalues: Complexes, keep: Bools | None = None) -> tuple[Complexes, Ints] | None:
+        """Find the amplitudes c of the impulse responses 2 Re(c_r z_r^k) to unit pulses, and the floors of the inputs.
+
+        Shape (modes, outputs, inputs). None where no input was measured, and none can be known.
+        """
+        impulse = self.impulse(keep)
+        if impulse is None or not np.all(impulse.driven > 0):
+            return None
+        found = impulse.amplitudes(eigenvalues, self.sampling_rate)
+        if impulse.wrapped:
+            length = len(impulse.sequence) / self.sampling_rate
+            found = found * (1 - np.exp(eigenvalues * length))[:, None, None]
+        return found / impulse.excited(eigenvalues, self.sampling_rate)[:, None, :], impulse.driven
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +101,14 @@ class Impulse:
     driven: Ints
     wrapped: bool = False
     pulse: Floats | None = None
+
+    def amplitudes(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
+        """Fit Y_k = sum_r 2 Re(c_r z_r^k), k >= start, by least squares; c has the shape (modes, outputs, inputs)."""
+        powers = np.exp(np.outer(np.arange(self.start, len(self.sequence)), eigenvalues) / sampling_rate)
+        design = np.hstack([2 * powers.real, -2 * powers.imag])
+        flat = np.linalg.lstsq(design, self.sequence[self.start :].reshape(len(powers), -1), rcond=None)[0]
+        modes = len(eigenvalues)
+        return np.asarray((flat[:modes] + 1j * flat[modes:]).reshape(modes, *self.sequence.shape[1:]))
 
     def excited(self, eigenvalues: Complexes, sampling_rate: float) -> Complexes:
         """Return the pulses' transforms at eigenvalues in 1/s, the factors of the residues, shape (modes, inputs)."""

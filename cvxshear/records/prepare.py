@@ -1,21 +1,26 @@
-"""Preparation of a record: trend, decimation, clocks, and the blocks that a method needs."""
+"""Preparation of a record: trend, decimation, clocks, what a method needs, and functions of frequency for figures.
+
+Driven records have frequency response functions, H1 with the spectra averaged over hits or over Welch's segments;
+ambient ones have half-spectra, the transforms of the covariances at positive lags, which are sums of the same
+poles (Peeters and Van der Auweraer 2005).
+"""
+
+from __future__ import annotations
 
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 import scipy
 
-from cvxshear.records import continuous
-from cvxshear.records.frf import FrfSource, ImpulseSource, hit_spectra, hit_times, reach, table_spectra
-from cvxshear.records.pole_sweep import Impulse, Source
+from cvxshear.records import continuous, frf, pole_sweep
 from cvxshear.records.record import Channel, FrfRecord, Record, Run, TimeRecord
-from cvxshear.util import checks
+from cvxshear.util import checks, quantities
 from cvxshear.util.errors import InputError, UnsuitableError
-from cvxshear.util.quantities import listed
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Complexes, Floats, Ints
 
 AnyRecord = TypeVar("AnyRecord", bound=TimeRecord | FrfRecord)
 
@@ -107,26 +112,20 @@ SINC_TERMS = 48
 """Samples of the interpolation; a windowed sinc of this length is flat to 0.9 of half the rate."""
 
 
-def in_step(record: AnyRecord, late: Mapping[str, tuple[float, float]]) -> AnyRecord:
+def in_step(record: TimeRecord, late: Mapping[str, tuple[float, float]]) -> TimeRecord:
     """Set clocks right that are late, and run slow.
 
     Parameters
     ----------
-    record : TimeRecord or FrfRecord
+    record : TimeRecord
     late : mapping
-        Channel name, and "input", to (seconds at the start of the record, seconds more in each second after). Frequency
-        response functions are turned by the seconds at the start.
+        Channel name, and "input", to (seconds at the start of the record, seconds more in each second after).
 
     Returns
     -------
-    TimeRecord or FrfRecord
-        Runs in time without the ends for which some channel has no samples.
+    TimeRecord
+        Runs without the ends for which some channel has no samples.
     """
-    if isinstance(record, FrfRecord):
-        seconds = np.array([late.get(channel.name, (0.0, 0.0))[0] for channel in record.channels])
-        seconds = seconds - late.get("input", (0.0, 0.0))[0]
-        turn = np.exp(2j * np.pi * record.frequencies[:, None] * seconds)
-        return with_responses(record, [run.responses * turn for run in record.runs])
     rate, started, runs = record.sampling_rate, 0, []
     for run in record.runs:
         index = np.arange(run.samples)
@@ -161,6 +160,8 @@ BLOCKS = 20
 """Pieces of a continuous record: Student's t of 19 degrees of freedom widens the deviations by 7 % only, and a piece
 still holds many periods of the lowest mode."""
 
+APART = 0.5
+"""Least time, s, between separate hits: a hammer that bounces comes back sooner."""
 LONGEST_PULSE = 0.25
 """Part of a run between its first and last hit that asks to part them: half of it would otherwise go unused."""
 
@@ -170,7 +171,7 @@ def default_method(record: Record) -> str:
     return _suited(record)[0]
 
 
-def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
+def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_sweep.Source:
     """Bring the record's data into the form the method needs.
 
     Parameters
@@ -198,8 +199,8 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> Source:
         raise UnsuitableError(f'method "{method}" cannot use {kind}; use "{suited[0]}"')
     if isinstance(record, FrfRecord):
         highest = np.inf if record.band is None else 1.25 * record.band[1]
-        spectra, samples = table_spectra(record, highest)
-        return FrfSource(spectra, samples * record.step, samples, wrapped=not record.truncated)
+        spectra, samples = frf.table_spectra(record, highest)
+        return frf.FrfSource(spectra, samples * record.step, samples, wrapped=not record.truncated)
     if method == "era":
         return _decays(record) if record.input == "free_decay" else _hits(record)
     record = decimated(detrended(record))
@@ -219,32 +220,35 @@ def _suited(record: Record) -> tuple[str, ...]:
     return {"none": ("ssi",), "free_decay": ("era", "ssi"), "base": ("subspace",)}[record.input]
 
 
-def _hits(record: TimeRecord) -> FrfSource:
+def _hits(record: TimeRecord) -> frf.FrfSource:
     record = without_offset(record)
     _refuse_several_hits(record)
     lowest, highest = (0.0, np.inf) if record.band is None else record.band
-    record = decimated(dataclasses.replace(record, band=(lowest, min(highest, reach(record)))))
-    spectra, samples = hit_spectra(record)
-    return FrfSource(spectra, record.sampling_rate, samples, samples // 2)
+    record = decimated(dataclasses.replace(record, band=(lowest, min(highest, frf.reach(record)))))
+    spectra, samples = frf.hit_spectra(record)
+    return frf.FrfSource(spectra, record.sampling_rate, samples, samples // 2)
 
 
 def _refuse_several_hits(record: TimeRecord) -> None:
     """Hits in one run act as one pulse as long as the time between them, which leaves little after it."""
     for run in record.runs:
-        times = hit_times(run, record.sampling_rate)
-        if times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
+        force = np.abs(np.zeros(1) if run.excitation is None else run.excitation)
+        loud = np.flatnonzero(force > 0.25 * force.max()) / record.sampling_rate
+        times = loud[np.append(True, np.diff(loud) > APART)].tolist()
+        if times and times[-1] - times[0] > LONGEST_PULSE * run.samples / record.sampling_rate:
+            said = quantities.listed([f"{time:.4g}" for time in times])
             raise InputError(
-                f"{run.name} holds {len(times)} hits, at {listed([f'{time:.4g}' for time in times])} s: give each a "
-                f"[[run]] of its own in the record file, the first with start = {times[0]:.4g}, end = {times[1]:.4g}, "
-                f"the last with start = {times[-1]:.4g}, each with the same file and its input_floor"
+                f"{run.name} holds {len(times)} hits, at {said} s: give each a "
+                f"[[run]] of its own in the record file, with its start (a little before the hit), its end, the same "
+                "file and its input_floor"
             )
 
 
-def _decays(record: TimeRecord) -> ImpulseSource:
+def _decays(record: TimeRecord) -> frf.ImpulseSource:
     record = decimated(without_offset(record))
     decays, _ = releases_of(record)
-    impulse = Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
-    return ImpulseSource(impulse, record.sampling_rate, releases=True)
+    impulse = pole_sweep.Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
+    return frf.ImpulseSource(impulse, record.sampling_rate, releases=True)
 
 
 def releases_of(record: TimeRecord) -> tuple[Floats, Ints]:
@@ -262,9 +266,7 @@ def _release(responses: Floats) -> int:
     return int(np.flatnonzero(size > 0.9 * size.max())[-1])
 
 
-def _driven(record: TimeRecord, blocks: int) -> Source:
-    samples = sum(run.samples for run in record.runs)
-    lags = continuous.lags_for(record.stories, len(record.channels), samples)
+def _driven(record: TimeRecord, blocks: int) -> pole_sweep.Source:
     rows = continuous.rows_for(record.stories, len(record.channels))
     before = 2 * rows - 1
     pieces = []
@@ -272,7 +274,7 @@ def _driven(record: TimeRecord, blocks: int) -> Source:
         if run.excitation is None:
             raise InputError(f"{run.name} lacks the input channel")
         pieces.append((run.excitation[start - before : stop, None], run.responses[start - before : stop]))
-    return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows, lags)
+    return continuous.SubspaceSource(pieces, record.sampling_rate, _one_floor(record), rows)
 
 
 def _one_floor(record: TimeRecord) -> int:
@@ -302,3 +304,155 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
         edges = (before + np.linspace(0, count, pieces + 1).astype(int)).tolist()
         for start, stop in itertools.pairwise(edges):
             yield run, start, stop
+
+
+LINES = 512
+"""Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""
+FEWEST_SEGMENTS = 8
+"""Of a continuous record; with fewer averages its coherence says nothing."""
+LAG_WINDOW = 0.01
+"""Value of the exponential window on covariances at the last lag; the window reduces noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Functions:
+    """Functions of frequency that a record shows.
+
+    Parameters
+    ----------
+    frequencies : array, shape (lines,)
+        Hz, above zero.
+    values : array of complex, shape (lines, outputs, inputs)
+        Response over force or over base acceleration; half-spectra against the reference floors where no input was
+        measured.
+    floors : array of int, shape (outputs,)
+    inputs : array of int, shape (inputs,)
+        Floor of each force, 0 the ground; for half-spectra the reference floors.
+    driven : bool
+        Whether an input was measured.
+    coherence : array, shape (lines, outputs, inputs), or None
+        Coherence of each response with the input or, without a measured input, with the reference; None without
+        averages.
+    quantity : str
+        What the responses are.
+    decay : float
+        What an exponential window added to the decay rate of every pole in these functions, 1/s.
+    """
+
+    frequencies: Floats
+    values: Complexes
+    floors: Ints
+    inputs: Ints
+    driven: bool
+    coherence: Floats | None
+    quantity: str
+    decay: float = 0.0
+
+    def up_to(self, highest: float) -> Functions:
+        """Leave out the lines above a frequency, Hz."""
+        kept = self.frequencies <= highest
+        coherence = None if self.coherence is None else self.coherence[kept]
+        return dataclasses.replace(
+            self, frequencies=self.frequencies[kept], values=self.values[kept], coherence=coherence
+        )
+
+    @property
+    def indicator(self) -> Floats:
+        """Complex mode indicator function, shape (lines, min(outputs, inputs)): the singular values at each line.
+
+        Shih, Tsuei, Allemang and Brown 1988. For half-spectra the singular values of their Hermitian part stand
+        for those of the spectra (Brincker, Zhang and Andersen 2001).
+        """
+        return np.asarray(np.linalg.svd(self.values, compute_uv=False))
+
+
+def measured_functions(record: Record, highest: float) -> Functions:
+    """Estimate the functions of frequency that a record shows.
+
+    Parameters
+    ----------
+    record : TimeRecord or FrfRecord
+    highest : float
+        Hz; lines above it are left out.
+
+    Returns
+    -------
+    Functions
+    """
+    rate = record.sampling_rate
+    if isinstance(record, FrfRecord):
+        spectra, _ = frf.table_spectra(record)
+        lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
+        found = _of_spectra(record, spectra, lines, averaged=False)
+    elif struck(record):
+        spectra, samples = frf.hit_spectra(without_offset(record))
+        several = min(np.unique([item.floor for item in spectra], return_counts=True)[1]) > 1
+        found = _of_spectra(record, spectra, _lines(samples, rate), averaged=several)
+    elif record.input in ("force", "base"):
+        record, segment = detrended(record), _segment(record, highest)
+        spectra = []
+        for run in record.runs:
+            assert run.excitation is not None
+            cross, power = welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
+            spectra.append(frf.Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
+        found = _of_spectra(record, spectra, _lines(segment, rate), averaged=True)
+    else:
+        found = _of_undriven(detrended(record), _segment(record, highest))
+    return found.up_to(highest)
+
+
+def _of_spectra(record: Record, spectra: list[frf.Spectra], lines: Floats, *, averaged: bool) -> Functions:
+    """Functions of a driven record, summed over what was recorded at each driving floor."""
+    floors = np.unique([item.floor for item in spectra]).astype(np.int64)
+    values, coherence = [], []
+    for floor in floors:
+        hits = [item for item in spectra if item.floor == floor]
+        cross = np.sum([hit.response_force for hit in hits], axis=0)
+        force = np.sum([hit.force_force for hit in hits], axis=0)[:, None]
+        response = np.sum([hit.response_response for hit in hits], axis=0)
+        values.append(cross / force)
+        coherence.append(_ratio(np.abs(cross) ** 2, force * response))
+    functions, seen = np.stack(values, axis=2)[1:], np.stack(coherence, axis=2)[1:] if averaged else None
+    decay = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
+    return Functions(lines[1:], functions, record.floors, floors, True, seen, record.quantity, decay)
+
+
+def _of_undriven(record: TimeRecord, segment: int) -> Functions:
+    """Half-spectra and coherence against the highest floor."""
+    reference = len(record.channels) - 1
+    spectra = [welch(run.responses, reference, record.sampling_rate, segment) for run in record.runs]
+    cross, power = (np.sum([item[part] for item in spectra], axis=0) for part in (0, 1))
+    lags = np.fft.irfft(cross, axis=0)[: segment // 2]
+    # Positive lags alone, the sharp cut at the end softened; the zero lag counts half.
+    lags[0] *= 0.5
+    decay = -np.log(LAG_WINDOW) / len(lags)
+    window = np.exp(-decay * np.arange(len(lags)))
+    halves = np.fft.rfft(lags * window[:, None], n=segment, axis=0)
+    coherence = _ratio(np.abs(cross) ** 2, power[:, [reference]] * power)
+    coherence[:, reference] = np.nan
+    lines, functions, seen = _lines(segment, record.sampling_rate)[1:], halves[1:, :, None], coherence[1:, :, None]
+    against, a_second = record.floors[[reference]], float(decay * record.sampling_rate)
+    return Functions(lines, functions, record.floors, against, False, seen, record.quantity, a_second)
+
+
+def _lines(samples: int, rate: float) -> Floats:
+    return rate / samples * np.arange(samples // 2 + 1, dtype=np.float64)
+
+
+def _segment(record: TimeRecord, highest: float) -> int:
+    """Choose an even number of samples for each segment, small enough for several segments in the runs."""
+    samples = min(run.samples for run in record.runs)
+    wanted = LINES * record.sampling_rate / min(highest, record.sampling_rate / 2)
+    return max(64, int(min(wanted, 2 * samples / FEWEST_SEGMENTS))) // 2 * 2
+
+
+def welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[Complexes, Floats]:
+    """Cross-spectra of all columns with one, and their own spectra, each of shape (lines, columns)."""
+    part = min(segment, len(columns))
+    _, cross = scipy.signal.csd(columns[:, [reference]], columns, rate, nperseg=part, nfft=segment, axis=0)
+    _, power = scipy.signal.welch(columns, rate, nperseg=part, nfft=segment, axis=0)
+    return np.asarray(cross), np.asarray(power)
+
+
+def _ratio(above: Floats, below: Floats) -> Floats:
+    return np.asarray(np.divide(above, below, out=np.zeros_like(above), where=below > 0))

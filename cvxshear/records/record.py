@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cvxshear.measurement.experiment import MOST_STORIES
-from cvxshear.records.data_frames import FEWEST_SAMPLES, label, matrix_of, sound_pieces, table_columns
+from cvxshear.records.data_frames import FEWEST_SAMPLES, columns_of, matrix_of, sound_pieces
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import CHANNEL_UNITS
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
@@ -286,26 +285,24 @@ class TimeRecord(_Recorded):
         sampling_rate: float | None = None,
         **options: Any,
     ) -> TimeRecord:
-        """Make a record of one run in a table: an array, a pandas DataFrame or an xarray DataArray.
+        """Make a record of one run in a table: an array or a pandas DataFrame.
 
         Parameters
         ----------
-        table : array_like, shape (samples, channels), or pandas.DataFrame or xarray.DataArray
-            m/s2, m/s or m, or what `attrs["units"]` says. A data frame has one column a channel and the time as its
-            index or in a column "time", "time_s", "t", ...; a data array has two dimensions, the first of them time,
-            the second one named coordinate a channel. Samples that are missing (nan) part it into runs, as in a file.
+        table : array_like, shape (samples, channels), or pandas.DataFrame
+            m/s2, m/s or m. A data frame has one column a channel and the time as its index or in a column "time",
+            "time_s", "t", .... Samples that are missing (nan) part it into runs, as in a file.
         floors : mapping to int, or sequence of int, optional
             The floor of each channel used, by its name or in the order of the columns; 1, 2, ... where None.
         excitation : str or other name of a column, or array_like, shape (samples,), optional
-            The input: the name of its column, or its samples; N for a force, m/s2 for a base acceleration. A column
-            with a base acceleration is in the table's unit.
+            The input: the name of its column, or its samples; N for a force, m/s2 for a base acceleration.
         drive : str, optional
             `input` of the record; where None "base" with an excitation, "force" where `input_floor` is given too, and
             "none" without.
         input_floor : int, optional
             Where a force acts.
         sampling_rate : float, optional
-            Hz; from the index or the coordinate of time where None.
+            Hz; from the time of the data frame where None.
         **options
             Of `TimeRecord`: stories, quantity, band, name, ....
 
@@ -319,30 +316,24 @@ class TimeRecord(_Recorded):
             Where a channel is not in the table, its time does not ascend in even steps, or the sampling rate is unknown
             or contradictory.
         """
-        columns = table_columns(table)
-        column = label(excitation) if isinstance(excitation, Hashable) else None
-        named = isinstance(excitation, str) or column in columns.names
-        force: Any = columns.samples(column) if named else excitation
-        left = [name for name in columns.names if not (named and name == column)]
+        columns, rate = columns_of(table, sampling_rate)
+        named = isinstance(excitation, Hashable) and (isinstance(excitation, str) or str(excitation) in columns)
+        left = [name for name in columns if not (named and name == str(excitation))]
         chosen: dict[str, int]
         if isinstance(floors, Mapping):
-            chosen = {label(name): floor for name, floor in floors.items()}
+            chosen = {str(name): floor for name, floor in floors.items()}
         else:
             chosen = dict(zip(left, range(1, len(left) + 1) if floors is None else floors, strict=False))
             if floors is not None and len(floors) != len(left):
                 raise InputError(f"floors must have {len(left)} entries, one a channel, not {len(floors)}")
+        for name in [*chosen, *([str(excitation)] if named else [])]:
+            if name not in columns:
+                raise InputError(f'there is no channel "{name}" in the table; there are {", ".join(columns)}')
+        force: Any = columns[str(excitation)] if named else excitation
         if drive is None:
             drive = "none" if force is None else "force" if input_floor else "base"
-        responses = np.column_stack([columns.samples(name) for name in chosen])
-        if columns.unit is not None:
-            kind, size = CHANNEL_UNITS[columns.unit]
-            if options.setdefault("quantity", kind) != kind:
-                raise InputError(f'the table is in {columns.unit}, which is none of quantity = "{options["quantity"]}"')
-            responses = responses * size
-            # A force has a unit of its own.
-            force = force * size if named and drive == "base" else force
-        channels = tuple(Channel(name, floor, unit=columns.unit) for name, floor in chosen.items())
-        rate = columns.sampling_rate(sampling_rate)
+        responses = np.column_stack([columns[name] for name in chosen])
+        channels = tuple(Channel(name, floor) for name, floor in chosen.items())
         whole = Run(responses, force, input_floor)
         sound = np.all(np.isfinite(whole.responses), axis=1)
         if whole.excitation is not None:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.records.functions import Functions
 from cvxshear.records.picking import Sweep
+from cvxshear.records.prepare import Functions
 from cvxshear.records.record import Finding
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import Shown, ask, data_frame
+from cvxshear.util.results import Shown, data_frame
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 if TYPE_CHECKING:
@@ -164,7 +163,8 @@ class ModalResult(Shown):
         of_floors = [[each["by_mode"] for each in failures if floor in each["floors"]] for floor in self.floors]
         share = np.array([np.sqrt(np.mean(np.square(each or [[0.0]]))) for each in of_floors])
         relative = np.abs(self.mode_shapes) / np.max(np.abs(self.mode_shapes), axis=1, keepdims=True)
-        return np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
+        std: Floats = np.hypot(np.hypot(self.entry_std, SENSOR_STD), relative * share / (2.0 * np.sqrt(2.0)))
+        return std
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row a mode: number, frequency, damping ratio, their standard deviations, one column a floor.
@@ -192,26 +192,6 @@ class ModalResult(Shown):
             for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
         }
         return data_frame(columns).set_index("mode")
-
-    def pick(self, record_file: str | Path | None = None) -> Any:
-        """Open the stabilization diagram, where a click on a pole chooses it as a mode and another gives it up.
-
-        Parameters
-        ----------
-        record_file : str or Path, optional
-            The record file (TOML) whose key `pick` is to hold the choice; it is rewritten after each click.
-
-        Returns
-        -------
-        PolePicker
-            Its `frequencies`, Hz, are `pick` for `identify_modes`.
-
-        Raises
-        ------
-        InputError
-            Where matplotlib has no interactive backend, or the result holds no order sweep.
-        """
-        return ask("show", "picked", self, record_file)
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """Write the table `[[configuration]]` of a measurement file that these modes make."""

@@ -4,10 +4,8 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-import scipy
 from scipy import linalg, ndimage
 
-from cvxshear.records.clocks import mains_lines
 from cvxshear.records.data_frames import stretches
 from cvxshear.records.prepare import AnyRecord, impulsive, only
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
@@ -17,14 +15,9 @@ from cvxshear.util.typing import Bools, Floats
 
 DEAD = 1e-4
 """Share of the median channel's standard deviation; a channel below it measures nothing."""
-CLIPPED_RUN = 3
-"""Consecutive samples at the extreme value, at least, that make a clip, not a peak."""
-CHANCE_OF_CLIP = 1e-5
-"""That as many repeat each other where others as large do; a converter of few bits repeats itself at any level."""
-CLIPPED_COUNT = 5
-"""Times as many samples at the extreme value as at the next, and one more, that make a clip where none repeats."""
-DRIFTED = 0.2
-"""Change of the mean along the record, in standard deviations of the channel."""
+CLIPPED = 5
+"""Times as many samples at the extreme value as at the next one, and as many once more, make a clip. The rounded peak
+of a slow motion has 2.4 times as many."""
 STUCK = 0.5
 """s, and at least 20 samples, for which a converter that works does not repeat one value while the others move."""
 STUCK_SHARE = 0.02
@@ -33,26 +26,16 @@ SPIKE_DEVIATIONS = 10.0
 """Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too."""
 OUT_OF_MOTION = 2.0
 """Times the root mean square of the samples around it that a spike differs from what the model makes of them."""
-MANY_SPIKES = 0.02
-"""Share of the samples; more is no accident."""
 AR_ORDER = 24
 """Coefficients of the model for spikes: two for each mode of a dozen stories."""
 SPIKE_PASSES = 8
 """Number of searches for spikes; each search finds one of several near spikes."""
-WINSORIZED = 4.0
-"""Local deviations that samples are cut to where the model is fitted, lest spikes make it."""
-BEGINNING = 15
-"""Samples on either side of a spike, which are alike; where motion begins they are not."""
-NO_SPIKES = ("clipped channel", "stuck channel", "held samples")
-"""Kinds of findings whose corners would be taken for spikes."""
-HUM_SHARE = 0.3
-"""Share of a channel's power in the lines of the mains that is worth a word."""
 LEFT_OUT = ("dead channel", "stuck channel")
 """Kinds of findings whose channel is left out, by name."""
 
 
 def channel_findings(record: Record) -> list[Finding]:
-    """Dead, stuck, clipped, held, drifting and humming channels and spikes, each with its numbers."""
+    """Dead, stuck, clipped and held channels and spikes, each with its numbers."""
     if isinstance(record, FrfRecord):
         levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))
         return _dead(record, levels)
@@ -63,13 +46,17 @@ def channel_findings(record: Record) -> list[Finding]:
         for column, channel in enumerate(record.channels):
             if levels[column] > DEAD * np.median(levels):
                 where = f"{run.name}: {channel}"
-                of_channel = [*_of_series(run.responses[:, column], where, channel.name, record)]
+                of_channel = [*_of_converter(run.responses[:, column], where, channel.name)]
                 of_channel += _stuck(run.responses, column, where, channel.name, record.sampling_rate)
-                if not any(finding.kind in NO_SPIKES for finding in of_channel):
-                    of_channel += _spiked(spikes[:, column], where, channel.name)
+                # The corners of clipped, held and stuck values would be taken for spikes.
+                if not of_channel and (count := int(spikes[:, column].sum())):
+                    numbers = {"channel": channel.name, "samples": count}
+                    first = int(np.argmax(spikes[:, column])) + 1
+                    said = finding("spikes", numbers, where=where, spikes=counted(count, "spike"), first=first)
+                    of_channel.append(said)
                 found += of_channel
         if run.excitation is not None:
-            found += _of_series(run.excitation, f"{run.name}: input channel", "input", record)
+            found += _of_converter(run.excitation, f"{run.name}: input channel", "input")
     return found
 
 
@@ -135,9 +122,6 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
             break
         found |= now
         cleaned[now] -= off[now]
-    # More than one in fifty is no accident of a cable, but what this channel records.
-    many = found.mean(axis=0) > MANY_SPIKES
-    found[:, many], cleaned[:, many] = False, responses[:, many]
     return found, cleaned
 
 
@@ -145,14 +129,14 @@ def _begins(values: Floats, place: int, hit: int) -> bool:
     """Whether motion of a channel begins at a sample and goes on as strongly, or begins in all within reach of it."""
     # The model looks ahead: its errors begin before the first sample that moves. A knock on the sensor's own
     # floor dies away as fast as its highest modes, so what follows at once counts; a filter smears one sample to two.
-    before = np.abs(values[max(0, place - 2 - BEGINNING) : max(0, place - 2)])
-    after = np.abs(values[place + 3 : place + AR_ORDER + 1 + BEGINNING])
+    before = np.abs(values[max(0, place - 2 - AR_ORDER) : max(0, place - 2)])
+    after = np.abs(values[place + 3 : place + 2 * AR_ORDER + 1])
     if not len(before) or not len(after):
         return True
     loud = np.quantile(after, 0.75, axis=0)
     rises = loud[hit] > 3.0 * np.quantile(before[:, hit], 0.75)
     # The model looks back: a release affects its errors at later samples.
-    quiet = np.abs(values[max(0, place - AR_ORDER - BEGINNING) : max(1, place - AR_ORDER)])
+    quiet = np.abs(values[max(0, place - 2 * AR_ORDER) : max(1, place - AR_ORDER)])
     released = values.shape[1] > 1 and bool(np.all(loud > 3.0 * np.quantile(quiet, 0.75, axis=0)))
     return released or bool(rises and abs(values[place, hit]) < 4.0 * after[:, hit].max())
 
@@ -160,7 +144,8 @@ def _begins(values: Floats, place: int, hit: int) -> bool:
 def _interpolation_errors(values: Floats) -> Floats:
     """Each sample less what an autoregressive model makes of those around it; nought at the ends."""
     order = min(AR_ORDER, len(values) // 8)
-    limit = WINSORIZED * np.minimum(_local_scale(values), 1e300)
+    # Samples are cut off where the model is fitted, lest spikes make it.
+    limit = SPIKE_DEVIATIONS * np.minimum(_local_scale(values), 1e300)
     spectrum = np.abs(np.fft.rfft(np.clip(values, -limit, limit), 2 * len(values))) ** 2
     covariances = np.fft.irfft(spectrum)[: order + 1]
     covariances[0] *= 1.0 + 1e-6
@@ -179,15 +164,6 @@ def _local_scale(errors: Floats) -> Floats:
     lengths = np.array([len(part) for part in parts])
     scale = np.interp(np.arange(len(errors)), np.cumsum(lengths) - 0.5 * lengths, medians)
     return np.asarray(np.where(scale > 0, scale, np.inf))
-
-
-def _spiked(spikes: Bools, where: str, name: str) -> Iterator[Finding]:
-    count = int(spikes.sum())
-    if not count:
-        return
-    first = int(np.argmax(spikes)) + 1
-    numbers = {"channel": name, "samples": count}
-    yield finding("spikes", numbers, where=where, spikes=counted(count, "spike"), first=first)
 
 
 def stuck_in(responses: Floats, column: int, rate: float) -> Bools:
@@ -245,92 +221,20 @@ def _dead(record: Record, levels: Floats) -> list[Finding]:
     return found
 
 
-def _of_series(values: Floats, where: str, name: str, record: TimeRecord) -> Iterator[Finding]:
-    yield from _clipped(values, where, name)
-    yield from _constant(values, where, name)
-    if record.input != "free_decay" and name != "input":
-        yield from _drift(values, where, name)
-    yield from _humming(values, where, name, record.sampling_rate)
-
-
-def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
+def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
+    """Find samples cut off at the extreme value, and samples repeated at a fixed pace by a channel of a lower rate."""
     levels, times = np.unique(values, return_counts=True)
-    for extreme in (values.max(), values.min()):
-        flat = values == extreme
-        count = _cut_off(values, extreme, levels)
-        edge = times[[-1, -2]] if extreme == levels[-1] and len(times) > 1 else times[:2]
-        if len(edge) > 1 and edge[0] >= CLIPPED_COUNT * (1 + edge[1]):
-            count = max(count, int(edge[0]))
-        if count and values.std() > 0 and count < 0.5 * len(values) and abs(extreme - np.median(values)) > values.std():
-            numbers = {"channel": name, "level": float(extreme), "samples": count, "share": count / len(values)}
-            first = int(np.argmax(flat)) + 1
+    for extreme, beside in ((-1, -2), (0, 1)) if len(levels) > 1 else ():
+        level, count = levels[extreme], int(times[extreme])
+        far = abs(level - np.median(values)) > values.std()
+        if far and CLIPPED * (1 + times[beside]) <= count < 0.5 * len(values):
+            numbers = {"channel": name, "level": float(level), "samples": count, "share": count / len(values)}
+            first = int(np.argmax(values == level)) + 1
             yield finding("clipped channel", numbers, where=where, length=len(values), first=first)
-            return
-
-
-def _cut_off(values: Floats, extreme: float, levels: Floats) -> int:
-    """Count the samples at the extreme value of a series, beyond the number that its converter gives a peak."""
-    flat, middle = values == extreme, np.median(values)
-    loud = (np.abs(values - middle) > 0.5 * abs(extreme - middle)) & ~flat
-    steps = np.diff(values)[loud[1:] & loud[:-1]]
-    share = np.mean(steps == 0) if steps.size else 0.0
-    least = CLIPPED_RUN if share in (0.0, 1.0) else max(CLIPPED_RUN, 1 + np.log(CHANCE_OF_CLIP) / np.log(share))
-    runs = stretches(flat)
-    runs = runs[np.diff(runs, axis=1)[:, 0] >= least]
-    # At the rounded peak of a slow motion, the samples before and after are one step lower.
-    beside = np.abs(values[np.clip(runs - [1, 0], 0, len(values) - 1)] - extreme).max(axis=1, initial=0.0)
-    ends = (runs[:, 0] == 0) | (runs[:, 1] == len(values))
-    fine = np.diff(levels).min(initial=np.inf)
-    return int(np.diff(runs, axis=1)[(beside > 2.5 * fine) | ends].sum())
-
-
-def _constant(values: Floats, where: str, name: str) -> Iterator[Finding]:
-    """Find samples repeated at a fixed pace: a channel of a lower rate, filled up."""
+            break
     same = np.diff(values) == 0
     for pace in (2, 3, 4, 5):
         repeats = [np.mean(same[phase::pace]) for phase in range(pace)]
         if sum(share > 0.95 for share in repeats) == pace - 1 and min(repeats) < 0.5:
             yield finding("held samples", {"channel": name, "repeats": pace}, where=where)
             return
-
-
-def _drift(values: Floats, where: str, name: str) -> Iterator[Finding]:
-    tenth = max(1, len(values) // 10)
-    change = float(values[-tenth:].mean() - values[:tenth].mean())
-    around = scipy.signal.detrend(values)
-    level = float(around.std())
-    # The mean of a tenth scatters by itself; only a change well beyond that is a drift.
-    pieces = [float(part.mean()) for part in np.array_split(around, 20)]
-    scatter = float(np.std(pieces))
-    if level > 0 and abs(change) > DRIFTED * level and abs(change) > 4 * scatter:
-        yield finding("drift", {"channel": name, "change": change, "over_std": abs(change) / level}, where=where)
-
-
-def _humming(values: Floats, where: str, name: str, rate: float) -> Iterator[Finding]:
-    """Power in lines of the mains, each narrower than a resonance."""
-    length = min(len(values), int(20 * rate)) // 2 * 2
-    if length < 4 * rate:
-        return
-    frequencies, power = scipy.signal.welch(values, fs=rate, nperseg=length)
-    lines = mains_lines(length, rate)
-    # Hum with an alias at 0 Hz looks like an offset or a drift.
-    lines = lines[lines > 1]
-    near = np.isin(np.arange(len(power)), (lines[:, None] + np.arange(-8, 9)).ravel())
-    # A resonance spreads over the neighbouring lines; hum does not.
-    if not power.sum() > 0 or power[lines].sum() < 0.9 * power[near].sum():
-        return
-    share = float(power[lines].sum() / power.sum())
-    if share < HUM_SHARE:
-        return
-    loudest = float(frequencies[lines[np.argmax(power[lines])]])
-    early, late = (_level(half, loudest, rate) for half in np.array_split(values, 2))
-    if min(early, late) < 0.5 * max(early, late):
-        # A mode that dies away may be as narrow; hum lasts.
-        return
-    yield finding("mains hum", {"channel": name, "share": share, "frequency": loudest}, where=where)
-
-
-def _level(values: Floats, frequency: float, rate: float) -> float:
-    """Root mean square of what stands within a fifth of a hertz of a frequency."""
-    near = np.abs(np.fft.rfftfreq(len(values), 1 / rate) - frequency) < 0.2
-    return float(np.linalg.norm(np.fft.rfft(values * np.hanning(len(values)))[near]) / len(values))

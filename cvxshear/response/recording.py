@@ -58,8 +58,8 @@ LINE_LEFT = 1e-12
 less."""
 
 SAID = (
-    "dead channel", "stuck channel", "clipped channel", "held samples", "mains hum", "direction", "sign",
-    "unit", "swapped channels", "clock offset", "clock drift", "lost samples",
+    "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
+    "swapped channels", "clock offset", "clock drift", "lost samples",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 

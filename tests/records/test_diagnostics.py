@@ -68,7 +68,6 @@ def test_hits_at_another_floor_than_all_runs_say_are_told_by_the_signs_of_their_
 
 def test_several_hits_in_one_run_are_counted_with_how_to_part_them():
     record = hammer_record(PAPER_FRAME, 3, noise=0.01, floors=(2,), hits=3)
-    length = record.runs[0].samples / record.sampling_rate
     one = dataclasses.replace(
         record.runs[0],
         responses=np.concatenate([run.responses for run in record.runs]),
@@ -76,8 +75,10 @@ def test_several_hits_in_one_run_are_counted_with_how_to_part_them():
     )
     with pytest.raises(InputError, match=r"holds 3 hits, at .* s: give each a") as error:
         identify_modes(dataclasses.replace(record, runs=(one,)))
-    start, end = re.search(r"start = ([\d.]+), end = ([\d.]+),", str(error.value)).groups()
-    assert float(end) - float(start) == pytest.approx(length, abs=0.01)
+    times = [
+        float(time) for time in re.search(r"hits, at (.*) s:", str(error.value))[1].replace(" and", ",").split(", ")
+    ]
+    np.testing.assert_allclose(np.diff(times), record.runs[0].samples / record.sampling_rate, atol=0.1)
 
 
 def test_clock_offset_is_found_and_corrected(record):
@@ -183,18 +184,11 @@ def test_dead_channel_is_left_out(record):
     np.testing.assert_allclose(result.frequencies, PAPER_FRAME.modes()[0], rtol=1e-3)
 
 
-def hum(values):
-    """Return 50 Hz sampled at 20 Hz, which folds to 10 Hz: a sine of amplitude s is s or -s at each sample."""
-    return values + values.std() * np.cos(2 * np.pi * 50.0 * np.arange(len(values)) / 20)
-
-
 @pytest.mark.parametrize(
     ("change", "kind", "number", "expected"),
     [
         (lambda values: np.clip(values, -0.5 * values.max(), 0.5 * values.max()), "clipped channel", "share", 0.1),
-        (lambda values: values + np.linspace(0, 3 * values.std(), len(values)), "drift", "over_std", 2.7),
         (lambda values: np.repeat(values[::2], 2), "held samples", "repeats", 2),
-        (hum, "mains hum", "share", 0.5),
         (lambda values: 0.0 * values, "dead channel", "std", 0.0),
     ],
 )
@@ -205,7 +199,7 @@ def test_a_fault_of_one_channel(record, change, kind, number, expected):
     said = [finding.to_dict() for finding in channel_findings(changed(record, one))]
     [numbers] = [finding["numbers"] for finding in said if finding["kind"] == kind]
     assert numbers["channel"] == "floor2"
-    assert numbers[number] == pytest.approx(expected, abs=0.3 if kind == "drift" else 0.1)
+    assert numbers[number] == pytest.approx(expected, abs=0.1)
     assert type(numbers[number]) in (int, float)
 
 
@@ -225,12 +219,6 @@ def test_a_rounded_peak_is_no_clip(frequency, noise):
             series = TimeRecord(channels, runs=(Run(values),), sampling_rate=512.0, input="free_decay")
             clips[share] += any(item.kind == "clipped channel" for item in channel_findings(series))
     assert clips == {1.0: 0, 0.7: 20}
-
-
-def test_a_hammer_sampled_at_a_third_of_the_mains_does_not_hum():
-    """At 20 Hz, three lines of the mains fold to 0 Hz, inside the spectrum of a blow, and three fold to 10 Hz."""
-    sound = hammer_record(PAPER_FRAME, 4, noise=0.02, hits=1)
-    assert not [f for f in channel_findings(sound) if f.kind == "mains hum"]
 
 
 def test_ambient_record_too_short():
@@ -316,17 +304,6 @@ def earthquake(seed: int, rate: float = 20.0, steps: int = 20) -> TimeRecord:
     noisy = sampled + 0.01 * sampled.std(axis=0) * random.standard_normal(sampled.shape)
     channels = tuple(Channel(f"floor{floor}", floor) for floor in (1, 2, 3))
     return TimeRecord(channels, runs=(Run(noisy[:, 1:], noisy[:, 0]),), sampling_rate=rate, input="base")
-
-
-@pytest.mark.parametrize("decay", [0.0, 0.3])
-def test_a_mode_that_dies_away_where_hum_folds_to_is_no_hum(decay):
-    """50 Hz sampled at 40 Hz appears at 10 Hz; a lightly damped mode there can be narrower than a line of 20 s."""
-    time = np.arange(0.0, 30.0, 1 / 40.0)
-    noise = 0.01 * np.random.default_rng(1).standard_normal((len(time), 2))
-    motion = noise + np.outer(np.exp(-decay * time) * np.cos(20.0 * np.pi * time), [1.0, 0.6])
-    channels = (Channel("floor1", 1), Channel("floor2", 2))
-    record = TimeRecord(channels, runs=(Run(motion),), sampling_rate=40.0, input="free_decay")
-    assert ("mains hum" in {finding.kind for finding in channel_findings(record)}) == (decay == 0.0)
 
 
 @pytest.mark.parametrize("seed", [5, 6, 7, 9])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -184,44 +183,6 @@ def test_a_table_that_hardly_moves_at_low_frequency_tells_signs_and_units(lowest
     assert [(item.kind, item.numbers["channel"]) for item in found] == expected
 
 
-def test_a_channel_in_another_unit_and_a_reversed_one_are_told_together():
-    """Closed-form modes of a uniform six-story frame: floor 4 is in g, and floor 2 or floor 4 is reversed."""
-    floors = np.arange(1, 7)
-    angles = np.pi / 13 * np.array([1, 3])
-    shapes = np.sin(angles[:, None] * floors)
-    channels = [Channel(f"floor{floor}", floor) for floor in floors.tolist()]
-    for turned in (1, 3):
-        factors = np.ones(6)
-        factors[3] = 1 / 9.80665
-        factors[turned] *= -1.0
-        hypotheses = weighed(2.0 * np.sin(angles / 2), shapes * factors, floors, 6)
-        np.testing.assert_allclose(hypotheses[0].undone(shapes * factors), shapes)
-        unit, sign = findings_of(hypotheses, channels, shapes[0] * factors)
-        assert (unit.numbers["channel"], unit.numbers["unit"]) == ("floor4", "g")
-        assert sign.numbers["channel"] == f"floor{turned + 1}"
-
-
-@pytest.mark.parametrize(("floors", "pair", "turned"), [([1, 2, 4, 5, 6], (1, 3), 1), ([2, 3, 4, 5, 6], (0, 4), 2)])
-def test_two_channels_exchanged_and_one_reversed_are_told(floors, pair, turned):
-    """Mode r of a uniform six-story frame is a sine of (2 r - 1) pi / 13 times the floor."""
-    floors = np.array(floors)
-    angles = np.pi / 13 * np.array([1, 3])
-    shapes = np.sin(angles[:, None] * floors)
-    columns = np.arange(5)
-    columns[list(pair)] = pair[::-1]
-    recorded = shapes[:, columns] * np.where(columns == columns[turned], -1.0, 1.0)
-    hypotheses = weighed(2.0 * np.sin(angles / 2), recorded, floors, 6)
-    best = hypotheses[0]
-    assert (best.kind, best.places, best.turned) == ("swapped channels", pair, (turned,))
-    assert best.probability > 0.95
-    channels = [Channel(f"floor{floor}", int(floor)) for floor in floors]
-    [finding] = findings_of(hypotheses, channels, recorded[0])
-    assert finding.kind == "swapped channels"
-    assert f'look swapped, and channel "floor{floors[turned]}" (floor {floors[turned]}) reversed' in finding.message
-    np.testing.assert_allclose(np.abs(best.undone(recorded)), np.abs(shapes))
-    np.testing.assert_allclose(np.sign(best.undone(recorded)[0]), best.undone(recorded)[0] / shapes[0])
-
-
 def test_a_missed_mode_is_weighed_against_a_reversed_channel():
     """With two sensors and the second and third modes, the frequency ratio indicates a missed mode."""
     frequencies, shapes = KnownFrame(np.ones(6), np.ones(6), 0.01).modes()
@@ -247,15 +208,6 @@ def test_missing_modes_are_said_only_where_some_are_missing():
     assert "missing mode" not in {item.kind for item in identify_modes(record).findings}
     said = {item.kind: item.message for item in identify_modes(record, count=2).findings}
     assert said["missing mode"].startswith("2 of 3 modes were asked for, and 2 of 3 floors are measured")
-
-
-def test_a_mode_found_twice_is_said_and_takes_one_number():
-    """The record has two runs; every story lost 5 % of its stiffness between them."""
-    weaker = dataclasses.replace(PAPER_FRAME, stiffnesses=0.95 * PAPER_FRAME.stiffnesses)
-    before, after = (base_record(frame, 3, noise=0.002, duration=400.0) for frame in (PAPER_FRAME, weaker))
-    result = identify_modes(dataclasses.replace(before, runs=(before.runs[0], after.runs[0])))
-    np.testing.assert_array_equal(result.modes, [1, 2, 3])
-    assert "split mode" in {item.kind for item in result.findings}
 
 
 def torsional_record() -> tuple[TimeRecord, float]:
@@ -342,23 +294,6 @@ def test_a_center_somewhere_between_two_sensors_makes_its_entries_as_uncertain()
     np.testing.assert_allclose(stated, 0.2 / 1.1 / np.sqrt(3.0), rtol=0.05)
 
 
-def test_one_sensor_beside_the_center_is_as_uncertain_as_the_other_floors_turn():
-    """The roof rotates by 0.2 / 1.1 per meter; a sensor 0.5 m off the center errs by half of this."""
-    record = base_record(PAPER_FRAME, 0, noise=0.005, duration=300.0)
-    run = record.runs[0]
-    top = run.responses[:, 2]
-    both = np.column_stack([run.responses[:, :2], 1.3 * top, 0.9 * top])
-    places = {"left": (0.0, -1.0), "right": (0.0, 1.0)}
-    roof = [Channel(name, 3, position=place) for name, place in places.items()]
-    middle = dataclasses.replace(record.channels[1], position=(0.0, -0.5))
-    channels = (record.channels[0], middle, *roof)
-    result = identify_modes(dataclasses.replace(record, channels=channels, runs=(Run(both, run.excitation),)))
-    largest = np.abs(result.mode_shapes).max(axis=1)
-    stated = result.entry_std[:, 1] * largest / np.abs(result.mode_shapes[:, 1])
-    np.testing.assert_allclose(stated[:2], 0.1 / 1.1, rtol=0.05)
-    assert any("floor 2 has one sensor, 0.5 m across" in item.message for item in result.findings)
-
-
 def test_a_sensor_that_points_backwards_is_turned_before_rotation_is_looked_for():
     record, torsion = torsional_record()
     expected = examined(record).turning(torsion)
@@ -428,54 +363,6 @@ def test_times_and_names_of_a_data_frame(index, columns, rate, found):
     record = TimeRecord.of(table, floors={table.columns[1]: 2}, sampling_rate=rate)
     assert record.sampling_rate == pytest.approx(found, rel=1e-5)
     np.testing.assert_array_equal(record.runs[0].responses[:, 0], values[:, 1])
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor", "quantity"),
-    [("g", 9.80665, "acceleration"), ("mm s-2", 1e-3, "acceleration"), ("cm/s", 1e-2, "velocity"), ("apple", None, "")],
-)
-def test_units_of_a_table(unit, factor, quantity):
-    pandas = pytest.importorskip("pandas")
-    table = pandas.DataFrame(np.random.default_rng(0).standard_normal((400, 2)), index=STEPS, columns=["a", "ground"])
-    table.attrs["units"] = unit
-    if factor is None:
-        with pytest.raises(InputError, match='units = "apple" of the table is none of m/s2'):
-            TimeRecord.of(table)
-        return
-    record = TimeRecord.of(table, excitation="ground")
-    assert record.quantity == quantity
-    np.testing.assert_allclose(record.runs[0].responses[:, 0], factor * table["a"])
-    np.testing.assert_allclose(record.runs[0].excitation, factor * table["ground"])
-    with pytest.raises(InputError, match="none of quantity"):
-        TimeRecord.of(table, quantity="displacement")
-
-
-class DataArray:
-    """Stand-in for xarray's class with the attributes that are read: values, dims, and coords with values."""
-
-    def __init__(self, values, dims, coords):
-        self.values, self.dims = values, dims
-        self.coords = {name: SimpleNamespace(values=np.asarray(of)) for name, of in coords.items()}
-
-
-@pytest.mark.parametrize("library", ["stand-in", "xarray"])
-@pytest.mark.parametrize("dates", [False, True])
-def test_records_from_data_arrays(library, dates):
-    kind = DataArray if library == "stand-in" else pytest.importorskip("xarray").DataArray
-    record = base_record(PAPER_FRAME, 0, noise=0.01, duration=60.0)
-    responses = np.column_stack([record.runs[0].responses, record.runs[0].excitation])
-    time = np.arange(len(responses)) / 20.0
-    if dates:
-        time = np.datetime64("2024-05-01T12:00:00", "ms") + np.rint(1000 * time).astype("timedelta64[ms]")
-    array = kind(responses, dims=("time", "channel"), coords={"time": time, "channel": ["a", "b", "c", "ground"]})
-    found = TimeRecord.of(array, excitation="ground")
-    assert [channel.name for channel in found.channels] == ["a", "b", "c"]
-    assert (found.input, found.sampling_rate) == ("base", pytest.approx(20.0))
-    np.testing.assert_array_equal(found.runs[0].responses, record.runs[0].responses)
-    bare = TimeRecord.of(kind(responses, dims=("time", "channel"), coords={"time": time}), floors=[1, 2, 3, 4])
-    assert [channel.name for channel in bare.channels] == ["channel 1", "channel 2", "channel 3", "channel 4"]
-    with pytest.raises(InputError, match="needs two, time and channels"):
-        TimeRecord.of(kind(responses[None], dims=("test", "time", "channel"), coords={}))
 
 
 @pytest.mark.parametrize(

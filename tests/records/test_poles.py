@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from cvxshear.records.frf import residues
 from cvxshear.records.picking import PoleCandidate, Sweep, strongest
-from cvxshear.records.pole_sweep import Criteria, Poles, center, clusters, energies, stable_poles, undivided
+from cvxshear.records.pole_sweep import Criteria, Impulse, Poles, center, clusters, energies, stable_poles, undivided
 
 
 def candidate(frequency, shape, energy=0.1, place=None, **more):
@@ -78,4 +77,5 @@ def test_residues_are_the_amplitudes_of_decays():
     sequence = np.zeros((80, 3, 2))
     for value, size in zip(values, amplitudes, strict=True):
         sequence[5:] += 2 * np.real(np.exp(value * k / 50.0)[:, None, None] * size)
-    np.testing.assert_allclose(residues(sequence, values, 50.0, 5), amplitudes)
+    impulse = Impulse(sequence, 5, np.array([1, 2]))
+    np.testing.assert_allclose(impulse.amplitudes(values, 50.0), amplitudes)

@@ -225,7 +225,7 @@ def test_changes_of_sign_where_small_entries_can_have_either(seed):
 
 
 def test_few_sensors_on_a_tall_frame_bend_no_mode():
-    """Observers of 20 lags would bias modes 10 to 13 by up to six standard deviations."""
+    """Block rows for few states would bias the high modes."""
     frame = KnownFrame(np.linspace(420e3, 300e3, 14), np.linspace(900e6, 350e6, 14), 0.015)
     record = base_record(frame, 1, noise=0.03, duration=600.0, sampling_rate=50.0)
     kept = [0, 3, 6, 9, 13]
@@ -251,7 +251,7 @@ def test_noise_of_the_sensors_bends_no_weak_mode():
 
 
 def test_the_highest_of_six_modes_is_within_its_deviations():
-    """The noise is 5 %; an observer alone would bias this mode by ten deviations of the scatter."""
+    """The noise is 5 %."""
     frame = KnownFrame(np.full(6, 1000.0), np.full(6, 2.5e6), 0.03)
     found = identify_modes(base_record(frame, 1, noise=0.05, duration=300.0, sampling_rate=42.0))
     np.testing.assert_array_equal(found.modes, np.arange(1, 7))

@@ -1,6 +1,5 @@
 """Describe a planned test, the recomputed figures of the paper, the noise study, and the comparison of backends."""
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from itertools import groupby
@@ -15,49 +14,34 @@ from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.planner import ExpectedAccuracy, Plan
-from cvxshear.report.describe import (
-    Block,
-    Document,
-    Points,
-    Section,
-    Sentence,
-    Table,
-    describe,
-    exact,
-    places,
-    table,
-    table_of_rows,
-)
-from cvxshear.util.quantities import AUTOMATIC, Units, counted, exponential, percent, significant
+from cvxshear.report import blocks
+from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
 
-PROVEN = 1e-9
-"""Largest gap between the objective and its bound for a choice that counts as optimal."""
 
-
-@describe.register
-def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
+@blocks.describe.register
+def _plan(result: Plan) -> blocks.Document:
     design = result.model.design
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
-        Section("choice", "", (Sentence(typical(result)), Sentence(sure(result)), Sentence(noise))),
-        Section("tests", "The tests", (expected_modes(result), added_masses(result), *grid(result))),
+        blocks.section("choice", "", typical(result), sure(result), noise),
+        blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
+        blocks.section("accuracy", "What they will determine", accuracy(result), counts(result)),
     ]
-    sections.append(Section("accuracy", "What they will determine", (accuracy(result, units), counts(result))))
-    return Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
+    return blocks.Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
 
 
-def floors_data(result: Plan) -> Table:
+def floors_data(result: Plan) -> blocks.Table:
     """Tabulate design values, expected standard deviations and added masses of every floor, for programs."""
     design, std = result.model.design, result.chosen.std
-    numbers = places(design.stories, "floor", "floor")
+    numbers = blocks.places(design.stories, "floor", "floor")
     columns = [
         numbers,
-        exact("sensor", (floor in result.sensors for floor in numbers.values)),
-        *(exact(name, getattr(design, name), std[name], unit) for name, unit in UNITS_OF_FRAME.items()),
-        *(exact(f"added_mass_kg: {name}", mass) for name, mass in zip(result.names, result.tests, strict=True)),
+        blocks.exact("sensor", (floor in result.sensors for floor in numbers.values)),
+        *(blocks.exact(name, getattr(design, name), std[name], unit) for name, unit in UNITS_OF_FRAME.items()),
+        *(blocks.exact(f"added_mass_kg: {name}", mass) for name, mass in zip(result.names, result.tests, strict=True)),
     ]
-    return Table("floors", "Plan", tuple(columns))
+    return blocks.Table("floors", "Plan", tuple(columns))
 
 
 def plan_headline(result: Plan) -> str:
@@ -65,12 +49,12 @@ def plan_headline(result: Plan) -> str:
     floors = ", ".join(map(str, result.sensors))
     everywhere = len(result.sensors) == result.model.design.stories
     where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
-    return f"Measure {where} in {counted(len(result.tests), 'test')}, for {result.goal}."
+    return f"Measure {where} in {quantities.counted(len(result.tests), 'test')}, for {result.goal}."
 
 
 def typical(result: Plan) -> str:
     """State the typical deviation of a floor and of a story, and the cheapest thing that would lower it."""
-    mass, stiffness = ("open" if np.isnan(std) else percent(std) for std in result.typical_std)
+    mass, stiffness = ("open" if np.isnan(std) else quantities.percent(std) for std in result.typical_std)
     said = f"Expected (root mean square): a floor mass to {mass}, a story stiffness to {stiffness}."
     if result.rests_on_total:
         said += " Most of it is the total mass, which modes do not determine: weigh the frame."
@@ -79,94 +63,88 @@ def typical(result: Plan) -> str:
 
 def sure(result: Plan) -> str:
     """State the objective and the largest possible distance of the choice from the optimum."""
-    said = f"{result.measure} ({result.criterion}): {percent(result.objective)} relative"
+    said = f"{result.measure} ({result.criterion}): {quantities.percent(result.objective)} relative"
     if result.objective >= UNKNOWN_STD:
-        said = f"{result.measure} ({result.criterion}): open, {percent(UNKNOWN_STD, 0)} relative or more"
+        said = f"{result.measure} ({result.criterion}): open, {quantities.percent(UNKNOWN_STD, 0)} relative or more"
     if len(result.sensors) == result.model.design.stories:
         return said
     if result.floors_arbitrary:
         return f"{said}; every choice of as many floors gives the same within 1 %: the floors named are arbitrary"
-    if result.gap < PROVEN:
+    if result.gap < quantities.NEGLIGIBLE_STD:
         return f"{said}; every choice of as many floors was looked at, none is better"
     if not np.isfinite(result.gap):
         return f"{said}; the convex program gives no bound"
     if result.bound >= UNKNOWN_STD:
         return f"{said}; no choice of as many floors is better than open"
-    gap = "" if result.objective >= UNKNOWN_STD else f" (gap {percent(result.gap, 1)})"
-    return f"{said}; no choice of as many floors is below {percent(result.bound)}{gap}"
+    gap = "" if result.objective >= UNKNOWN_STD else f" (gap {quantities.percent(result.gap, 1)})"
+    return f"{said}; no choice of as many floors is below {quantities.percent(result.bound)}{gap}"
 
 
-def grid(result: Plan) -> list[Sentence]:
+def grid(result: Plan) -> list[str]:
     """State the bound on tests from the grid of added masses, if the masses were chosen."""
     if result.of_grid is None:
         return []
     if result.of_grid.arbitrary:
-        return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
-    said = (
+        return ["Every choice of added masses gives the same within 1 %: the masses named are arbitrary."]
+    return [
         "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
         f"{_value(result.of_grid.bound)} at best."
-    )
-    return [Sentence(said)]
+    ]
 
 
-def expected_modes(result: Plan) -> Table:
+def expected_modes(result: Plan) -> blocks.Table:
     """Tabulate the modes of the first test."""
     test = result.model.expected(result.tests[0]).test
-    return table("expected-modes", f"expected modes ({result.names[0]})", {
+    return blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
         "mode": [str(mode) for mode in test.modes],
-        "frequency, Hz": [significant(float(frequency)) for frequency in test.frequencies],
+        "frequency, Hz": [quantities.significant(float(frequency)) for frequency in test.frequencies],
     })  # fmt: skip
 
 
-def added_masses(result: Plan) -> Table:
+def added_masses(result: Plan) -> blocks.Table:
     """Tabulate the added mass of each test, the top floor first."""
     rows = []
     for floor in range(result.model.design.stories, 0, -1):
-        masses = (significant(float(test[floor - 1])) for test in result.tests)
+        masses = (quantities.significant(float(test[floor - 1])) for test in result.tests)
         rows.append((str(floor), *masses, "x" if floor in result.sensors else ""))
-    return table_of_rows("added-mass", "tests: added mass, kg", ("floor", *result.names, "sensor"), rows)
+    return blocks.table_of_rows("added-mass", "tests: added mass, kg", ("floor", *result.names, "sensor"), rows)
 
 
-def accuracy(result: Plan, units: Units) -> Table:
-    """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor fewer or more, all floors."""
-    design = result.model.design
-    words = ("as planned", "one less", "one more", "all floors")
-    options = zip(words, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)
-    shown = [(name, each) for name, each in options if each is not None]
-    names = tuple(name for name, _ in shown)
-    units = dataclasses.replace(units, relative=True) if design.frame.total_mass_placeholder else units
+def accuracy(result: Plan) -> blocks.Table:
+    """Tabulate the expected deviations of masses and stiffnesses, the top first."""
+    design, chosen = result.model.design, result.chosen
+    units = quantities.Units(relative=design.frame.total_mass_placeholder)
     mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
     factor, unit = units.of_stiffness(design.story_stiffness.tolist())
-    rows = []
-    for i in reversed(range(design.stories)):
-        mass, stiffness = float(design.floor_mass[i]), float(design.story_stiffness[i])
-        of_mass = (_std(each.floor_mass_std, i, mass) for _, each in shown)
-        of_stiffness = (_std(each.story_stiffness_std, i, stiffness) for _, each in shown)
-        sizes = significant(mass / mass_factor), significant(stiffness / factor)
-        rows.append((str(i + 1), sizes[0], *of_mass, sizes[1], *of_stiffness))
-    head = ("floor / story", f"mass, {mass_unit}", *names, f"stiffness, {unit}", *names)
-    return table_of_rows("accuracy-table", "expected standard deviations", head, rows)
+    return blocks.table("accuracy-table", "expected standard deviations (of the shear model)", {
+        "floor / story": [str(i) for i in range(1, design.stories + 1)],
+        f"mass, {mass_unit}": [quantities.significant(value / mass_factor) for value in design.floor_mass.tolist()],
+        "std of mass": _relative(chosen.floor_mass_std, design.floor_mass),
+        f"stiffness, {unit}": [quantities.significant(value / factor) for value in design.story_stiffness.tolist()],
+        "std of stiffness": _relative(chosen.story_stiffness_std, design.story_stiffness),
+    }, top_first=True)  # fmt: skip
 
 
-def _std(std: Floats, at: int, value: float) -> str:
-    """Write a standard deviation, relative."""
-    if np.isnan(std[at]):
-        return "open"
-    return "exact" if std[at] < 1e-9 * value else percent(float(std[at]) / value)
+def _relative(std: Floats, values: Floats) -> list[str]:
+    """Write standard deviations relative to their values."""
+    return [
+        "open" if np.isnan(each) else "exact" if each < quantities.NEGLIGIBLE_STD else quantities.percent(each)
+        for each in (std / values).tolist()
+    ]
 
 
 def _value(objective: float) -> str:
     """Write the criterion's standard deviation, relative."""
-    return "open" if objective >= UNKNOWN_STD else percent(objective)
+    return "open" if objective >= UNKNOWN_STD else quantities.percent(objective)
 
 
-def counts(result: Plan) -> Table:
+def counts(result: Plan) -> blocks.Table:
     """Tabulate the objective against the number of sensors."""
     options = (result.fewer, result.chosen, result.more, result.everywhere)
     by_count: dict[int, ExpectedAccuracy] = {len(each.floors): each for each in options if each is not None}
     shown = [by_count[count] for count in sorted(by_count)]
     everywhere = result.model.design.stories
-    return table("counts", f"{result.measure}, by number of sensors", {
+    return blocks.table("counts", f"{result.measure}, by number of sensors", {
         "sensors": [str(len(each.floors)) for each in shown],
         "floors": ["all" if len(each.floors) == everywhere else ", ".join(map(str, each.floors)) for each in shown],
         "value": [_value(each.choice.value) for each in shown],
@@ -180,17 +158,17 @@ MORE_DIGITS = 2
 Cells = tuple[str, ...]
 
 
-@describe.register
-def _reproduction(result: printed.Reproduction, units: Units = AUTOMATIC) -> Document:
+@blocks.describe.register
+def _reproduction(result: printed.Reproduction) -> blocks.Document:
     parts = tuple(
-        Section(f"section-{place}", section.title, (printed_beside_recomputed(section), *map(Sentence, section.notes)))
+        blocks.section(f"section-{place}", section.title, printed_beside_recomputed(section), *section.notes)
         for place, section in enumerate(result.sections, 1)
     )
-    summary = Section("summary", "", (Sentence(result.summary),))
-    return Document("the paper's figures", "The paper's figures beside recomputed ones.", (*parts, summary))
+    summary = blocks.section("summary", "", result.summary)
+    return blocks.Document("the paper's figures", "The paper's figures beside recomputed ones.", (*parts, summary))
 
 
-def printed_beside_recomputed(section: printed.PaperSection) -> Table:
+def printed_beside_recomputed(section: printed.PaperSection) -> blocks.Table:
     """Tabulate one section of the paper; each place in the paper is named once."""
     random = any(row.std_error is not None for row in section.rows)
     errors = ("its standard error",) if random else ()
@@ -199,7 +177,7 @@ def printed_beside_recomputed(section: printed.PaperSection) -> Table:
         (row.where if place == 0 or row.where != section.rows[place - 1].where else "", *_cells(row, random=random))
         for place, row in enumerate(section.rows)
     ]
-    return table_of_rows(section.title, "", head, rows, words=(0, 1, len(head) - 1))
+    return blocks.table_of_rows(section.title, "", head, rows, words=(0, 1, len(head) - 1))
 
 
 def _cells(row: printed.PaperRow, *, random: bool) -> Cells:
@@ -221,28 +199,44 @@ def _number(value: float, count: int, *, sign: bool = False) -> str:
     return f"{rounded:+.{count}f}" if sign and rounded else f"{rounded:.{count}f}"
 
 
-@describe.register
-def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> Document:
+@blocks.describe.register
+def _study(result: NoiseStudy) -> blocks.Document:
     levels = [list(alike) for _, alike in groupby(result.scatters, key=lambda each: each.setup)]
     tables = tuple(noise_level(alike, place) for place, alike in enumerate(levels, 1))
-    levels_section = Section("levels", "Scatter", (*tables, Sentence(note(result))))
-    return Document("noise study", _study_headline(result), (levels_section,))
+    levels_section = blocks.section("levels", "Scatter", *tables, note(result))
+    return blocks.Document("noise study", _study_headline(result), (levels_section,), (scatter_data(result),))
+
+
+def scatter_data(result: NoiseStudy) -> blocks.Table:
+    """Tabulate the relative scatter of every mass and stiffness by setup and method, for programs."""
+    rows = [
+        (each.setup.name, each.setup.mode_shape_std, each.method, f"{quantity} {number}")
+        for each in result.scatters
+        for quantity in UNITS_OF_FRAME
+        for number in range(1, each.setup.stories + 1)
+    ]
+    names = ("setup", "mode_shape_std", "method", "unknown")
+    columns = list(map(blocks.exact, names, zip(*rows, strict=True)))
+    figures = ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio")
+    values = ([getattr(each, name) for each in result.scatters] for name in figures)
+    columns += map(blocks.exact, figures, map(np.concatenate, values))
+    return blocks.Table("scatter", "Scatter", tuple(columns))
 
 
 def _study_headline(result: NoiseStudy) -> str:
-    setups = counted(len({id(each.setup) for each in result.scatters}), "setup")
+    setups = quantities.counted(len({id(each.setup) for each in result.scatters}), "setup")
     methods = ", ".join(dict.fromkeys(each.method for each in result.scatters))
-    return f"{setups}, {counted(result.samples, 'sample')} each, by {methods}"
+    return f"{setups}, {quantities.counted(result.samples, 'sample')} each, by {methods}"
 
 
-def noise_level(scatters: list[Scatter], place: int) -> Table:
+def noise_level(scatters: list[Scatter], place: int) -> blocks.Table:
     """Tabulate every method at one noise level, the Cramer-Rao bound first."""
     setup = scatters[0].setup
     numbers = range(1, setup.stories + 1)
     head = ("method", "figure", *(f"m{i}" for i in numbers), *(f"k{i}" for i in numbers))
     bound = ("least possible", "Cramér-Rao bound, %", *in_percent(scatters[0].relative_bound))
     rows = [bound, *(row for scatter in scatters for row in _lines(scatter))]
-    return table_of_rows(f"level-{place}", _title(setup), head, rows, words=(0, 1))
+    return blocks.table_of_rows(f"level-{place}", _title(setup), head, rows, words=(0, 1))
 
 
 def _title(setup: Setup) -> str:
@@ -278,42 +272,42 @@ def note(result: NoiseStudy) -> str:
     )
 
 
-@describe.register
-def _comparison(result: Comparison, units: Units = AUTOMATIC) -> Document:
-    tables: list[Block] = [part for kind in result.kinds for part in _kind(result, kind)]
-    if result.left_out:
-        tables.insert(0, Sentence(f"Without the paper's programs: {result.left_out}."))
+@blocks.describe.register
+def _comparison(result: Comparison) -> blocks.Document:
+    without = [f"Without the paper's programs: {result.left_out}."] if result.left_out else []
+    tables = (part for kind in result.kinds for part in _kind(result, kind))
+    programs_section = blocks.section("programs", "Programs", *without, *tables)
     headline = f"{result.experiment}: {_backends_headline(result)}"
-    every = Section("worst", "All programs", (worst(result),))
-    return Document(result.experiment, headline, (Section("programs", "Programs", tuple(tables)), every))
+    every = blocks.section("worst", "All programs", worst(result))
+    return blocks.Document(result.experiment, headline, (programs_section, every))
 
 
 def _backends_headline(result: Comparison) -> str:
     backends = len({row.backend for row in result.rows})
-    return f"{counted(backends, 'backend')} on {counted(len(result.kinds), 'kind')} of programs"
+    return f"{quantities.counted(backends, 'backend')} on {quantities.counted(len(result.kinds), 'kind')} of programs"
 
 
-def _kind(result: Comparison, kind: ProgramKind) -> Iterator[Block]:
+def _kind(result: Comparison, kind: ProgramKind) -> Iterator[blocks.Block]:
     rows = [row for row in result.rows if row.kind == kind.kind]
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"
     figures = ("difference", "primal", "dual", "gap", "error", "iterations", "tolerance")
-    head = ("backend", *figures, "time, ms", "time / reference")
-    yield table_of_rows(f"kind-{name}", title, head, _rows([row for row in rows if not row.failure]))
+    head = ("backend", *figures, "time, ms", "time / kkt")
+    yield blocks.table_of_rows(f"kind-{name}", title, head, _rows([row for row in rows if not row.failure]))
     failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
     if failures:
-        yield Points(f"failures-{name}", failures)
+        yield blocks.Points(f"failures-{name}", failures)
 
 
 def programs(kind: ProgramKind) -> str:
     """Name a kind of program and its size."""
     sizes = (
-        counted(kind.unknowns, "unknown"),
-        counted(kind.rows, "row"),
-        counted(kind.equalities, "equality"),
-        counted(kind.inequalities, "inequality"),
+        quantities.counted(kind.unknowns, "unknown"),
+        quantities.counted(kind.rows, "row"),
+        quantities.counted(kind.equalities, "equality"),
+        quantities.counted(kind.inequalities, "inequality"),
     )
-    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}"
+    return f"{kind.kind}: {quantities.counted(kind.programs, 'program')}, {', '.join(sizes)}"
 
 
 def _rows(rows: list[BackendResult]) -> Iterator[Cells]:
@@ -329,12 +323,12 @@ def _rows(rows: list[BackendResult]) -> Iterator[Cells]:
 def _backend_cells(row: BackendResult) -> Iterator[str]:
     yield row.backend
     for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap, row.error_bound):
-        yield "–" if value is None else exponential(value)
+        yield "–" if value is None else quantities.exponential(value)
     yield "–" if row.iterations is None else str(row.iterations)
-    yield "–" if row.tolerance is None else exponential(row.tolerance, 1)
+    yield "–" if row.tolerance is None else quantities.exponential(row.tolerance, 1)
 
 
-def worst(result: Comparison) -> Table:
+def worst(result: Comparison) -> blocks.Table:
     """Tabulate the worst figures of each backend over all programs that the backend accepts."""
     names = dict.fromkeys(row.backend for row in result.rows)
     head = (
@@ -342,7 +336,9 @@ def worst(result: Comparison) -> Table:
         "largest certificate residual", "remark",
     )  # fmt: skip
     rows = (_worst(name, [row for row in result.rows if row.backend == name]) for name in names)
-    return table_of_rows("backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 7))
+    return blocks.table_of_rows(
+        "backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 7)
+    )
 
 
 def _worst(name: str, rows: list[BackendResult]) -> Cells:
@@ -356,7 +352,7 @@ def _worst(name: str, rows: list[BackendResult]) -> Cells:
 
 def _largest(values: list[float | None]) -> str:
     known = [value for value in values if value is not None]
-    return exponential(max(known)) if known else "–"
+    return quantities.exponential(max(known)) if known else "–"
 
 
 def short(failure: str) -> str:

@@ -1,0 +1,421 @@
+"""Describe the measured and declared data, and the identified frame with the fit of each configuration."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from cvxshear.data import Frequencies, noise_kinds
+from cvxshear.fit import results
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.programs.certificate import ActiveConstraint
+from cvxshear.report import blocks
+from cvxshear.util import quantities
+from cvxshear.util.typing import Floats
+
+
+@blocks.describe.register
+def _experiment(experiment: Experiment) -> blocks.Document:
+    headline = f"{experiment.name}: {_experiment_headline(experiment)}"
+    return blocks.Document(experiment.name, headline, (declared(experiment, units_for(experiment)),))
+
+
+@blocks.line.register
+def _experiment_line(experiment: Experiment) -> str:
+    return f"<Experiment {experiment.name}: {_experiment_headline(experiment)}>"
+
+
+def _experiment_headline(experiment: Experiment) -> str:
+    tests = [quantities.counted(len(experiment.configurations), "configuration")]
+    if experiment.static:
+        tests.append(quantities.counted(len(experiment.static), "static test"))
+    return f"{quantities.counted(experiment.stories, 'story')}, {', '.join(tests)}"
+
+
+def units_for(experiment: Experiment) -> quantities.Units:
+    """Choose the units: relative units if the total mass is unknown."""
+    return quantities.Units(relative=experiment.frame.total_mass_placeholder)
+
+
+def declared(experiment: Experiment, units: quantities.Units) -> blocks.Section:
+    """List the declarations of the frame, and each test in a line."""
+    facts = blocks.Facts(tuple(_facts(experiment, units)))
+    # All masses have one unit. A known mass of the frame determines this unit.
+    sums = [float(each.added_mass.sum()) for each in experiment.configurations]
+    mass = units.of_mass([*sums, experiment.frame.known_total or 0.0])
+    head = ("configuration", "modes", "floors", "added mass", "noise")
+    rows = (_test(each, mass) for each in experiment.configurations)
+    tests = blocks.table_of_rows("tests", "What was tested", head, rows, words=(0, 3, 4))
+    return blocks.section("declared", "Measured and declared", facts, tests, appendix=True)
+
+
+def _facts(experiment: Experiment, units: quantities.Units) -> Iterator[tuple[str, str]]:
+    frame = experiment.frame
+    yield "test", experiment.name
+    yield "stories", str(experiment.stories)
+    yield "story heights", "not declared" if frame.story_heights is None else each_or_all(frame.story_heights, "m")
+    if frame.total_mass_placeholder:
+        yield "total mass", "not given: 1 stands for it, and masses and stiffnesses are relative to it"
+    else:
+        yield "total mass", f"{_total(experiment, units)}, without added mass" if frame.known_total else "not declared"
+    if frame.reference is not None:
+        yield "reference state", frame.reference
+    for each in experiment.static:
+        yield f'static test "{each.name}"', f"displacements of {quantities.counted(int(each.measured.sum()), 'floor')}"
+    for prior in experiment.priors:
+        yield "known beforehand", prior.describe().replace("_", " ")
+    for expected in experiment.expected:
+        yield "expected beforehand", expected.name.replace("_", " ")
+
+
+def _total(experiment: Experiment, units: quantities.Units) -> str:
+    total = experiment.frame.known_total
+    assert total is not None
+    factor, unit = units.of_mass([total])
+    off = "" if experiment.frame.total_mass_std is None else f" ± {100 * experiment.frame.total_mass_std:g} %"
+    return f"{total / factor:g} {unit}{off}"
+
+
+def _test(each: Configuration, mass: tuple[float, str]) -> tuple[str, ...]:
+    floors = str(len(each.measured_floors)) if each.measured.any() else "none"
+    return each.name, str(len(each.frequencies)), floors, _added(each.added_mass, *mass), _noise(each)
+
+
+def _noise(each: Configuration) -> str:
+    """Return whether the file states the standard deviations of the measured quantities."""
+    stated = [each.frequency_std is not None]
+    if each.measured.any():
+        stated.append(each.mode_shape_std is not None)
+    return "stated" if all(stated) else "partly stated" if any(stated) else "not stated"
+
+
+def _added(mass: Floats, factor: float, unit: str) -> str:
+    """Write the added mass and its floors."""
+    floors = [int(place) + 1 for place in np.flatnonzero(mass)]
+    if not floors:
+        return "none"
+    return f"{mass.sum() / factor:g} {unit} on {quantities.numbered('floor', floors)}"
+
+
+def each_or_all(values: Floats, unit: str) -> str:
+    """Write the values, or one value if all are equal."""
+    shown = [f"{value:g}" for value in values]
+    same = len(set(shown)) == 1 and len(shown) > 1
+    return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
+
+
+PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
+"""Plurals of the quantities with one value for each floor or story."""
+
+
+def in_words(names: Iterable[str]) -> str:
+    """Write names of parameters in words: "story stiffnesses 1 to 4 and floor mass 2".
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names such as "story_stiffness 3"; other names, such as "gravity: gamma", stay unchanged.
+    """
+    places: dict[str, list[int]] = {}
+    for name in names:
+        kind, _, place = name.rpartition(" ")
+        known = kind in PLURALS and place.isdecimal()
+        places.setdefault(kind if known else name, []).extend([int(place)] if known else [])
+    said = []
+    for kind, at in places.items():
+        plain = (PLURALS[kind] if len(at) > 1 else kind).replace("_", " ")
+        said.append(f"{plain} {quantities.ranged(sorted(at))}" if at else plain)
+    return quantities.listed(said)
+
+
+def frame_table(
+    frame: results.IdentifiedFrame,
+    title: str,
+    units: quantities.Units,
+    key: str = "identified",
+    averaged: results.IdentifiedFrame | None = None,
+) -> blocks.Table:
+    """Tabulate floor masses, their sum and story stiffnesses, the top first, with optional averages over models."""
+    columns, foot = [blocks.places(len(frame.floor_mass), "floor / story", "floor")], ["sum"]
+    for word, each in (("", frame), ("averaged ", averaged)):
+        if each is not None:
+            columns += _of_frame(each, units, word)
+            factor, _ = units.of_mass(frame.floor_mass.tolist())
+            foot += [quantities.significant(float(each.floor_mass.sum()) / factor, 5), ""]
+    return blocks.Table(key, title, tuple(columns), foot=tuple(foot), top_first=True)
+
+
+def _of_frame(frame: results.IdentifiedFrame, units: quantities.Units, word: str) -> Iterator[blocks.Column]:
+    """Write the masses and stiffnesses of a frame; values at a bound have no standard deviation."""
+    for quantity, values, std, unit, unit_of in (
+        ("floor_mass", frame.floor_mass, frame.floor_mass_std, "kg", units.of_mass),
+        ("story_stiffness", frame.story_stiffness, frame.story_stiffness_std, "N/m", units.of_stiffness),
+    ):
+        factor, shown = unit_of(values.tolist())
+        at_bound = frame.stopped(quantity)
+        texts = [
+            f"{quantities.significant(value / factor, 2)} (at a bound)" if stopped else text
+            for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
+        ]
+        own = np.where(at_bound, np.nan, std)
+        head, name = f"{word}{quantity.partition('_')[2]}, {shown}", f"{word.replace(' ', '_')}{quantity}"
+        yield blocks.Column(
+            head, tuple(texts), name=name, values=tuple(values.tolist()), std=tuple(own.tolist()), unit=unit
+        )
+
+
+def frames_table(result: results.Identification) -> blocks.Table:
+    """Tabulate the frames of all parts for programs, each part by the name of its configuration."""
+    tables = [frame_table(part.frame, "", quantities.AUTOMATIC) for part in result.parts]
+    names = [part.name for part in result.parts for _ in part.frame.floor_mass]
+    columns = (
+        []
+        if len(result.parts) == 1
+        else [blocks.Column("configuration", tuple(names), name="configuration", values=tuple(names))]
+    )
+    columns += [
+        blocks.Column(
+            same[0].head,
+            name=same[0].name,
+            values=tuple(value for each in same for value in each.values),
+            std=None if same[0].std is None else tuple(value for each in same for value in each.std or ()),
+            unit=same[0].unit,
+        )
+        for same in zip(*(each.columns for each in tables), strict=True)
+    ]
+    return blocks.Table("frame", "Identified frame", tuple(columns))
+
+
+def frequencies_table(experiment: Experiment, predictions: Iterable[results.Prediction]) -> blocks.Table:
+    """Tabulate every measured frequency beside that of the model."""
+    rows = []
+    for item in predictions:
+        configuration = next(each for each in experiment.configurations if each.name == item.configuration)
+        for mode, measured in zip(configuration.modes.tolist(), configuration.frequencies.tolist(), strict=True):
+            modelled = float(item.frequencies[mode - 1])
+            rows.append((configuration.name, mode, measured, modelled, modelled / measured - 1))
+    names, modes, measured, model, errors = zip(*rows, strict=True)
+    columns = (
+        blocks.Column("configuration", names, words=True, name="configuration", values=names),
+        blocks.Column("mode", tuple(map(str, modes)), name="mode", values=modes),
+        _in_hertz("measured", measured),
+        _in_hertz("model", model),
+        blocks.Column("error", tuple(quantities.percents(errors, sign=True)), name="relative_error", values=errors),
+    )
+    return blocks.Table("modes", "Measured and modelled frequencies", columns)
+
+
+def _in_hertz(name: str, values: tuple[float, ...]) -> blocks.Column:
+    texts = tuple(quantities.significant(value, 5) for value in values)
+    return blocks.Column(f"{name}, Hz", texts, name=name, values=values, unit="Hz")
+
+
+def in_one_unit(
+    values: Floats, stds: Floats, unit_of: Callable[[Iterable[float]], tuple[float, str]]
+) -> tuple[list[str], str]:
+    """Write values and their standard deviations in one unit; values without any standard deviation have one format.
+
+    Parameters
+    ----------
+    values, stds : ndarray, shape (N,)
+    unit_of : callable
+        Function that chooses the size and the name of a unit for values, such as `Units.of_mass`.
+
+    Returns
+    -------
+    written : list of str
+    unit : str
+    """
+    factor, unit = unit_of(values.tolist())
+    return _column(values, stds, factor), unit
+
+
+def _column(values: Floats, stds: Floats, factor: float) -> list[str]:
+    if np.all(np.isnan(stds)):
+        written = quantities.significants((values / factor).tolist(), 5)
+        return [quantities.UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
+    fast = ~np.isnan(values) & ~(stds > quantities.NEGLIGIBLE_STD * np.abs(values))
+    # A fixed value has no deviation; all fixed values have one format.
+    shown = _short(quantities.significants((values[fast] / factor).tolist(), 5))
+    fast_ones = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
+    return [
+        quantities.UNKNOWN
+        if np.isnan(value)
+        else fast_ones[place]
+        if place in fast_ones
+        else quantities.with_std(value, std, factor=factor)
+        for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
+    ]
+
+
+def _short(written: list[str]) -> list[str]:
+    """Remove trailing decimals that are 0 in all texts."""
+    while written and all("." in text and text.endswith(("0", ".")) for text in written):
+        written = [text[:-1] for text in written]
+    return written
+
+
+RULED_OUT = 1e-3
+"""Smallest p-value of chi-square for a plausible model; 1 minus this value is the largest for a plausible noise."""
+
+
+def generous_noise(fit: results.Quality) -> Iterator[str]:
+    """Warn if the residual is much smaller than the stated noise predicts.
+
+    Parameters
+    ----------
+    fit : Quality
+    """
+    if fit.p_value is None or fit.p_value <= 1 - RULED_OUT:
+        return
+    size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
+    yield (
+        f"the residual is {size} times smaller than the stated standard deviations let expect ({_chi_square(fit)}): "
+        "these are too large, and so are those of masses and stiffnesses. Deviations that 'modes' writes also hold "
+        "errors that all data share"
+    )
+
+
+def _chi_square(fit: results.Quality) -> str:
+    freedom = f"{quantities.counted(fit.dof, 'degree')} of freedom"
+    return f"chi-square {quantities.significant(fit.chi2)} on {freedom}"
+
+
+@blocks.describe.register
+def _identification(result: results.Identification) -> blocks.Document:
+    units = units_for(result.experiment)
+    sections = [declared(result.experiment, units)]
+    sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
+    if result.other_frames:
+        sections.append(_other_frames(result, units))
+    if result.undetermined:
+        open_ones = [blocks.Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
+        sections.append(blocks.section("undetermined", "What these data cannot tell", *open_ones))
+    predicted = [item for part in result.parts for item in part.predictions]
+    data = frames_table(result), frequencies_table(result.experiment, predicted)
+    return blocks.Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
+
+
+def _other_frames(result: results.Identification, units: quantities.Units) -> blocks.Section:
+    """Tabulate the other frames that fit the data, the most probable first."""
+    frames = result.other_frames
+    mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
+    factor, unit = units.of_stiffness(result.frame.story_stiffness.tolist())
+    warning = (
+        f"These data fit {len(frames) + 1} frames; a standard deviation above describes the identified one alone. "
+        "Shapes at two floors or more, or a test with known added mass, tell them apart."
+    )
+    found = blocks.table("other-frames", "From the lowest floor or story up", {
+        f"floor masses, {mass_unit}": [_all(each.floor_mass, mass_factor) for each in frames],
+        f"story stiffnesses, {unit}": [_all(each.story_stiffness, factor) for each in frames],
+        "chi-square": [quantities.significant(each.chi2, 3) for each in frames],
+        "probability": [quantities.percent(each.probability) for each in frames],
+    }, words=(0, 1))  # fmt: skip
+    title = "Other frames that fit as well"
+    return blocks.section("other-frames", title, blocks.Sentence(warning, "warning"), found)
+
+
+def _all(values: Floats, factor: float) -> str:
+    return ", ".join(quantities.significant(float(value) / factor, 4) for value in values)
+
+
+@blocks.line.register
+def _identification_line(result: results.Identification) -> str:
+    worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
+    stories = quantities.counted(result.experiment.stories, "story")
+    ended = "" if result.converged else ", not converged"
+    what = f"{result.method}, {stories}, largest frequency error {worst}{ended}"
+    return f"<Identification {result.experiment.name}: {what}>"
+
+
+def _identification_headline(result: results.Identification) -> str:
+    """Name the frame and the method; put a warning first if the stated noise rules the model out."""
+    how = f"method {result.method}, backend {result.backend}"
+    fit = result.parts[0].fit
+    if not result.joint or fit.p_value is None or fit.p_value >= RULED_OUT:
+        return f"{result.experiment.name}: {how}"
+    return (
+        f"RULED OUT: with the stated noise a shear frame would hardly give these data ({_chi_square(fit)}, "
+        f"{quantities.equals(fit.p_value)}): the masses and stiffnesses below are those of a wrong model, and their "
+        "standard deviations too small. 'cvxshear loop' on the same file looks for what the model lacks. "
+        f"({result.experiment.name}: {how})"
+    )
+
+
+def part_section(
+    result: results.Identification, part: results.SingleIdentification, place: int, units: quantities.Units
+) -> blocks.Section:
+    """Tabulate the frame that one or all configurations give, and its fit."""
+    title = "All configurations together" if result.joint else part.name
+    parts = [
+        frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
+        *_bounds(part),
+        *_prices(part, place, units),
+        *how_it_ended(part),
+        *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
+        _fit(part),
+        *(blocks.Sentence(f"{quantities.capital(text)}.", "warning") for text in generous_noise(part.fit)),
+    ]
+    return blocks.section(f"part-{place}", title, *parts)
+
+
+def _bounds(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
+    """Warn of parameters that a bound holds."""
+    at_bounds = part.frame.at_bounds
+    if at_bounds:
+        are, them = ("is", "it") if len(at_bounds) == 1 else ("are", "them")
+        yield blocks.Sentence(
+            f"{quantities.capital(in_words(at_bounds))} {are} at a bound, a declared one or the least that counts as "
+            f"positive; the data alone would have {them} beyond it. That is no measurement, and the other standard "
+            "deviations hold only as far as the bound is true.",
+            "warning",
+        )
+
+
+def _prices(part: results.SingleIdentification, place: int, units: quantities.Units) -> Iterator[blocks.Block]:
+    """List the active bounds and exact priors, each with its dual value."""
+    if part.active:
+        misfit = "the objective of the program" if part.name else "chi-square with the noise of the fit"
+        yield blocks.Sentence(f"Active bounds and exact priors with their prices (the misfit is {misfit}):", "strong")
+        yield blocks.Points(f"active-{place}", tuple(_price(held, units) for held in part.active))
+
+
+def _price(held: ActiveConstraint, units: quantities.Units) -> str:
+    """State the change of the misfit for one more unit on the right side of a constraint."""
+    about = f"{held.name} {held.source}"
+    known = {} if units.relative else results.UNITS_OF_FRAME
+    unit = next((unit for quantity, unit in known.items() if quantity in about), "unit")
+    at_bound = held.constraint in ("lower", "upper")
+    where = f"the {held.constraint} bound of {in_words([held.name])}" if at_bound else "the right side"
+    change = f"{'lower' if held.dual > 0 else 'raise'} the misfit by {quantities.significant(abs(held.dual), 3)}"
+    return f"{held.source or held.name}: one more {unit} on {where} would {change}"
+
+
+def how_it_ended(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
+    """State the number of iterations and the reason of their end; warn if the fit did not converge."""
+    said = f"{quantities.counted(part.iterations, 'iteration')}: {part.reason}."
+    stopped = f"NOT CONVERGED. {said} The numbers are where it stopped."
+    yield blocks.Sentence(said) if part.converged else blocks.Sentence(stopped, "warning")
+
+
+def _fit(part: results.SingleIdentification) -> str:
+    fit = part.fit
+    largest, rms = quantities.percents([fit.max_frequency_error, fit.rms_frequency_error])
+    said = [f"Frequency errors: largest {largest}, root mean square {rms}"]
+    for figure in (each for kind in noise_kinds().values() for each in kind.figures if kind is not Frequencies.noise):
+        error = fit.errors[figure.key]
+        if error is not None:
+            value = quantities.percent(error) if figure.relative else quantities.significant(error, 6)
+            said.append(f"{figure.label} {value}")
+    test = "" if fit.p_value is None else f" ({quantities.equals(fit.p_value)})"
+    return f"{'; '.join([*said, _chi_square(fit)])}{test}."
+
+
+def _matrix(matrix: Floats, place: int, units: quantities.Units) -> blocks.Table:
+    factor, unit = units.of_mass(np.diag(matrix).tolist())
+    head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
+    largest = float(np.max(np.abs(matrix))) / factor
+    # The largest entry is appended to give all rows one format, then removed.
+    written = [quantities.significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
+    rows = ((str(i), *cells) for i, cells in enumerate(written, 1))
+    return blocks.table_of_rows(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)
