@@ -50,20 +50,18 @@ def identify(
         At which relative correction the mass iteration stops.
     """
     # The solvers load slowly, and the help does not need them.
-    from cvxshear import response, screening
+    from cvxshear import screening
 
     files_of = outputs.prepared(cvxshear.Identification)
     experiment, start = cvxshear.load(file), numbers(initial_mass, "--initial-mass")
     doubts = screening.refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
     result = cvxshear.identify(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
-    fitted = response.Fitted.of_identification(result)
-    damping = None if fitted is None else response.damping_of(experiment, fitted, backend)
-    said = {**result.to_dict(), "damping": as_json(damping), "warnings": as_json(doubts)}
+    said = {**result.to_dict(), "warnings": as_json(doubts)}
     deliver(
         said,
         outputs.out,
-        lambda: [*doubts_of(doubts), *terminal.shown(result), *_damped(damping)],
+        lambda: [*doubts_of(doubts), *terminal.shown(result)],
         *files_of(result),
         title=experiment.report.title or experiment.name,
     )
@@ -245,8 +243,7 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
     Parameters
     ----------
     record
-        A record file: floors that carry sensors, with gaps or not, and the base motion; input = "none" where nobody
-        measured that.
+        A record file: floors that carry sensors, with gaps or not, and the base motion.
     fit
         Fit the frame to the record; otherwise it stays as identified.
     leave_out
