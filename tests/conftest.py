@@ -166,11 +166,10 @@ def run(capsys):
 @pytest.fixture
 def shared_loops(monkeypatch):
     """Close the loop of a measurement once for all commands of the tests that use this fixture."""
-    import cvxshear.planning.design  # noqa: PLC0415 - loaded by the tests that need it
-    import cvxshear.response.sources  # noqa: PLC0415
+    import cvxshear.response.sources  # noqa: PLC0415 - loaded by the tests that need it
     from tests.closed import close_loop  # noqa: PLC0415
 
-    for place in (cvxshear, cvxshear.planning.design, cvxshear.response.sources):
+    for place in (cvxshear, cvxshear.response.sources):
         monkeypatch.setattr(place, "close_loop", close_loop)
 
 

@@ -1,6 +1,6 @@
 """Test whether the tests notice a wrong sign: change copies of modules slightly, and run the related tests.
 
-`python -m tests.mutation --mutants 100 --seed 1 [--module planning/results.py] [--seconds 40]` draws changes (a sign,
+`python -m tests.mutation --mutants 100 --seed 1 [--module planning/planner.py] [--seconds 40]` draws changes (a sign,
 an operator, a comparison, a constant, a negated condition, a dropped return) over the package. It runs the related
 tests on a copy of the project in a temporary folder, prints the number of changes that the tests found, and lists the
 others. A change that makes the tests exceed the time limit counts as found.

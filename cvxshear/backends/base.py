@@ -1,10 +1,10 @@
 """The base class of every backend: scaling, working set of inequalities, check of the answer, acceptance.
 
-A frame of N stories has at least N bounds, few of them active. Scaling makes every bound a full row; all of them
-would cost an interior-point method N^3 operations per iteration, and far bounds spoil the scaling of a first-order
-method. So the solver gets the inequalities that the closed form without any violates, or that were active in an
-earlier solution. As long as its answer violates others, these are added. The set only grows, so this ends, and an
-answer that satisfies all inequalities is the answer to the whole program.
+A frame of N stories has at least N bounds, few of them active. Scaling makes every bound a full row; all of them would
+cost an interior-point method N^3 operations per iteration, and far bounds spoil the scaling of a first-order method. So
+the solver gets the inequalities that the closed form without any violates. As long as its answer violates others, these
+are added. The set only grows, so this ends, and an answer that satisfies all inequalities is the answer to the whole
+program.
 """
 
 from __future__ import annotations
@@ -204,15 +204,12 @@ class Backend(ABC):
             With the solver's reason, if it did not solve the program.
         """
 
-    def solve(self, program: LeastSquares, start: Solution | None = None) -> Solution:
+    def solve(self, program: LeastSquares) -> Solution:
         """Solve a program and certify the solution.
 
         Parameters
         ----------
         program : LeastSquares
-        start : Solution, optional
-            Of a similar program of the same shape. Its active inequalities go to the solver at once, and a solver that
-            takes a starting point starts there.
 
         Returns
         -------
@@ -224,7 +221,7 @@ class Backend(ABC):
         InfeasibleError
             If equalities contradict each other.
         InputError
-            If `start` has another shape, or the backend's answer has the wrong form.
+            If the backend's answer has the wrong form.
         UnsuitableError
             If the backend cannot take such a program.
         NoSolutionError
@@ -232,10 +229,10 @@ class Backend(ABC):
             64 bits.
         """
         began = time.perf_counter()
-        found = self.certified(Assembled(program), canonical(program), start)
+        found = self.certified(Assembled(program), canonical(program))
         return dataclasses.replace(found, seconds=time.perf_counter() - began)
 
-    def certified(self, program: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
+    def certified(self, program: Assembled, problem: Canonical) -> Solution:
         """Solve a program that is already scaled, and certify the solution.
 
         Parameters
@@ -244,9 +241,8 @@ class Backend(ABC):
             The program as stated; it judges the answer.
         problem : Canonical
             The same program, scaled.
-        start : Solution, optional
         """
-        answer = self.answer_all(problem, start)
+        answer = self.answer_all(problem)
         point = Point(problem.to_x(answer.z), *problem.multipliers(answer.y, answer.w))
         try:
             accepted = accurate(program, point)
@@ -267,27 +263,23 @@ class Backend(ABC):
             iterations=answer.iterations,
         )
 
-    def answer_all(self, problem: Canonical, start: Solution | None = None) -> Answer:
+    def answer_all(self, problem: Canonical) -> Answer:
         """Solve the scaled program, with a working set of its inequalities.
 
         Parameters
         ----------
         problem : Canonical
-        start : Solution, optional
 
         Returns
         -------
         Answer
             Its multipliers are zero for inequalities outside the working set.
         """
-        problem = problem.starting_at(start)
         if not len(problem.F):
             return self._checked(problem)
         if problem.singular:
             return self._with_all(problem)
         within = problem.violated(problem.nearest()[0])
-        if problem.start is not None:
-            within |= problem.start.w > 0
         iterations: int | None = 0
         while True:
             part = self._checked(problem.keeping(within))
@@ -360,7 +352,7 @@ class Recorder(Backend):
     def answer(self, problem: Canonical) -> Answer:
         return self._backend.answer(problem)
 
-    def solve(self, program: LeastSquares, start: Solution | None = None) -> Solution:
-        solution = self._backend.solve(program, start)
+    def solve(self, program: LeastSquares) -> Solution:
+        solution = self._backend.solve(program)
         self.solved.append(SolvedProgram(program, solution))
         return solution

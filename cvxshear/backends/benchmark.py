@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends.base import Backend
-from cvxshear.backends.canonical import RANK_TOLERANCE
 from cvxshear.backends.installed import available, get
 from cvxshear.programs import LeastSquares, Solution
-from cvxshear.programs.certificate import Acceptance, Assembled
+from cvxshear.programs.certificate import Acceptance
 from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError
 from cvxshear.util.results import Shown
@@ -47,9 +46,6 @@ class ProgramKind:
         How many there are.
     unknowns, rows, equalities, inequalities : int
         Inequalities are rows of G and finite bounds.
-    condition : float or None
-        Condition number of the weighted rows, their columns scaled to unit length, on the null space of the
-        equalities; None if they leave a direction open.
     """
 
     kind: str
@@ -58,7 +54,6 @@ class ProgramKind:
     rows: int
     equalities: int
     inequalities: int
-    condition: float | None
 
 
 @dataclass(frozen=True)
@@ -73,7 +68,7 @@ class BackendResult:
     difference : float or None
         Largest relative difference from the reference; None if the backend did not solve all of them.
     reference : str
-        "closed form", or "consensus" (the median of the backends) if the closed form does not apply.
+        "closed form", or "auto" if the closed form does not apply.
     primal_residual, dual_residual, duality_gap, error_bound : float or None
         The worst of the certificates.
     iterations : int or None
@@ -81,8 +76,7 @@ class BackendResult:
     seconds : float or None
         Sum over the programs of the fastest solve, with scaling and certificate.
     relative_time : float or None
-        `seconds` divided by the time of the closed form on the same programs (without their bounds, if bounds are
-        active); None if the closed form solves neither.
+        `seconds` divided by the time of the reference on the same programs.
     tolerance : float or None
         The loosest accuracy that the solver is asked to reach; None if it takes none.
     failure : str
@@ -181,26 +175,7 @@ def compare(
 def _described(kind: str, programs: Sequence[BenchmarkProgram]) -> ProgramKind:
     all_of_kind = [each.program for each in programs]
     sizes = [(p.unknowns, len(p.R), len(p.equalities[1]), len(p.inequalities[1])) for p in all_of_kind]
-    condition = _largest([condition_number(program) for program in all_of_kind])
-    unknowns, rows, equalities, inequalities = map(max, zip(*sizes, strict=True))
-    return ProgramKind(kind, len(programs), unknowns, rows, equalities, inequalities, condition)
-
-
-def condition_number(program: LeastSquares) -> float | None:
-    """Compute the condition number of weighted rows, see `ProgramKind`; None if they leave a direction open."""
-    of = Assembled(program)
-    rows = of.R / of.lengths
-    if len(of.A):
-        # The right singular vectors beyond the rank of A span its null space.
-        _, values, directions = np.linalg.svd(of.A / of.lengths)
-        rank = int(np.sum(values > RANK_TOLERANCE * values.max(initial=0.0)))
-        rows = rows @ directions[rank:].T
-    if not rows.shape[1]:
-        return 1.0
-    values = np.linalg.svd(rows, compute_uv=False)
-    if len(values) < rows.shape[1] or not values[-1] > RANK_TOLERANCE * values[0]:
-        return None
-    return float(values[0] / values[-1])
+    return ProgramKind(kind, len(programs), *map(max, zip(*sizes, strict=True)))
 
 
 def _compared(
@@ -208,15 +183,11 @@ def _compared(
 ) -> list[BackendResult]:
     """One row a backend, for the programs of one kind."""
     answers = {backend.name: _Answers.of(backend, programs, repeats) for backend in chosen}
-    closed = answers.get("kkt") or _Answers.of(get("kkt"), programs, repeats)
-    reference, unit, said = closed.values, closed.seconds, "closed form"
-    if closed.failure:
-        solved = [item.values for item in answers.values() if not item.failure]
-        reference, said = [np.median(each, axis=0) for each in zip(*solved, strict=True)], "consensus"
-        free = [BenchmarkProgram(kind, each.program.replace(lower=None, upper=None), each.origin) for each in programs]
-        unit = _Answers.of(get("kkt"), free, repeats).seconds
+    reference, said = answers.get("kkt") or _Answers.of(get("kkt"), programs, repeats), "closed form"
+    if reference.failure:
+        reference, said = _Answers.of(get("auto"), programs, repeats), "auto"
     return [
-        item.result(kind, backend, len(programs), reference, unit, said)
+        item.result(kind, backend, len(programs), reference, said)
         for backend, item in zip(chosen, answers.values(), strict=True)
     ]
 
@@ -243,14 +214,13 @@ class _Answers:
             solutions.append(solution)
         return _Answers(values, solutions, seconds, "")
 
-    def result(
-        self, kind: str, backend: Backend, programs: int, reference: list[Floats], unit: float | None, said: str
-    ) -> BackendResult:
+    def result(self, kind: str, backend: Backend, programs: int, reference: _Answers, said: str) -> BackendResult:
         figures = ("primal_residual", "dual_residual", "duality_gap", "error_bound")
         certificates = [item.certificate.to_dict() for item in self.solutions]
         iterations = [item.iterations for item in self.solutions]
         accepted = [item.acceptance for item in self.solutions]
-        pairs = zip(self.values, [] if self.failure else reference, strict=True)
+        # One of the two is empty if a program was not solved.
+        pairs = zip(self.values, reference.values, strict=False)
         return BackendResult(
             kind=kind,
             backend=backend.name,
@@ -260,7 +230,7 @@ class _Answers:
             **{name: _largest([each[name] for each in certificates]) for name in figures},
             iterations=None if self.failure or None in iterations else sum(item or 0 for item in iterations),
             seconds=self.seconds,
-            relative_time=self.seconds / unit if self.seconds is not None and unit else None,
+            relative_time=self.seconds / reference.seconds if self.seconds and reference.seconds else None,
             tolerance=backend.tolerance,
             failure=self.failure,
             as_given=accepted.count(Acceptance.AS_GIVEN),

@@ -23,8 +23,8 @@ import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
-from cvxshear.programs import LeastSquares, Solution
-from cvxshear.util.errors import InfeasibleError, InputError
+from cvxshear.programs import LeastSquares
+from cvxshear.util.errors import InfeasibleError
 from cvxshear.util.typing import Bools, Floats
 
 RANK_TOLERANCE = 1e-12
@@ -77,8 +77,6 @@ class Canonical:
         Inequalities, bounds among them, rows of unit length.
     singular : bool
         Whether the rows and the equalities leave a direction free.
-    start : Answer, optional
-        Answer to a similar program, as a starting point for solvers that accept one.
     """
 
     C: Floats
@@ -93,7 +91,6 @@ class Canonical:
     _equality_scale: Floats
     _inequality_scale: Floats
     _independent: Bools
-    start: Answer | None = None
 
     def stated(self, scale: float = 1.0) -> LeastSquares:
         """Write this as a program, with a factor on unknowns and right sides; its objective is not halved."""
@@ -122,39 +119,7 @@ class Canonical:
 
     def keeping(self, inequalities: Bools) -> Canonical:
         """Leave out all but some of the inequalities."""
-        start = self.start
-        if start is not None:
-            start = dataclasses.replace(start, w=start.w[inequalities])
-        return dataclasses.replace(self, F=self.F[inequalities], f=self.f[inequalities], start=start)
-
-    def starting_at(self, solution: Solution | None) -> Canonical:
-        """Take a solution of a program of the same shape as the start, or none.
-
-        Raises
-        ------
-        InputError
-            If the solution belongs to a program of another shape.
-        """
-        if solution is None:
-            return self
-        y, w = solution.point.y, solution.point.w
-        if (len(solution.x), len(y), len(w)) != (len(self.q), len(self._independent), len(self.f)):
-            raise InputError(
-                f"start must be a solution of a program of {len(self.q)} unknowns, {len(self._independent)} equalities "
-                f"and {len(self.f)} inequalities, not of {len(solution.x)}, {len(y)} and {len(w)}"
-            )
-        y = y[self._independent] / (self._tau**2 * self._equality_scale)
-        w = w / (self._tau**2 * self._inequality_scale)
-        scaled = Answer(self.to_z(solution.x), y, w, solution.status, solution.iterations)
-        return dataclasses.replace(self, start=scaled)
-
-    def to_z(self, x: Floats) -> Floats:
-        """Scale the unknowns x."""
-        # Rows get unit length: otherwise their lengths differ by the same orders of magnitude as the units of the
-        # unknowns.
-        lengths = np.linalg.norm(self._inverse, axis=1)
-        # The inverse of a triangular matrix is triangular; a diagonal matrix is triangular too.
-        return np.asarray(lapack.dtrtrs(self._inverse / lengths[:, None], x / lengths)[0] / self._tau)
+        return dataclasses.replace(self, F=self.F[inequalities], f=self.f[inequalities])
 
     def to_x(self, z: Floats) -> Floats:
         """Convert scaled unknowns to their own units."""

@@ -39,7 +39,7 @@ class Kkt(Backend):
 
     name = "kkt"
 
-    def answer_all(self, problem: Canonical, start: Solution | None = None) -> Answer:
+    def answer_all(self, problem: Canonical) -> Answer:
         return self.answer(problem)
 
     def answer(self, problem: Canonical) -> Answer:
@@ -76,9 +76,9 @@ class Auto(Backend):
         """Solve by the closed form; `certified` asks the other backends, since which answer is right shows there."""
         return self._closed_form.answer(problem)
 
-    def certified(self, program: Assembled, problem: Canonical, start: Solution | None = None) -> Solution:
+    def certified(self, program: Assembled, problem: Canonical) -> Solution:
         try:
-            return self._chosen(self._closed_form.certified(program, problem, start), "no inequality is active")
+            return self._chosen(self._closed_form.certified(program, problem), "no inequality is active")
         except UnsuitableError:
             why = "an inequality is active"
         except NoSolutionError:
@@ -88,7 +88,7 @@ class Auto(Backend):
         failure: NoSolutionError | None = None
         for backend in self._singular if problem.singular else self._definite:
             try:
-                return self._chosen(backend.certified(program, problem, start), why)
+                return self._chosen(backend.certified(program, problem), why)
             except NoSolutionError as error:
                 failure = failure or error
                 why = f"{why}, and {backend.name} fails"

@@ -41,11 +41,6 @@ GRADED = 1e3
 rounding of heavy rows out of light ones (Cox and Higham 1998). Without them, 12 of 274 answers to programs with units
 from 1e-9 to 1e9 are outside their bounds (`python -m tests.studies hard_programs 216 11`)."""
 
-ENTRYWISE = 100
-"""Largest number of unknowns with a bound entry by entry. For more, the Cauchy-Schwarz inequality gives a larger bound
-from lengths of rows, in four fifths of the time at 300 unknowns. With it for all, 33 of 273 answers to programs with
-soft priors of 1e-12 to 1e-4 are refused (the same study)."""
-
 EPSILON = float(np.finfo(float).eps)
 """Distance of 1 to the next floating-point number."""
 
@@ -222,10 +217,7 @@ def _minimizer_on(program: Assembled, x: Floats, active: Bools) -> tuple[Minimiz
     z = np.abs(program.lengths * x)
     terms = program.absolute_rows @ z + np.abs(program.s)
     f, g = _unit(n) * terms, _unit(r) * (program.absolute_rows.T @ np.abs(residual))
-    if n <= ENTRYWISE:
-        errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
-    else:
-        errors = reach * (length(f) + reach @ g)
+    errors = np.abs(directions @ (scaled @ directions).T) @ f + np.abs(directions @ directions.T) @ g
     particular, off = np.zeros((n, 0)), np.zeros(0)
     if len(basis.B):
         pseudoinverse = basis.onto(np.eye(len(basis.B)))

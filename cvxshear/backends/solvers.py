@@ -170,8 +170,6 @@ class Qpsolvers(CalledSolver):
 
         if self.name == "highs":
             _hear_version_of_highs()
-        # Solvers without support for a starting point ignore the start.
-        start = None if problem.start is None else self.scale * problem.start.z
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
@@ -179,7 +177,7 @@ class Qpsolvers(CalledSolver):
                 # measures it. Some solvers take sparse matrices, and qpsolvers warns that it converts them.
                 warnings.simplefilter("ignore")
                 stated = problem.stated(self.scale).to_qpsolvers()
-                found = qpsolvers.solve_problem(stated, self.name, initvals=start, **self.options)
+                found = qpsolvers.solve_problem(stated, self.name, **self.options)
         except (qpsolvers.QPError, ValueError, ArithmeticError) as error:
             raise NoSolutionError(self.name, str(error) or type(error).__name__) from error
         status = _status(found)

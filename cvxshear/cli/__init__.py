@@ -9,7 +9,6 @@ import typer
 from cvxshear.cli import frames, modes_and_check, studies
 from cvxshear.cli.options import documented
 from cvxshear.cli.output import OutputError, lost, present, silence, sound_streams, typed, used
-from cvxshear.io.formats import streams_read_once
 from cvxshear.util.errors import CvxshearError, InputError, LostProcessError, NoSolutionError
 
 STATUSES = (
@@ -80,7 +79,7 @@ def main(arguments: list[str] | None = None) -> None:
     used.clear()
     typed[:] = sys.argv[1:] if arguments is None else arguments
     try:
-        with sound_streams(), streams_read_once():
+        with sound_streams():
             # The check comes first: numpy and matplotlib also read SOURCE_DATE_EPOCH at import.
             present()
             try:

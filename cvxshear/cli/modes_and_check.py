@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.options import LIST, File, JsonOut, ReportOut, ResultOptions, TomlOut, input_files, writes
+from cvxshear.cli.options import LIST, File, JsonOut, ReportOut, ResultOptions, TomlOut, input_files
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
@@ -109,7 +109,6 @@ def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
 def modes(
     records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=input_files)],
     output: TomlOut = None,
-    uff: Annotated[str | None, writes("--uff", metavar="UFF", endings=(".uff", ".unv", ".u55"))] = None,
     method: str | None = None,
     count: int | None = None,
     pick: str | None = None,
@@ -131,8 +130,6 @@ def modes(
         Record files (TOML), or patterns such as 'day-1/*.toml'.
     output
         Write a measurement file here, a configuration each.
-    uff
-        Write the modes as a universal file here.
     method
         era, subspace or ssi; default: the one that suits the record.
     count
@@ -145,7 +142,6 @@ def modes(
         Processes that identify records; -1 takes every core.
     """
     from cvxshear.io.modes import identify_modes_many, write_merged
-    from cvxshear.io.uff import write_uff
     from cvxshear.records import ModalResult
     from cvxshear.report.describe.from_records import poles_table
 
@@ -160,8 +156,6 @@ def modes(
         "accept_swapped": accept_swapped,
         "pick": None if pick == LIST else numbers(pick, "--pick"),
     }
-    if uff is not None and len(sources) > 1:
-        raise InputError("--uff holds the modes of one record; identify the records one by one for it")
     with progress("identifying modes", outputs.quiet) as advance:
         found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
     errors = [error for error in found if isinstance(error, CvxshearError)]
@@ -172,8 +166,6 @@ def modes(
         files = files_of(*results)
         if output is not None:
             files.append(lambda: write_merged(output, tests))
-        if uff is not None:
-            files.append(lambda: write_uff(uff, results[0]))
         if report is not None:
             page = partial(render_modes, results, as_typed(), [str(error) for error in errors])
             files.append(lambda: write_file(report, page()))

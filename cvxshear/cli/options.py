@@ -88,7 +88,7 @@ def input_files(context: typer.Context, files: Any) -> Any:
 
     for file in [files] if isinstance(files, str) else files:
         used.append(file)
-        # A pipe can be read only once, and the command itself reports a missing file. Both are skipped here.
+        # The command itself reports a missing file, a device or a pipe.
         context.meta[READ] = (*context.meta.get(READ, ()), *(files_of(file) if Path(file).is_file() else ()))
     _refuse_overlap(context.meta.get(WRITTEN, ()), context.meta.get(READ, ()))
     return files

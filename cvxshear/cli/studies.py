@@ -36,9 +36,8 @@ Samples = Annotated[int, typer.Option(min=2)]
 def plan(
     file: File,
     sensors: int | None = None,
-    tests: str = "1",
+    tests: int = 1,
     added_mass: str | None = None,
-    added_mass_total: float | None = None,
     modes: str | None = None,
     frequency_std: float | None = None,
     mode_shape_std: float | None = None,
@@ -47,11 +46,8 @@ def plan(
     damping: float | None = None,
     sensor_noise: float | None = None,
     goal: str = "all",
-    criterion: str | None = None,
-    backend: str = "clarabel",
+    criterion: str = "D",
     fresh: bool = False,
-    loop: bool = False,
-    configuration: str | None = None,
     output: TomlOut = None,
     units: UnitsOption = None,
     *,
@@ -59,20 +55,18 @@ def plan(
 ) -> None:
     """Choose the floors to measure and the masses to add, before a test.
 
-    Example: cvxshear plan paper --fresh --tests 2 --added-mass 41 --goal gravity
+    Example: cvxshear plan paper --fresh --tests 2 --added-mass 41
 
     Parameters
     ----------
     file
-        Design values (a frame and nominal priors in TOML), a measurement file, a result's JSON, or 'paper'.
+        Design values (a frame and nominal priors in TOML), a measurement file, or 'paper'.
     sensors
         How many floors can be measured; default: all.
     tests
-        How many tests, or 'declared' for the tests of FILE.
+        How many tests.
     added_mass
         kg that each floor can carry: one number, or one a floor with commas between.
-    added_mass_total
-        kg that one test can carry in all.
     modes
         How many of the lowest modes will be identified, or which: 1,2,4.
     frequency_std
@@ -88,17 +82,11 @@ def plan(
     sensor_noise
         Noise of a channel over its standard deviation; with --duration.
     goal
-        masses, stiffnesses, all, or effects to distinguish: gravity,ground_spring@4=2000 (floor, size).
+        masses, stiffnesses or all.
     criterion
-        D (where the plan is for the frame), A, E or worst (where it is for effects).
-    backend
-        clarabel or scs.
+        D, A or E: geometric mean, root mean square, or worst combination.
     fresh
         Count nothing that FILE measured as known.
-    loop
-        Plan for the frame with the effects that the loop finds in FILE.
-    configuration
-        Test or state of FILE to be tested; default: the first configuration.
     output
         Write a measurement file to fill in.
     """
@@ -112,13 +100,10 @@ def plan(
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
     measured = measurement_of(file)
     doubts = None if measured is None else refuse_mistakes(measured)
-    count = int(tests) if tests.strip().lstrip("-").isdigit() else tests
     with progress("planning", outputs.quiet):
         result = run(
-            measured or file, sensors, count, modes=_one_or_many(wanted), noise=noise,
-            added_mass=_one_or_many(masses),
-            added_mass_total=added_mass_total, goal=goal, criterion=criterion, fresh=fresh, loop=loop,
-            configuration=configuration, backend=backend,
+            measured or file, sensors, tests, modes=_one_or_many(wanted), noise=noise,
+            added_mass=_one_or_many(masses), goal=goal, criterion=criterion, fresh=fresh,
         )  # fmt: skip
     files = files_of(result)
     if output is not None:

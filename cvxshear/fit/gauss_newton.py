@@ -15,7 +15,7 @@ from typing import Generic
 
 import numpy as np
 
-from cvxshear.backends import Backend, Solution
+from cvxshear.backends import Backend
 from cvxshear.fit.domain import Domain
 from cvxshear.fit.optimality import (
     KEPT_TO,
@@ -237,10 +237,9 @@ def _descended(
     theta, evaluations = feasible, 1
     damping, flat, failures = StepDamping(accuracy), 0, 0
     refused: NoSolutionError | None = None
-    solution: Solution | None = None
     for step in range(1, accuracy.most_steps + 1):
         try:
-            solution = backend.solve(step_program(at, theta, domain, damping.weight), solution)
+            solution = backend.solve(step_program(at, theta, domain, damping.weight))
         except NoSolutionError as error:
             # Damping improves the condition of the program.
             failures += 1

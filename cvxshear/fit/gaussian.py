@@ -326,35 +326,3 @@ def separation(differences: Floats, uncertain: Floats) -> Floats:
     left = np.concatenate([differences, np.zeros((q, differences.shape[1]))])
     left = left - basis @ (basis.T @ left)
     return np.asarray(left.T @ left, dtype=np.float64)
-
-
-def log_evidence_of_one(information: float, y: Floats, mean: float, std: float, side: int = 0) -> Floats:
-    """Compute the log evidence ratio of the models with and without an effect of one parameter.
-
-    With a normal prior of the effect's value x about `mean`, and data y with var(y) = G,
-
-        (1 + s^2 G)^(-1/2) exp(m^2 / (2 v) - mean^2 / (2 s^2)),  v = 1 / (G + 1 / s^2),  m = v (y + mean / s^2),
-
-    times 2 Phi(m / sqrt(v)) if physics allows values on one side of zero only. The linear model is y = G x + e, with
-    var(e) = G, where Laplace's approximation is exact.
-
-    Parameters
-    ----------
-    information : float
-        G, about the effect's value, with the frame marginalized.
-    y : ndarray
-        G x + e.
-    mean, std : float
-        Prior of the effect's value.
-    side : int, optional
-        1 or -1 if the value can only be on that side of zero, else 0.
-
-    Returns
-    -------
-    ndarray
-        Log evidence ratios, in the shape of y.
-    """
-    v = 1 / (information + 1 / std**2)
-    m = v * (y + mean / std**2)
-    found: Floats = m**2 / (2 * v) - mean**2 / (2 * std**2) - np.log1p(std**2 * information) / 2
-    return found if side == 0 else found + np.log(2) + special.log_ndtr(side * m / np.sqrt(v))

@@ -55,7 +55,7 @@ def two_stage(
     solution: Solution | None = None
     reason = Ending.ITERATION_LIMIT
     while reason is Ending.ITERATION_LIMIT and len(history) <= MOST_ITERATIONS:
-        solution = backend.solve(test.mass_correction(history[-1]), solution)
+        solution = backend.solve(test.mass_correction(history[-1]))
         history.append(history[-1] + solution.x)
         if np.max(np.abs(solution.x)) < tolerance * np.max(np.abs(history[-1] + added)):
             reason = Ending.CORRECTION
@@ -178,7 +178,7 @@ def _solved(
     rounds, settled = 1, False
     while not settled and rounds <= MOST_ROUNDS:
         before, rounds = solution.x, rounds + 1
-        solution = backend.solve(program(at=before), solution)
+        solution = backend.solve(program(at=before))
         settled = bool(np.max(np.abs(solution.x - before)) <= UNCHANGED * np.max(np.abs(solution.x)))
     return solution, rounds
 

@@ -1,9 +1,11 @@
-"""Reader of delimited text from loggers, spreadsheets and other programs.
+"""Tables of named columns, and the reader of delimited text from loggers, spreadsheets and other programs.
 
 Before the line that names the columns there may be a preamble, after it a line of units; cells are separated by
 semicolons, tabs, commas or blanks; a decimal comma is understood where no comma separates. Stamps of time, with or
 without a date, become seconds since the first; a column of dates alone is left out.
 """
+
+from __future__ import annotations
 
 import csv
 import gzip
@@ -13,17 +15,92 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
-from cvxshear.io.columns import Columns
 from cvxshear.io.formats import LIMIT, MEGABYTE, TOO_LARGE, read_bytes
-from cvxshear.util.checks import shown
+from cvxshear.util import checks
 from cvxshear.util.errors import InputError
+from cvxshear.util.typing import Floats, Ints
+
+FEWEST_ROWS = 32
+"""Fewest samples of a record."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of equal length.
+
+    Parameters
+    ----------
+    source : str
+        The file, for messages.
+    names : tuple of str
+    values : array, shape (rows, columns)
+    lines : array of int, shape (rows,), optional
+        The line of the file that each row stands on; None for a binary file.
+    units : tuple of str, optional
+        Unit of each column, from a line of units; empty without such a line.
+    stated_rate : tuple of (str, float), optional
+        A lone number of the file that gives the sampling rate: its name, and the rate in Hz.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    values: Floats
+    lines: Ints | None = None
+    units: tuple[str, ...] = ()
+    stated_rate: tuple[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.values) < FEWEST_ROWS:
+            raise InputError(f"{self.source} holds {len(self.values)} samples; at least {FEWEST_ROWS} are needed")
+        seen: set[str] = set()
+        for name in self.names:
+            if name in seen:
+                raise InputError(f'{self.source} has two columns named "{name}"')
+            seen.add(name)
+
+    def at(self, row: int) -> str:
+        """Name the place of a row for a message: its line or its sample."""
+        if self.lines is None:
+            return f"{self.source}, sample {row + 1}"
+        return f"{self.source}, line {int(self.lines[row])}"
+
+    def rows(self, which: slice) -> Columns:
+        """Keep some of the rows."""
+        lines = None if self.lines is None else self.lines[which]
+        return replace(self, values=self.values[which], lines=lines)
+
+    def check(self, name: str, asked: str) -> None:
+        """Raise `InputError` if there is no such column; `asked` names the user of the column."""
+        if name not in self.names:
+            shown = ", ".join(each[:60] for each in self.names[:12]) + (", ..." if len(self.names) > 12 else "")
+            raise InputError(f'{asked}: {self.source} has no column "{name[:60]}"; it has {shown}')
+
+    def column(self, name: str, asked: str) -> Floats:
+        """Return the values of a column after a check that they are finite, shape (rows,).
+
+        Parameters
+        ----------
+        name : str
+        asked : str
+            The user of the column, for messages.
+        """
+        self.check(name, asked)
+        values = self.values[:, self.names.index(name)]
+        bad = np.flatnonzero(~(np.abs(values) <= checks.LARGEST))
+        if bad.size:
+            raise InputError(
+                f'{self.at(int(bad[0]))}: channel "{name}" holds {values[bad[0]]} ({bad.size} such values in '
+                "all); mend the record or cut it before that line"
+            )
+        return checks.frozen(values.copy())
+
 
 SEPARATORS = (";", "\t", ",", None)
 """Separators of cells, in the order of the search; None means blanks."""
@@ -244,7 +321,7 @@ def _cell(cell: str, where: str, name: str, *, table: bool) -> float:
             return math.nan
     if not table:
         raise InputError(f"{where}: what follows the line of names is no line of numbers; is this a table?")
-    raise InputError(f'{where}: channel "{name}" holds {shown(cell)}, which is not a number')
+    raise InputError(f'{where}: channel "{name}" holds {checks.shown(cell)}, which is not a number')
 
 
 def _seconds(stamp: re.Match[str], where: str) -> float:
@@ -262,7 +339,7 @@ def _seconds(stamp: re.Match[str], where: str) -> float:
         if hour > 23 or minute > 59 or second >= 61:
             raise ValueError(stamp[0])
     except ValueError:
-        raise InputError(f"{where} holds {shown(stamp[0])}, which is no date or time") from None
+        raise InputError(f"{where} holds {checks.shown(stamp[0])}, which is no date or time") from None
     return day + 3600.0 * hour + 60.0 * minute + second
 
 

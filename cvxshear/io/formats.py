@@ -8,19 +8,14 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from cvxshear.util.errors import CvxshearError, InputError, printable
 from cvxshear.util.quantities import listed
-
-if TYPE_CHECKING:
-    from cvxshear.io.columns import Columns
 
 logger = logging.getLogger(__name__)
 
@@ -32,49 +27,31 @@ LIMIT = 100_000_000
 """Default limit on the size of a record's file, bytes."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 
-_read_before: ContextVar[dict[str, bytes] | None] = ContextVar("read_before", default=None)
-"""Content of pipes and devices by name, kept while one command runs."""
 
-
-@contextmanager
-def streams_read_once() -> Iterator[None]:
-    """Keep the content of pipes in this context, so that a second reading returns the same and does not wait."""
-    token = _read_before.set({})
-    try:
-        yield
-    finally:
-        _read_before.reset(token)
-
-
-def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", named: bool = False) -> bytes:
+def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "") -> bytes:
     """Read the content of a file.
 
     Parameters
     ----------
     path : Path
     largest : float
-        Bytes; the limit holds for pipes and devices, too.
+        Bytes.
     remedy : str
         End of the message about a larger file.
     absent : str, optional
         Addition to the message if the file does not exist.
-    named : bool, optional
-        Whether the file will be opened again by its name. A pipe is then refused: it can be read once.
 
     Raises
     ------
     InputError
-        If the file cannot be read or is larger.
+        If the file cannot be read or is larger, or is a device or a pipe, which can be read once only.
     """
     where = str(path)
     try:
         if path.is_dir():
             raise InputError(f"{where} is a folder; name a file in it")
-        if named and path.exists() and not path.is_file():
+        if path.exists() and not path.is_file():
             raise InputError(f"{where} is a device or a pipe; save what it gives in a file")
-        kept = None if path.is_file() else _read_before.get()
-        if kept is not None and where in kept:
-            return kept[where]
         with path.open("rb") as file:
             content = file.read(int(largest) + 1)
     except FileNotFoundError:
@@ -87,8 +64,6 @@ def read_bytes(path: Path, largest: float, remedy: str, *, absent: str = "", nam
         raise InputError(f"{str(path)!r} cannot be the name of a file: {error}") from None
     if len(content) > largest:
         raise InputError(f"{where} has more than {largest / MEGABYTE:g} MB; {remedy}")
-    if kept is not None:
-        kept[where] = content
     logger.info("read %s, %d bytes", printable(where), len(content))
     return content
 
@@ -99,7 +74,7 @@ def named_after(path: str | Path) -> str:
     return stem if stem.strip() else "unnamed"
 
 
-ColumnReader = Callable[[Path, float], "Columns"]
+ColumnReader = Callable[[Path, float], Any]
 ModeReader = Callable[[str | Path], dict[str, Any]]
 
 ANY_TEXT = (".txt", ".dat", ".asc")
@@ -131,9 +106,9 @@ class Format:
     columns: ColumnReader | str | None = None
     modes: ModeReader | str | None = None
 
-    def read_columns(self, path: Path, limit: float) -> Columns:
-        """Read the columns of such a file."""
-        return cast("Columns", self._read(self.columns, path, limit))
+    def read_columns(self, path: Path, limit: float) -> Any:
+        """Read the `Columns` of such a file."""
+        return self._read(self.columns, path, limit)
 
     def read_modes(self, path: str | Path) -> dict[str, Any]:
         """Read the keys of a table [[configuration]] that such a file holds."""
@@ -159,13 +134,13 @@ HERE = "cvxshear.io"
 
 FORMATS: list[Format] = [
     Format("csv", (".csv", ".txt", ".dat", ".tsv", ".asc"), "delimited text", f"{HERE}.csv:read_csv",
-           f"{HERE}.mode_tables:read_mode_csv"),
+           f"{HERE}.spreadsheets:read_mode_csv"),
     Format("gz", (".csv.gz", ".txt.gz", ".tsv.gz"), "delimited text compressed by gzip", f"{HERE}.csv:read_csv"),
-    Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.mode_tables:read_mode_xlsx"),
-    Format("mat", (".mat",), "a MAT file", f"{HERE}.mat:read_mat"),
-    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.mat:read_npz"),
-    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.uff:read_uff",
-           f"{HERE}.uff:read_mode_uff"),
+    Format("xlsx", (".xlsx",), "a workbook", f"{HERE}.spreadsheets:read_xlsx", f"{HERE}.spreadsheets:read_mode_xlsx"),
+    Format("mat", (".mat",), "a MAT file", f"{HERE}.arrays:read_mat"),
+    Format("npz", (".npz", ".npy"), "arrays of NumPy", f"{HERE}.arrays:read_npz"),
+    Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.arrays:read_uff",
+           f"{HERE}.arrays:read_mode_uff"),
 ]  # fmt: skip
 """Every kind of file that is read, in the order in which messages and help list them."""
 
@@ -202,8 +177,8 @@ def endings_of(reader: str) -> str:
     return listed([each.endings[0] for each in FORMATS if getattr(each, reader) is not None], "or")
 
 
-def read_columns(path: Path, limit: float) -> Columns:
-    """Read the columns of a file of samples; a file with an unknown ending is read as delimited text.
+def read_columns(path: Path, limit: float) -> Any:
+    """Read the `Columns` of a file of samples; a file with an unknown ending is read as delimited text.
 
     Raises
     ------

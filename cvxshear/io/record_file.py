@@ -8,7 +8,7 @@ has them all.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -16,22 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.io.columns import Columns
+from cvxshear.io import record_tables
+from cvxshear.io.csv import Columns
 from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns
-from cvxshear.io.record_tables import (
-    ChannelDeclaration,
-    channels_of,
-    driver_of,
-    pieces_of,
-    placed,
-    runs_of,
-    since_first,
-    tables_of,
-)
+from cvxshear.io.record_tables import ChannelDeclaration
 from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord, finding
+from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
@@ -45,10 +37,6 @@ HEADER = re.compile(r"^[ \t]*\[record\][ \t]*(#.*)?\n", re.MULTILINE)
 PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
 """Patterns of the header of the record's table, and of the line of poles picked by hand."""
 
-OFF_CENTER = 50.0
-"""Largest usual distance of a sensor from the center of its floor, m; few halls are wider than twice this."""
-SLENDER = 20.0
-"""The same distance in story heights: 60 m in a building, 8 m in a frame of a laboratory."""
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
 
@@ -109,7 +97,7 @@ def read_record(path: str | Path) -> RecordFile:
     if not isinstance(frame, Mapping) or not in_tables:
         raise InputError(f"{path}: frame must be a table [frame], prior a list of tables [[prior]]")
     notes: list[Finding] = []
-    with placed(path):
+    with record_tables.placed(path):
         record = _frf_record(tables) if tables.kind == "frf" else _time_record(tables, notes)
     files = (path, *(path.parent / run["file"] for run in tables.runs))
     picked = tables.declared.get("pick")
@@ -173,17 +161,17 @@ class RecordTables:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.table, lines = tables_of(path)
-        with placed(path):
+        self.table, lines = record_tables.tables_of(path)
+        with record_tables.placed(path):
             self.declared = declared = checks.keys(self.table["record"], RECORD_KEYS, [], "record")
             self.kind = checks.choice(declared.get("kind", "time"), ("time", "frf"), "record: kind")
             for key in ("time", "frequency", "axis"):
                 if key in declared:
                     checks.text(declared[key], f"record: {key}")
-            self.channels = channels_of(self.table["channel"], declared, path, lines)
+            self.channels = record_tables.channels_of(self.table["channel"], declared, path, lines)
             self.input = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
             self.name = checks.text(declared.get("name", named_after(path)), "record: name")
-            self.runs = runs_of(self.table, declared)
+            self.runs = record_tables.runs_of(self.table, declared)
             state = self.table.get("state")
             self.state = None if state is None else checks.text(state, "state")
         added = self.table.get("added_mass")
@@ -192,7 +180,7 @@ class RecordTables:
     @property
     def driver(self) -> ChannelDeclaration | None:
         """The channel of the excitation."""
-        return driver_of(self.channels, self.input)
+        return record_tables.driver_of(self.channels, self.input)
 
     @property
     def responses(self) -> list[ChannelDeclaration]:
@@ -203,9 +191,10 @@ class RecordTables:
     def columns(self, run: Mapping[str, Any]) -> Columns:
         """Read the columns of a run's file."""
         limit = self.declared.get("size_limit", LIMIT / MEGABYTE)
-        return read_columns(
+        found: Columns = read_columns(
             self.path.parent / run["file"], MEGABYTE * checks.number(limit, "record: size_limit (MB)", above=0.0)
         )
+        return found
 
     def floor(self, place: int, otherwise: int | None = None) -> int:
         """Find the floor of the force of a run; runs are counted from 1."""
@@ -232,7 +221,7 @@ class RecordTables:
             columns = self.columns(run)
             name = str(run.get("name", Path(run["file"]).name))
             floor = 0 if driver is None or self.input != "force" else self.floor(place, driver.floor or None)
-            stretches, rate, left_out = pieces_of(columns, needed, self.declared, run, self.path)
+            stretches, rate, left_out = record_tables.pieces_of(columns, needed, self.declared, run, self.path)
             rates.append((rate, columns.source))
             if abs(rate - rates[0][0]) > 1e-3 * rates[0][0]:
                 raise InputError(
@@ -246,7 +235,7 @@ class RecordTables:
                     excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
                 called = name if len(stretches) == 1 else f"{name}, piece {number}"
                 whole = rows == slice(0, len(columns.values))
-                clock = None if whole else since_first(columns, self.declared)
+                clock = None if whole else record_tables.since_first(columns, self.declared)
                 span = (None, None) if clock is None else (round(clock[rows.start], 9), round(clock[rows.stop - 1], 9))
                 found.append(Piece(place, name, called, part, excitation, floor, span, left_out if number == 1 else ""))
         return found, rates[0][0]
@@ -307,24 +296,12 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
             notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
     if not responses:
         raise InputError("no channel is on a floor above the ground")
-    notes.extend(_far_off(responses, tables.table.get("frame", {}).get("story_heights")))
     runs = []
     for each in pieces:
         table = [item.factor * each.columns.column(item.name, item.place or tables.path.name) for item in responses]
         runs.append(Run(np.column_stack(table), each.excitation, each.floor, each.name, *each.span))
     common = {**_common(tables), **({"quantity": quantities.pop()} if quantities else {})}
     return TimeRecord(tuple(responses), **common, runs=tuple(runs), sampling_rate=rate, input=tables.input)
-
-
-def _far_off(channels: Sequence[ChannelDeclaration], heights: object) -> Iterator[Finding]:
-    """Report sensors whose declared distance from the center of their floor exceeds the width of frames."""
-    known = [each for each in (heights if isinstance(heights, list) else [heights]) if isinstance(each, int | float)]
-    limit = min(OFF_CENTER, SLENDER * max(known, default=np.inf))
-    for channel in channels:
-        off = 0.0 if channel.position is None else float(np.hypot(*channel.position))
-        if off > limit:
-            beyond = f"in a frame with stories of {max(known):g} m" if known else "farther than in most halls"
-            yield finding("position", {"channel": channel.name, "off": off}, where=channel, beyond=beyond)
 
 
 def _frf_record(tables: RecordTables) -> FrfRecord:
@@ -374,7 +351,7 @@ def read_motion(path: str | Path) -> DrivenRecord:
         The same errors as in `read_record`, and a record without an excitation.
     """
     tables = RecordTables(Path(path))
-    with placed(tables.path):
+    with record_tables.placed(tables.path):
         driver = tables.driver if tables.kind == "time" else None
         if driver is not None and not tables.responses:
             pieces, rate = tables.pieces([driver])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cvxshear.io.columns import Columns
+from cvxshear.io.csv import Columns
 from cvxshear.io.formats import refuse_data
 from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES

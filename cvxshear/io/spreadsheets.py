@@ -1,4 +1,13 @@
-"""Tables of spreadsheet programs: workbooks are read here, and cells written, as CSV or as a workbook."""
+"""Tables of spreadsheet programs: cells are written as CSV or as a workbook, workbooks and tables of modes are read.
+
+A table of modes, in place of lists in a measurement file, has one row a mode and a header that names its columns:
+
+    mode; frequency, Hz; damping; frequency std, Hz; floor 1; floor 2; floor 3; floor 1 std; ...
+
+Deviations without a unit are relative: "frequency std" to the frequency, "floor 1 std" to the mode's largest entry.
+Only the frequency and one floor at least must be there; an empty cell of a shape is an entry that was not measured.
+Shapes that carry the scale say so by their unit, "floor 1, 1/sqrt(kg)".
+"""
 
 import io
 import math
@@ -9,13 +18,17 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from cvxshear.io.columns import Columns
-from cvxshear.io.csv import columns_of
-from cvxshear.io.formats import TOO_LARGE, read_bytes
+import numpy as np
+
+from cvxshear.io.csv import Columns, columns_of, read_rows
+from cvxshear.io.formats import LARGEST_FILE, TOO_LARGE, read_bytes
+from cvxshear.util import checks
 from cvxshear.util.errors import InputError, optional, printable
+from cvxshear.util.typing import Json
 from cvxshear.util.writing import cell_text, write_file
 
 Cell = str | float | int | None
+Rows = list[tuple[int, list[Cell]]]
 
 LONGEST_TITLE = 31
 """Largest length of the title of a sheet, letters (Excel)."""
@@ -28,6 +41,16 @@ WIDEST = 28
 
 RESERVED = "history"
 """Title that Excel reserves."""
+
+TOO_LARGE_TABLE = "too many for a table of modes; is it a record?"
+ABSOLUTE = "frequency_std, Hz"
+"""Key of deviations in Hz; those of a configuration are relative to the frequencies."""
+COLUMNS = {
+    "mode": "modes", "frequency": "frequencies", "frequency hz": "frequencies", "f": "frequencies",
+    "f hz": "frequencies", "frequency std": "frequency_std", "frequency std hz": ABSOLUTE, "damping": "damping_ratios",
+    "damping ratio": "damping_ratios",
+}  # fmt: skip
+"""Header texts, in lower case without punctuation, and the keys of a configuration that they fill."""
 
 
 @dataclass(frozen=True)
@@ -189,3 +212,130 @@ def _csv_cell(cell: Cell) -> str:
     if plain != plain.strip() or any(mark in plain for mark in ',;\t"'):
         return '"' + plain.replace('"', '""') + '"'
     return plain
+
+
+def read_mode_csv(path: str | Path) -> Json:
+    """Read the modes of a table in a CSV file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Cells are separated by semicolons, tabs or commas: the first of these that the header has. With another
+        separator than a comma, numbers may have a decimal comma. Lines that begin with # are comments.
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]].
+
+    Raises
+    ------
+    InputError
+        The message names the file, the line and the column.
+    """
+    rows: Rows = [(number, list(cells)) for number, cells in read_rows(path, LARGEST_FILE, TOO_LARGE_TABLE)]
+    return _modes_of(rows, str(path))
+
+
+def read_mode_xlsx(path: str | Path) -> Json:
+    """Read the modes of a table on the first sheet of a workbook.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]].
+
+    Raises
+    ------
+    InputError
+        The message names the file, the row and the column. Also if openpyxl (the extra `xlsx`) is not installed.
+    """
+    rows: Rows = list(read_xlsx_rows(path, LARGEST_FILE, TOO_LARGE_TABLE))
+    return _modes_of(rows, str(path))
+
+
+def _modes_of(rows: Rows, source: str) -> Json:
+    """Return the keys of a configuration that a table's rows hold, the header first."""
+    if len(rows) < 2:
+        raise InputError(f"{source} holds no modes: a header that names the columns, and a row a mode, are needed")
+    header = [str(cell or "") for cell in rows[0][1]]
+    places, entries, stds, scaled = _columns(header, source)
+    floors = sorted(entries)
+    values = np.array([_numbers(row, number, header, source) for number, row in rows[1:]])
+    shapes = values[:, [entries[floor] for floor in floors]]
+    result: Json = {"measured_floors": floors, "mode_shapes": shapes.tolist()}
+    if scaled["entry"]:
+        result["mass_normalized"] = True
+    if stds:
+        lacking = sorted(set(entries) - set(stds))
+        if lacking:
+            raise InputError(f"{source} has no std for floor {lacking[0]}, and one for others; give each one, or none")
+        largest = np.nanmax(np.abs(shapes), axis=1, keepdims=True) if scaled["std"] else 1.0
+        result["mode_shape_std"] = (values[:, [stds[floor] for floor in floors]] / largest).tolist()
+    for key, place in places.items():
+        column = values[:, place]
+        missing = np.flatnonzero(np.isnan(column))
+        # A mode does not need a damping ratio.
+        if missing.size and (key != "damping_ratios" or missing.size == len(column)):
+            raise InputError(f'{source}, line {rows[1 + missing[0]][0]}: column "{header[place]}" is empty')
+        result[key] = column.astype(int).tolist() if key == "modes" else column.tolist()
+    if ABSOLUTE in result:
+        result["frequency_std"] = (np.array(result.pop(ABSOLUTE)) / result["frequencies"]).tolist()
+    return result
+
+
+def _columns(
+    header: Sequence[str], source: str
+) -> tuple[dict[str, int], dict[int, int], dict[int, int], dict[str, bool]]:
+    """Find the places of the columns: by key of a configuration, of the entries by floor, of their deviations by floor.
+
+    The last result says whether the entries and their deviations have the unit 1/sqrt(kg). Deviations without a unit
+    are relative to the mode's largest entry.
+    """
+    keys: dict[str, int] = {}
+    entries: dict[int, int] = {}
+    stds: dict[int, int] = {}
+    units: dict[str, set[bool]] = {"entry": set(), "std": set()}
+    for place, name in enumerate(header):
+        plain = " ".join(re.sub(r"[^a-z0-9%]+", " ", name.lower()).split())
+        floor = re.fullmatch(r"floor ?(\d+)( std)?( 1 (?:sqrt )?kg)?", plain)
+        several: dict[Any, int] = keys if floor is None else stds if floor[2] else entries
+        key = COLUMNS.get(plain) if floor is None else int(floor[1])
+        if key is None:
+            # Do not quote a file that is not a table of modes: the user may have named the wrong file.
+            shown = f'column "{name[:60]}"' if keys or entries else f"column {place + 1}"
+            raise InputError(
+                f"{source}: {shown} is not one of a table of modes: mode, frequency, frequency std, damping, "
+                "floor 1, floor 1 std, floor 2, ..."
+            )
+        if key in several:
+            raise InputError(f'{source}: the column "{name}" is there twice')
+        several[key] = place
+        if floor is not None:
+            units["std" if floor[2] else "entry"].add(floor[3] is not None)
+    if "frequencies" not in keys or not entries:
+        raise InputError(f'{source} needs a column "frequency" and one "floor 1", "floor 2", ... a measured floor')
+    if any(len(each) > 1 for each in units.values()):
+        raise InputError(f"{source}: some floors are in 1/sqrt(kg), others have no unit; give all of them the same")
+    return keys, entries, stds, {what: True in each for what, each in units.items()}
+
+
+def _numbers(row: Sequence[Cell], line: int, header: Sequence[str], source: str) -> list[float]:
+    """Read a row's numbers; nan where a cell is empty, or missing at the end of the row."""
+    if any(cell not in (None, "") for cell in row[len(header) :]):
+        raise InputError(f"{source}, line {line} has more cells than the header has columns, {len(header)}")
+    found = [math.nan] * len(header)
+    for place, (cell, name) in enumerate(zip(row, header, strict=False)):
+        if cell is not None and str(cell).strip():
+            try:
+                found[place] = float(cell)
+            except (TypeError, ValueError):
+                said = checks.shown(cell)
+                raise InputError(
+                    f'{source}, line {line}: column "{name}" holds {said}, which is not a number'
+                ) from None
+    return found

@@ -11,14 +11,12 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
-from cvxshear.io.columns import Columns
-from cvxshear.io.csv import preamble_of
+from cvxshear.io.csv import Columns, preamble_of
 from cvxshear.io.formats import LIMIT, format_of, named_after, read_columns, read_modes_of
 from cvxshear.io.record_file import FREQUENCY_NAMES
 from cvxshear.records.data_frames import TIME_UNITS, UNEVEN_STEP, sampling_rate_of
@@ -137,15 +135,12 @@ def _listed(values: Floats | np.ndarray, shown: str) -> str:
 
 
 _WORDS = tomllib.loads(blank_text("words.toml"))
-(
-    TIME, GROUND, FORCE, ROOF, NO_MOTION, BASEMENT, AXIS, BRACKETED, ENDING, RATE, HIT_FLOOR, RELEASE,
-) = (re.compile(pattern, re.IGNORECASE) for pattern in _WORDS["name"].values())  # fmt: skip
+TIME, GROUND, FORCE, ROOF, NO_MOTION, AXIS, BRACKETED, ENDING, RATE = (
+    re.compile(pattern, re.IGNORECASE) for pattern in _WORDS["name"].values()
+)
 """Patterns of columns, units and sampling rates in a preamble; comments in the file explain each, in this order."""
 
 NUMBER = re.compile(r"\d+")
-
-ASCENDING = 0.99
-"""Least share of steps that are not negative in a column of time; a few cells may be damaged."""
 
 
 @dataclass(frozen=True)
@@ -187,12 +182,12 @@ def time_column(columns: Columns) -> str | None:
     for name, steps in sorted(
         steps_of.items(), key=lambda each: (each[0] not in called, -np.count_nonzero(each[1] > 0))
     ):
-        if steps.size == 0 or np.mean(steps >= 0) < ASCENDING:
-            continue
-        usual = np.median(steps)
+        usual = np.median(steps) if steps.size else 0.0
+        if name in called:
+            if steps.sum() > 0:
+                return name
         # Steps of 1 count the samples.
-        even = np.mean(np.abs(steps - usual) < UNEVEN_STEP * usual) > ASCENDING
-        if name in called or (usual > 0 and usual != 1.0 and even):
+        elif usual > 0 and usual != 1.0 and np.median(np.abs(steps - usual)) < UNEVEN_STEP * usual:
             return name
     return None
 
@@ -234,7 +229,7 @@ def guesses_of(columns: Columns, names: Sequence[str]) -> list[Guess]:
         known = unit in CHANNEL_UNITS
         bare = ENDING.sub("", BRACKETED.sub("", name))
         force = bool(FORCE.search(bare)) or (known and CHANNEL_UNITS[unit][0] == "force")
-        ground = not force and bool(GROUND.search(bare.replace("_", " ")) or BASEMENT.search(bare))
+        ground = not force and bool(GROUND.search(bare.replace("_", " ")))
         number, axis = NUMBER.findall(bare), AXIS.search(bare)
         floor = 0 if ground else int(number[-1]) if number and 0 < int(number[-1]) < 200 else -1
         role = "force" if force else "ground" if ground else "floor"
@@ -277,7 +272,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         If a file cannot be read, holds no column of numbers besides time, or other columns than the first.
     """
     path, *others = [Path(data)] if isinstance(data, str | Path) else [Path(each) for each in data]
-    columns = read_columns(path, LIMIT)
+    columns: Columns = read_columns(path, LIMIT)
     for other in others:
         if missing := sorted(set(columns.names) - set(names := read_columns(other, LIMIT).names)):
             raise InputError(
@@ -290,7 +285,8 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         rate = f"{toml_line('frequency', frequency)}  # GUESSED from the name"
     else:
         time = time_column(columns)
-        rate = _rate(columns, time, _preamble(path))
+        is_text = (found := format_of(path)) is None or found.name in ("csv", "gz")
+        rate = _rate(columns, time, preamble_of(path, LIMIT) if is_text else "")
     guesses = guesses_of(columns, [name for name in columns.names if name != time])
     if not guesses:
         raise InputError(f"{path} has no column of numbers besides the time; is it a record?")
@@ -299,7 +295,6 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
         ("frf", "the column of frequencies") if frequency is not None
         else ("force", "a column that looks like a force") if "force" in roles
         else ("base", "a column that looks like the ground") if "ground" in roles
-        else ("free_decay", "the name of the file") if RELEASE.search(path.stem)
         else ("none", "no column looking like the ground or a force")
     )  # fmt: skip
     axes = sorted({each.axis for each in guesses if each.role != "force"})
@@ -321,7 +316,7 @@ def record_template(data: str | Path | Sequence[str | Path], folder: str | Path 
     return blank_text("record.toml").format(
         masses=", ".join(["0.0"] * top), stories=top + 1,
         file=printable(path.name) + (f" and {len(others)} more" if others else ""),
-        name=toml_line("x", _common_name([path, *others]))[4:], kind=given, rate=rate,
+        name=toml_line("x", named_after(path))[4:], kind=given, rate=rate,
         source="" if files else toml_line("file", os.path.relpath(path, folder)) + "\n",
         channels="".join((*(_channel(each, hit, several=several) for each in guesses), *left)),
         runs=_runs(files, folder, kind, hit, top) if files else "",
@@ -338,45 +333,17 @@ def _functions(columns: Columns, path: Path) -> Columns:
     return dataclasses.replace(columns, names=names, values=columns.values[:, kept], units=units)
 
 
-def _preamble(path: Path) -> str:
-    return preamble_of(path, LIMIT) if (found := format_of(path)) is None or found.name in ("csv", "gz") else ""
-
-
-def _common_name(files: Sequence[Path]) -> str:
-    """Name a record after the common beginning of its files' names, without parts of words and numbers."""
-    names = [named_after(each) for each in files]
-    common = "".join(letters[0] for letters in takewhile(lambda each: len(set(each)) == 1, zip(*names, strict=False)))
-    if len(files) > 1:
-        common = re.sub(r"[\W_]+$", "", re.sub(r"(?<=[\W_])[^\W_]*$", "", common).rstrip("0123456789"))
-    return common or names[0]
-
-
 def _runs(files: Sequence[Path], folder: str | Path, kind: str, hit: int, top: int) -> str:
     """Write a table for each file of a record."""
     written = []
+    # With one file of functions for each floor, each file has the force at its floor.
+    by_order = (kind, len(files)) == ("frf", top)
     for place, each in enumerate(files, 1):
         written += ["", "[[run]]", toml_line("file", os.path.relpath(each, folder))]
         if kind in ("force", "frf"):
-            # A hammer record has several hits at a floor. With one file of functions for each floor, each file has the
-            # force at its floor.
-            unsaid = (
-                (place, "from the order of the files")
-                if (kind, len(files)) == ("frf", top)
-                else (hit, "no file says it")
-            )
-            floor, why = _hit_floor(each, top) or unsaid
+            floor, why = (place, "from the order of the files") if by_order else (hit, "no file says it")
             written.append(f"input_floor = {floor}  # GUESSED, {why}: the floor that was hit in this file: CHECK")
     return "\n".join(written) + "\n"
-
-
-def _hit_floor(path: Path, top: int) -> tuple[int, str] | None:
-    """Find the floor that was hit in the name of a file, or in a line about a force of its preamble."""
-    force_lines = [line for line in _preamble(path).splitlines() if FORCE.search(line)]
-    for text, why in ((path.stem, "from its name"), *((line, "from its preamble") for line in force_lines)):
-        found = HIT_FLOOR.search(text)
-        if found is not None and 0 < int(found[1] or found[2]) <= top:
-            return int(found[1] or found[2]), why
-    return None
 
 
 def _rate(columns: Columns, time: str | None, preamble: str) -> str:

@@ -1,7 +1,6 @@
 """The measurement file: an experiment as TOML, read and written."""
 
 import dataclasses
-import json
 import os
 import re
 import textwrap
@@ -106,18 +105,6 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         refuse_data(path, toml=False)
         raise InputError(f"{path!s} is not UTF-8 text (byte {error.start}); is it a measurement file?") from None
-
-
-def read_result(path: Path) -> dict[str, Any]:
-    """Read the JSON of a result that a command wrote."""
-    text = read_text(path)
-    try:
-        found = json.loads(text)
-    except ValueError as error:
-        raise InputError(f"{path} is not valid JSON: {error}") from None
-    if not isinstance(found, dict):
-        raise InputError(f"{path} must hold the result of identify or loop, not {checks.shown(found)}")
-    return found
 
 
 def parse(text: str, path: Path) -> dict[str, object]:

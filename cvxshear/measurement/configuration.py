@@ -81,20 +81,22 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
     return found
 
 
-SAME_SHAPE = 1e-12
-"""Two shapes are equal if the squared sine of the angle between them is smaller than this."""
-
 ENTRIES_OF_A_COPY = 3
 """Equal entries that make a row a copy of another: where floors are missing two modes may share one or two."""
 
 
-def copied_rows(shapes: Floats) -> tuple[int, int] | None:
-    """Find the first two rows that have the same numbers, at least two, in the same places.
+def repeated_rows(shapes: Floats, *, whole: bool) -> tuple[int, int] | None:
+    """Find the first two rows that are one shape.
+
+    Modes of one frame are orthogonal by its masses, so no two are proportional over `whole` shapes. At some of the
+    floors they can be; there only a copied row is found.
 
     Parameters
     ----------
     shapes : ndarray, shape (m, n)
         nan where not measured.
+    whole : bool
+        Whether there is an entry for every floor.
 
     Returns
     -------
@@ -102,32 +104,13 @@ def copied_rows(shapes: Floats) -> tuple[int, int] | None:
     """
     seen: dict[bytes, int] = {}
     for row, shape in enumerate(shapes):
-        if np.isfinite(shape).sum() >= ENTRIES_OF_A_COPY and (before := seen.setdefault(shape.tobytes(), row)) != row:
-            return before, row
+        known = np.isfinite(shape)
+        if known.all() if whole else known.sum() >= ENTRIES_OF_A_COPY:
+            # Twelve digits: a scale changes the last ones. Zero has no sign.
+            same = np.round(shape / shape[np.argmax(np.abs(shape))], 12) + 0.0 if whole else shape
+            if (before := seen.setdefault(same.tobytes(), row)) != row:
+                return before, row
     return None
-
-
-def proportional_rows(shapes: Floats) -> tuple[int, int] | None:
-    """Find the first two rows that were measured everywhere and are proportional to each other.
-
-    Parameters
-    ----------
-    shapes : ndarray, shape (m, n)
-        nan where not measured.
-
-    Returns
-    -------
-    tuple of (int, int) or None
-    """
-    places = np.flatnonzero(np.isfinite(shapes).all(axis=1))
-    if len(places) < 2:
-        return None
-    whole = shapes[places]
-    # Scaled by the largest entry first, so that no square overflows or vanishes.
-    whole = whole / np.max(np.abs(whole), axis=1, keepdims=True)
-    whole = whole / np.linalg.norm(whole, axis=1, keepdims=True)
-    later, earlier = np.nonzero(np.tril((whole @ whole.T) ** 2 >= 1 - SAME_SHAPE, -1))
-    return (int(places[earlier[0]]), int(places[later[0]])) if later.size else None
 
 
 DEFAULT_FREQUENCY_STD = 0.002
@@ -293,7 +276,11 @@ class Configuration(InTable):
                 )
         if width:
             self._refuse_empty_shapes(self.mode_shapes)
-            self._refuse_equal_shapes(self.mode_shapes, whole=whole)
+            if (pair := repeated_rows(self.mode_shapes, whole=whole)) is not None:
+                raise InputError(
+                    f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode "
+                    "has its own"
+                )
 
     def _refuse_empty_shapes(self, shapes: Floats) -> None:
         for row, shape in enumerate(shapes, 1):
@@ -303,19 +290,6 @@ class Configuration(InTable):
                     f"{self._at('mode_shapes')}, row {row} is zero at every measured floor; write nan where nothing "
                     "was measured"
                 )
-
-    def _refuse_equal_shapes(self, shapes: Floats, *, whole: bool) -> None:
-        """Refuse the same mode twice.
-
-        Modes of one frame are orthogonal by its masses, so no two are proportional over `whole` shapes. At some
-        of the floors they can be; there only a copied row is refused.
-        """
-        pair = proportional_rows(shapes) if whole else copied_rows(shapes)
-        if pair is not None:
-            raise InputError(
-                f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode has "
-                "its own"
-            )
 
     def _checked_shape_std(self, value: object, count: int, width: int) -> Floats:
         """Check one number, one a mode, or one an entry, and return one an entry."""

@@ -1,24 +1,28 @@
-"""Recomputation of the paper's figures: the three-story frame of Section 5, the steel frame of Section 6."""
+"""Recomputation of the paper's figures: the three-story frame of Section 5, the steel frame of Section 6.
 
+The source is "High precision identification method of mass and stiffness matrix for shear-type frame test model",
+Sections 5 and 6. Cases 1 and 2 are its two initial masses. "Present" is its own method, "Ref. [23]" Qi's, "Ref. [17]"
+Berman's. Printed figures are texts, which keep the number of printed digits.
+"""
+
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.fit.identification import identify
-from cvxshear.fit.paper_methods import identified_stiffness
 from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
-from cvxshear.model import mass_matrix, modes, stiffness_matrix
-from cvxshear.paper.scatter import NoiseStudy, noise_study, paper_setups
-from cvxshear.paper.setups import three_story
-from cvxshear.paper.tables import MISPRINT, PRINTED, PaperRow, PaperSection, Reproduction, note, rows, value, values
-from cvxshear.programs.formulations import complete_test
-from cvxshear.programs.pair_rows import normalized, stiffness_rows
+from cvxshear.paper.scatter import NoiseStudy, noise_study
+from cvxshear.paper.setups import paper_setups, three_story
 from cvxshear.util.quantities import NORMAL_95, SURE
+from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
 KILO = 1e3
@@ -26,6 +30,179 @@ KILO = 1e3
 
 PerStructure = Mapping[str, Any]
 """Numbers, or printed figures, of each structure by its name."""
+
+
+PRINTED: dict[str, Any] = tomllib.loads(
+    resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8")
+)
+"""Tables of figures; the file says what each holds, and in which unit."""
+
+MISPRINT = ("berman", "1", "23")
+"""Method, case and entry of Table 1 that differs from the formula's value."""
+
+
+def note(name: str, **gaps: object) -> str:
+    """Return a note for readers of the recomputed figures."""
+    words: str = PRINTED["notes"][name]
+    return words.format(**gaps)
+
+
+def value(printed: str) -> float:
+    """Read a printed figure as a number."""
+    return float(printed.removeprefix("about "))
+
+
+def decimals(printed: str) -> int:
+    """Count the printed decimals."""
+    return len(printed.partition(".")[2])
+
+
+def values(printed: Sequence[str]) -> Floats:
+    """Read printed figures as numbers."""
+    return np.array([value(each) for each in printed])
+
+
+TO_THE_DIGIT = "to the last digit"
+ROUNDED = "from rounded figures"
+MISPRINTED = "misprint"
+DIFFERS = "differs"
+"""Possible results of the comparison of a recomputed figure with the printed one."""
+
+
+@dataclass(frozen=True)
+class PaperRow(InJson):
+    """One figure.
+
+    Parameters
+    ----------
+    what : str
+        The quantity and its unit.
+    where : str
+        Place in the paper.
+    printed : str
+        Figure as printed.
+    recomputed : float
+    from_rounded : float, optional
+        The same figure, computed from other printed figures of the paper.
+    std_error : float, optional
+        Standard error of a figure from random samples.
+    chance : float, optional
+        Standard deviation of `difference` if both figures come from different random samples.
+    misprint : bool, optional
+        Whether the printed figure differs from the paper's own formula.
+    """
+
+    what: str
+    where: str
+    printed: str
+    recomputed: float
+    from_rounded: float | None = None
+    std_error: float | None = None
+    chance: float | None = None
+    misprint: bool = False
+
+    json_keys = "what where printed recomputed difference agrees from_rounded std_error distance misprint verdict"
+
+    @property
+    def difference(self) -> float:
+        """Recomputed figure minus printed figure."""
+        return self.recomputed - value(self.printed)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the recomputed figure, rounded to the printed number of digits, equals the printed one."""
+        return same_digits(self.recomputed, self.printed)
+
+    @property
+    def distance(self) -> float | None:
+        """Difference in standard deviations of random sampling; None for figures without random samples."""
+        return None if self.chance is None else self.difference / self.chance
+
+    @property
+    def verdict(self) -> str:
+        """Comparison of the figures in words; empty if the paper gives only a rough figure."""
+        if self.misprint:
+            return MISPRINTED
+        if self.distance is not None:
+            return f"{self.distance:+.1f} standard errors"
+        if self.printed.startswith("about"):
+            return ""
+        if self.agrees:
+            return TO_THE_DIGIT
+        if self.from_rounded is not None and same_digits(self.from_rounded, self.printed):
+            return ROUNDED
+        return DIFFERS
+
+
+@dataclass(frozen=True)
+class PaperSection(InJson):
+    """The rows of one table or statement of the paper.
+
+    Parameters
+    ----------
+    title : str
+    rows : tuple of PaperRow
+    notes : tuple of str, optional
+        Notes for readers of the rows.
+    counted : bool, optional
+        Whether the rows are results of the paper, which the summary counts, and not its input.
+    """
+
+    title: str
+    rows: tuple[PaperRow, ...]
+    notes: tuple[str, ...] = ()
+    counted: bool = True
+
+    json_keys = "title rows notes"
+
+
+@dataclass(frozen=True)
+class Reproduction(InJson):
+    """The paper's figures and ours.
+
+    Parameters
+    ----------
+    sections : tuple of PaperSection
+    backend : str
+    samples : tuple of int
+        Numbers of random samples of Table 3.
+    seed : int
+    """
+
+    sections: tuple[PaperSection, ...]
+    backend: str
+    samples: tuple[int, ...]
+    seed: int
+
+    json_keys = "backend samples seed summary sections"
+
+    @property
+    def summary(self) -> str:
+        """Number of figures that agree, in a sentence or two."""
+        results = [row for section in self.sections if section.counted for row in section.rows]
+        fixed = [row for row in results if row.chance is None and not row.printed.startswith("about")]
+        verdicts = (TO_THE_DIGIT, ROUNDED, MISPRINTED, DIFFERS)
+        counts = {name: sum(row.verdict == name for row in fixed) for name in verdicts}
+        return (
+            f"{len(fixed)} printed results that no chance is involved in: {counts[TO_THE_DIGIT]} are met to the last "
+            f"printed digit, {counts[ROUNDED]} more once computed, as the paper did, from its own rounded figures, "
+            f"{counts[MISPRINTED]} is a misprint, {counts[DIFFERS]} differ."
+        )
+
+
+def rows(
+    where: str, what: str, printed: Sequence[str], found: Sequence[float] | Floats, rounded: Floats | None = None
+) -> Iterator[PaperRow]:
+    """Pair the figures of one line of a table with ours; `what` has a place for their numbers from 1."""
+    from_rounded = [None] * len(printed) if rounded is None else rounded.tolist()
+    for place, each in enumerate(zip(printed, found, from_rounded, strict=True), 1):
+        yield PaperRow(what.format(place), where, each[0], float(each[1]), each[2])
+
+
+def same_digits(number: float, printed: str) -> bool:
+    """Return whether a number rounds to a printed one; the sign of zero does not matter."""
+    count = decimals(printed)
+    return round(number, count) == round(value(printed), count)
 
 
 def reproduce(
@@ -86,7 +263,7 @@ def exact_sections(backend: str | Backend) -> Iterator[PaperSection]:
         for case, entries in cases.items()
         for entry, printed in entries.items()
     )  # fmt: skip
-    yield PaperSection("Table 1: corrected floor masses", tuple(masses), (_misprint(experiment, matrices, backend),))
+    yield PaperSection("Table 1: corrected floor masses", tuple(masses), (note("misprint"),))
     stiffnesses = (
         row
         for case in starts
@@ -127,24 +304,6 @@ def _entry(matrix: Floats, entry: str) -> float:
     return float(matrix[int(entry[0]) - 1, int(entry[1]) - 1])
 
 
-def _misprint(experiment: Experiment, matrices: Mapping[tuple[str, str], Floats], backend: str | Backend) -> str:
-    """Explain the misprint: the paper's own Table 2 was computed with the formula's value."""
-    method, case, entry = MISPRINT
-    i, j = int(entry[0]), int(entry[1])
-    printed, matrix = PRINTED["table_1"][method][case][entry], matrices[method, case]
-    as_printed = matrix.copy()
-    as_printed[i - 1, j - 1] = as_printed[j - 1, i - 1] = value(printed)
-    test = complete_test(experiment, experiment.configurations[0], "method berman")
-    wrong, right = (
-        " ".join(f"{each / KILO:.3f}" for each in identified_stiffness(test, M, backends.get(backend)).x)
-        for M in (as_printed, matrix)
-    )
-    return note(
-        "misprint", i=i, j=j, case=case, printed=printed, formula=matrix[i - 1, j - 1], as_printed=wrong,
-        table_2=" ".join(PRINTED["table_2"][method][case]), as_computed=right,
-    )  # fmt: skip
-
-
 def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:
     """Compute Table 3 with each number of samples, and Fig. 6 with as many samples as a noise study has.
 
@@ -156,9 +315,7 @@ def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:
     for count in samples:
         study = noise_study(paper_setups(), ("two-stage",), count, seed=seed)
         table = tuple(_table_3(study))
-        yield PaperSection(
-            f"Table 3: error of the mean, {count:,} samples", table, (_chance(table), *_systematic(study))
-        )
+        yield PaperSection(f"Table 3: error of the mean, {count:,} samples", table, (_chance(table),))
     yield _figure_6(noise_study(paper_setups(map(float, PRINTED["figure_6"])), ("two-stage",), seed=seed))
 
 
@@ -185,16 +342,6 @@ def _chance(table: Sequence[PaperRow]) -> str:
     )  # fmt: skip
 
 
-def _systematic(study: NoiseStudy) -> Iterator[str]:
-    """Find the bias without the effect of chance, if the samples are sufficient."""
-    scatter = study.scatters[-1]
-    seen = np.flatnonzero(np.abs(scatter.bias) > 3 * scatter.bias_error)
-    if seen.size:
-        names = PRINTED["noise"]["parameters"]
-        listed = (f"{names[i]} {100 * scatter.bias[i]:+.2f} ± {100 * scatter.bias_error[i]:.2f} %" for i in seen)
-        yield note("systematic", sigma=scatter.setup.mode_shape_std, listed=", ".join(listed))
-
-
 def _figure_6(study: NoiseStudy) -> PaperSection:
     scatter, names = study.scatters[0], PRINTED["noise"]["parameters"]
     ((sigma, printed),) = PRINTED["figure_6"].items()
@@ -210,64 +357,8 @@ def _figure_6(study: NoiseStudy) -> PaperSection:
     return PaperSection(f"Fig. 6: coefficients of variation, {study.samples:,} samples", table, (enlarged,))
 
 
-class RecoveredShapes(NamedTuple):
-    """Shapes of the two modes of a two-story frame.
-
-    Parameters
-    ----------
-    first, second : float
-        Ratio of the entries at floors 1 and 2.
-    misfit : float
-        Largest relative difference between the stiffnesses from Eq. 24 and the printed ones.
-    """
-
-    first: float
-    second: float
-    misfit: float
-
-
-def recovered_shapes(floor_mass: Floats, story_stiffness: Floats, frequencies: Floats) -> RecoveredShapes:
-    """Find the mode shapes that give these masses and stiffnesses in the paper's method.
-
-    The method's final masses make the two measured modes orthogonal. So the ratio r of the first shape gives the
-    ratio r2 of the second one: m1 r r2 + m2 = 0. Least squares finds the r that gives the stiffnesses by Eq. 24, two
-    equations for one unknown; the residual shows whether both agree.
-
-    Parameters
-    ----------
-    floor_mass : ndarray, shape (2,)
-        Identified masses with added mass, kg.
-    story_stiffness : ndarray, shape (2,)
-        Identified stiffnesses, N/m.
-    frequencies : ndarray, shape (2,)
-        Measured frequencies, Hz.
-    """
-    eigenvalues = (2 * np.pi * frequencies) ** 2
-
-    def second(first: float) -> float:
-        return float(-floor_mass[1] / (floor_mass[0] * first))
-
-    def misfit(ratio: Floats) -> Floats:
-        shapes = np.array([[ratio[0], second(ratio[0])], [1.0, 1.0]])
-        program = stiffness_rows(normalized(shapes, floor_mass), eigenvalues)
-        return np.asarray(np.linalg.lstsq(program.R, program.s, rcond=None)[0] / story_stiffness - 1.0)
-
-    model = modes(mass_matrix(floor_mass), stiffness_matrix(story_stiffness)).shapes[0]
-    found = optimize.least_squares(misfit, [model[0] / model[1]], xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    first = float(found.x[0])
-    return RecoveredShapes(first, second(first), float(np.max(np.abs(found.fun))))
-
-
-def recovered(name: str) -> RecoveredShapes:
-    """Compute the shapes of Fig. 8 from the printed figures of one structure."""
-    mass, stiffness, frequencies = (
-        values(PRINTED[table][name]) for table in ("table_6_mass", "table_6_stiffness", "table_5")
-    )
-    return recovered_shapes(mass, KILO * stiffness, frequencies)
-
-
 def steel_sections(backend: str | Backend) -> Iterator[PaperSection]:
-    """Compute Tables 4 to 8, Fig. 8, and the conclusions of Section 7; each structure is identified separately."""
+    """Compute Tables 4 to 8 and the conclusions of Section 7; each structure is identified separately."""
     experiment = load("paper")
     tested = {each.name: each for each in experiment.configurations}
     parts = {part.name: part for part in identify(experiment, "two-stage", backend).parts}
@@ -283,14 +374,6 @@ def steel_sections(backend: str | Backend) -> Iterator[PaperSection]:
         PaperRow("net total mass, kg", "Section 6", said["total_net_mass"], experiment.frame.known_total or np.nan),
     )  # fmt: skip
     yield PaperSection("Tables 4 and 5: what is identified from", inputs, (note("inputs"),), counted=False)
-    shapes = {name: recovered(name) for name in tested}
-    in_file = {name: [f"{low / high:.5f}" for low, high in each.mode_shapes] for name, each in tested.items()}
-    ratios = _by_structure(
-        "Fig. 8", "mode {}, floor 1 / floor 2", in_file, {name: each[:2] for name, each in shapes.items()}
-    )
-    notes = (note("figure_8", misfit=max(each.misfit for each in shapes.values())),)
-    title, source = "Fig. 8: mode shapes recovered from Table 6", "in the file `paper`"
-    yield PaperSection(title, tuple(ratios), notes, printed_in=source, counted=False)
     identified = (
         *_by_structure("Table 6", "m{}, kg", PRINTED["table_6_mass"],
                        {name: net + tested[name].added_mass for name, net in net_mass.items()}),

@@ -1,5 +1,6 @@
 """Known frames with noisy measurements, and the Cramer-Rao bound of their identification."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -154,6 +155,11 @@ def three_story(mode_shape_std: float) -> Setup:
         mode_shape_std=mode_shape_std,
         name="three stories, all modes at all floors",
     )
+
+
+def paper_setups(sigmas: Iterable[float] = (0.01, 0.02, 0.03, 0.04, 0.05)) -> tuple[Setup, ...]:
+    """Set up the paper's three-story frame at several noise levels; by default, those of Table 3."""
+    return tuple(three_story(sigma) for sigma in sigmas)
 
 
 def six_story(mode_shape_std: float = 0.01) -> Setup:

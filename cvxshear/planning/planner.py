@@ -1,33 +1,32 @@
-"""Plan a test: choose the floors to measure and the masses to add.
+"""Plan a test: choose the floors to measure and the masses to add; its expected accuracy, and a file to fill in.
 
 The masses are chosen from a grid of tests. Floors and masses are chosen in turn until they stay.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from cvxshear.measurement.experiment import Experiment
-from cvxshear.planning.choice import SOLVERS, Choice, choose
-from cvxshear.planning.criteria import Criterion, criterion_named
+from cvxshear.fit.misfit import ExpectedTest
+from cvxshear.io.toml import write_measurement
+from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.planning.choice import CRITERIA, Choice, Criterion, choose
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
-from cvxshear.planning.expected_noise import Declared, TestNoise
-from cvxshear.planning.results import ExpectedAccuracy, Plan, chances
-from cvxshear.planning.tested_model import AveragedModel, Test, TestModel, target
+from cvxshear.planning.tested_model import Declared, TestModel, TestNoise
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.quantities import listed
+from cvxshear.util.results import InJson, Shown
+from cvxshear.util.typing import Floats, Ints, Json
 
 GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": ("floor_mass", "story_stiffness")}
-"""Goals of a plan other than effects, each with the quantities to determine."""
-
-DECLARED = "declared"
-"""Value of `tests` for the tests that the file declares, instead of a number."""
+"""Goals of a plan, each with the quantities to determine."""
 
 USUAL_MODES = 4
 """Default number of modes of a plan: ambient tests of buildings commonly give four."""
@@ -40,101 +39,336 @@ PARTS = (0.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class MassLimits:
-    """Limits of the added masses.
+class ExpectedAccuracy(InJson):
+    """Expected accuracy with sensors on some floors.
 
     Parameters
     ----------
-    floor : ndarray, shape (N,)
-        Limit of each floor, kg; zero if the floor cannot carry added mass.
-    total : float
-        Limit of one test, kg.
+    choice : Choice
+        Chosen floors, the criterion's standard deviation, relative, and bounds on all choices of as many floors.
+    floor_mass_std, story_stiffness_std : ndarray, shape (N,)
+        kg and N/m; nan if undetermined.
+    total_mass_std : float
+        Relative, of the total mass.
     """
 
-    floor: Floats
-    total: float
+    choice: Choice
+    floor_mass_std: Floats
+    story_stiffness_std: Floats
+    total_mass_std: float
 
-    @staticmethod
-    def of(floor: object, total: object, stories: int) -> MassLimits:
-        """Read the limits from options: one number or one per floor, and a number or None for the total."""
-        if floor is None:
-            if total is not None:
-                raise InputError("a limit of the added mass in all needs one of each floor: give added_mass as well")
-            return MassLimits(np.zeros(stories), 0.0)
-        each = checks.one_or_many(floor, "added_mass", stories, each=", one a floor", least=0.0)
-        whole = float(each.sum()) if total is None else checks.number(total, "added_mass_total", least=0.0)
-        return MassLimits(each, min(whole, float(each.sum())))
+    json_keys = "sensors=floors objective=choice.value std"
 
     @property
-    def any(self) -> bool:
-        """Whether any mass can be added."""
-        return self.total > 0
+    def floors(self) -> Ints:
+        """Floors with sensors, 1 the lowest."""
+        return self.choice.chosen + 1
 
-    def grid(self) -> list[Floats]:
-        """List the tests to choose from: nothing, each single floor, all floors, lower and upper half; none twice."""
-        n = len(self.floor)
-        patterns = [np.zeros(n), *np.eye(n), np.ones(n)]
-        if n > 2:
-            half = np.arange(n) < n // 2
-            patterns += [half.astype(float), (~half).astype(float)]
-        tests = [self._within(part * pattern * self.floor) for pattern in patterns for part in PARTS]
-        return list({tuple(np.round(test, 9)): test for test in tests}.values())
+    @property
+    def std(self) -> dict[str, Floats]:
+        """Standard deviations by quantity, shape (N,)."""
+        return {"floor_mass": self.floor_mass_std, "story_stiffness": self.story_stiffness_std}
 
-    def _within(self, test: Floats) -> Floats:
-        """Scale the test down if its total exceeds the limit."""
-        return np.asarray(test * min(1.0, self.total / max(float(test.sum()), 1e-300)))
+
+def expected_accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: int, by: Criterion) -> ExpectedAccuracy:
+    """Choose floors for these tests, and compute the expected accuracy.
+
+    Parameters
+    ----------
+    model : TestModel
+    tests : sequence of ExpectedTest
+    number : int
+        Number of floors.
+    by : Criterion
+    """
+    choice = choose(model.sensors(tests, number), number, by)
+    design = model.design
+    covariance, n = model.covariance(tests, choice.chosen), design.stories
+    relative = np.sqrt(np.diag(covariance))
+    std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
+    share = design.floor_mass / design.floor_mass.sum()
+    total = float(np.sqrt(max(share @ covariance[:n, :n] @ share, 0.0)))
+    return ExpectedAccuracy(choice, std[:n], std[n:], total)
+
+
+@dataclass(frozen=True)
+class ExpectedMode(InJson):
+    """Expected properties of a mode.
+
+    Parameters
+    ----------
+    mode : int
+        1 the lowest.
+    frequency : float
+        Hz.
+    frequency_std, mode_shape_std : float
+        Relative deviation of the frequency; deviation of a shape entry if the mode's largest entry is 1.
+    """
+
+    mode: int
+    frequency: float
+    frequency_std: float
+    mode_shape_std: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Shown):
+    """The result of `plan`.
+
+    Parameters
+    ----------
+    model : TestModel
+        The frame as designed, the goal of the plan, the modes and their noise.
+    criterion : str
+    tests : tuple of ndarray, shape (N,)
+        Added mass of each test, kg.
+    names : tuple of str
+        Names of the tests.
+    chosen : ExpectedAccuracy
+        Accuracy with the sensors of the plan.
+    fewer, more : ExpectedAccuracy or None
+        Accuracy with the best choice of one sensor less, and of one sensor more.
+    everywhere : ExpectedAccuracy
+        Accuracy with sensors on every floor.
+    of_grid : Choice or None
+        Chosen tests of the grid of added masses, with bounds on all choices; None without added mass.
+    """
+
+    model: TestModel
+    criterion: str
+    tests: tuple[Floats, ...]
+    names: tuple[str, ...]
+    chosen: ExpectedAccuracy
+    fewer: ExpectedAccuracy | None
+    more: ExpectedAccuracy | None
+    everywhere: ExpectedAccuracy
+    of_grid: Choice | None
+
+    json_keys = (
+        "sensors tests=planned_tests modes=model.numbers noise=model.noise.words expected_modes for=goal criterion "
+        "objective bound gap floors_arbitrary grid_bound=of_grid.bound masses_arbitrary=of_grid.arbitrary frame "
+        "std=chosen.std one_sensor_less=fewer one_sensor_more=more every_floor=everywhere"
+    )
+
+    @property
+    def sensors(self) -> list[int]:
+        """Floors to measure, 1 the lowest."""
+        return [int(floor) for floor in self.chosen.floors]
+
+    @property
+    def objective(self) -> float:
+        """The criterion's standard deviation."""
+        return self.chosen.choice.value
+
+    @property
+    def bound(self) -> float:
+        """Lower bound on the objective of any choice of the same number of floors."""
+        return self.chosen.choice.bound
+
+    @property
+    def gap(self) -> float:
+        """Relative difference of the objective and the bound."""
+        return self.chosen.choice.gap
+
+    @property
+    def expected_modes(self) -> tuple[ExpectedMode, ...]:
+        """Modes of the first test, and their expected standard deviations."""
+        test = self.model.expected(self.tests[0]).test
+        assert test.mode_shape_std is not None, "an expected test declares its noise"
+        stds = test.log_frequency_std.tolist(), test.mode_shape_std[:, 0].tolist()
+        columns = zip(test.modes.tolist(), test.frequencies.tolist(), *stds, strict=True)
+        return tuple(ExpectedMode(*each) for each in columns)
+
+    @property
+    def goal(self) -> str:
+        """Goal of the plan in words."""
+        words = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
+        return listed([words[each] for each in self.model.quantities])
+
+    @property
+    def measure(self) -> str:
+        """Objective in words."""
+        return CRITERIA[self.criterion].summary
+
+    @property
+    def typical_std(self) -> tuple[float, float]:
+        """Root mean square of the relative standard deviations of floor masses and of story stiffnesses."""
+        design = self.model.design
+        parts = self.chosen.floor_mass_std / design.floor_mass, self.chosen.story_stiffness_std / design.story_stiffness
+        mass, stiffness = (float(np.sqrt(np.mean(part**2))) for part in parts)
+        return mass, stiffness
+
+    @property
+    def rests_on_total(self) -> bool:
+        """Whether the total mass causes more than half of the variance of a floor mass."""
+        return 2 * self.chosen.total_mass_std**2 > self.typical_std[0] ** 2
+
+    @property
+    def floors_arbitrary(self) -> bool:
+        """Whether floors were chosen, and every choice of the same number is equally good."""
+        return self.chosen.choice.arbitrary and len(self.sensors) < self.model.design.stories
+
+    @property
+    def planned_tests(self) -> list[dict[str, object]]:
+        """Name and added mass (kg) of each test."""
+        return [{"name": name, "added_mass": mass} for name, mass in zip(self.names, self.tests, strict=True)]
+
+    @property
+    def frame(self) -> dict[str, object]:
+        """Frame of the plan."""
+        return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness")}
+
+
+def accuracy_curve(plan: Plan, most: int = 10) -> list[tuple[int, float, float]]:
+    """List numbers of sensors (ascending), the criterion of the best choice found, and its lower bound.
+
+    Parameters
+    ----------
+    plan : Plan
+    most : int, optional
+        Largest number of points.
+    """
+    by, n = CRITERIA[plan.criterion], plan.model.design.stories
+    tests = [plan.model.expected(masses) for masses in plan.tests]
+    spread = np.unique(np.linspace(1, n, min(n, most)).round().astype(int))
+    points = []
+    for count in sorted({*spread.tolist(), len(plan.sensors)}):
+        found = choose(plan.model.sensors(tests, count), count, by)
+        points.append((count, found.value, found.bound))
+    return points
+
+
+def predicted(plan: Plan) -> Experiment:
+    """Simulate the planned tests on the expected frame, without noise.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    Experiment
+        The declared frame with the earlier and the planned measurements.
+
+    Raises
+    ------
+    InputError
+        If the tests do not determine the mass scale.
+    """
+    floors = plan.chosen.floors - 1
+    tests = tuple(
+        _at_sensors(plan.model.expected(masses).test, name, floors)
+        for name, masses in zip(plan.names, plan.tests, strict=True)
+    )
+    design = plan.model.design
+    before = design.measured.configurations if design.measured is not None else ()
+    return Experiment(design.frame, (*before, *tests), design.priors, design.name)
+
+
+def _at_sensors(test: Configuration, name: str, floors: Ints) -> Configuration:
+    """Return a planned test as it would be declared with sensors at these floors, each shape's largest entry 1."""
+    entries = test.mode_shapes / np.max(np.abs(test.mode_shapes), axis=1, keepdims=True)
+    shapes, std = entries[:, floors], test.mode_shape_std
+    assert std is not None, "an expected test declares its noise"
+    return dataclasses.replace(
+        test,
+        name=name,
+        mode_shapes=shapes,
+        measured_floors=floors + 1,
+        mass_normalized=False,
+        # A file declares the deviation relative to a mode's largest measured entry.
+        mode_shape_std=std[:, floors] / np.max(np.abs(shapes), axis=1, keepdims=True),
+    )
+
+
+def write_template(path: str | Path, plan: Plan) -> None:
+    """Write a measurement file with the planned tests, with nan for the values to be measured.
+
+    Parameters
+    ----------
+    path : str or Path
+    plan : Plan
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    exact = predicted(plan)
+    declared = exact.to_dict()
+    declared["configuration"] = [
+        _to_fill_in(table) if table["name"] in plan.names else table for table in declared["configuration"]
+    ]
+    comments = [
+        "Planned by cvxshear plan: put what you measure in place of every nan.",
+        f"Sensors on floors {', '.join(map(str, plan.sensors))}; {plan.model.noise.words} expected.",
+        *(
+            f"{each.name}: expected frequencies {', '.join(f'{value:.4g}' for value in each.frequencies)} Hz"
+            for each in exact.configurations
+            if each.name in plan.names
+        ),
+    ]
+    write_measurement(path, declared, comments)
+
+
+def _to_fill_in(table: Json) -> Json:
+    """Return the table of a planned test without its predictions."""
+    shapes = np.full(np.shape(table["mode_shapes"]), np.nan)
+    return {**table, "frequencies": np.full(len(table["frequencies"]), np.nan).tolist(), "mode_shapes": shapes.tolist()}
+
+
+def mass_grid(limit: Floats) -> list[Floats]:
+    """List the tests to choose from: nothing, each single floor, all floors, lower and upper half; none twice.
+
+    Parameters
+    ----------
+    limit : ndarray, shape (N,)
+        Largest added mass of each floor, kg; zero if the floor cannot carry added mass.
+    """
+    n = len(limit)
+    patterns = [np.zeros(n), *np.eye(n), np.ones(n)]
+    if n > 2:
+        half = np.arange(n) < n // 2
+        patterns += [half.astype(float), (~half).astype(float)]
+    tests = [part * pattern * limit for pattern in patterns for part in PARTS]
+    return list({tuple(np.round(test, 9)): test for test in tests}.values())
 
 
 @usual_arithmetic
 def plan(
     source: str | Path | Experiment | Design,
     sensors: int | None = None,
-    tests: int | str = 1,
+    tests: int = 1,
     *,
     modes: int | Sequence[int] | None = None,
     noise: TestNoise | None = None,
     added_mass: float | Sequence[float] | Floats | None = None,
-    added_mass_total: float | None = None,
     goal: str = "all",
-    criterion: str | None = None,
+    criterion: str = "D",
     fresh: bool = False,
-    loop: bool = False,
-    configuration: str | None = None,
-    backend: str = "clarabel",
 ) -> Plan:
     """Choose the floors to measure and the masses to add before a test.
 
     Parameters
     ----------
     source : str, Path, Experiment or Design
-        A file of design values, a measurement file or the JSON of an earlier result; earlier results count as known.
+        A file of design values, or a measurement file, whose measurements count as known.
     sensors : int, optional
         Number of floors to measure; all by default.
-    tests : int or str, optional
-        Number of tests; "declared" for the tests of the measurement file with their masses, without their
-        measurements.
+    tests : int, optional
+        Number of tests.
     modes : int or sequence of int, optional
         Number of the lowest modes that will be identified, or the modes' numbers.
     noise : TestNoise, optional
         By default, the noise that the source's tests declare; without it, 0.2 % of frequencies and 1 % of shapes.
     added_mass : float or array_like, shape (N,), optional
         Largest added mass of each floor, kg; by default no mass is added.
-    added_mass_total : float, optional
-        Largest total of added masses in one test, kg.
     goal : str, optional
-        "masses", "stiffnesses", "all", or effects to distinguish from each other and from no effect, separated by
-        commas. Each effect is "NAME" or "NAME@PLACE", with "=SIZE" if it has no usual size.
+        "masses", "stiffnesses" or "all".
     criterion : str, optional
-        "D", "A", "E" or "worst"; by default, D for the frame and worst for effects.
+        "D", "A" or "E".
     fresh : bool, optional
         Do not count the source's measurements as known.
-    loop : bool, optional
-        Close the loop on the source's measurements, and plan for the frame with the effects found; by default, plan
-        for the shear frame with the best fit.
-    configuration : str, optional
-        Test or state of the source that is tested again; the first configuration if None.
-    backend : str, optional
-        "clarabel" or "scs".
 
     Returns
     -------
@@ -144,68 +378,36 @@ def plan(
     ------
     InputError
         If an option is not valid; the message names the option, its value and the remedy.
-    NoSolutionError
-        If the backend finds no solution.
     """
-    checks.choice(backend, SOLVERS, "backend")
-    declared = tests == DECLARED
-    if not declared:
-        if isinstance(tests, str):
-            raise InputError(f"tests must be a whole number or {DECLARED!r}, not {checks.shown(tests)}")
-        checks.whole(tests, "tests", least=1, most=MOST_TESTS)
-    design = source
-    if not isinstance(design, Design):
-        design = read_design(design, fresh=fresh or declared, loop=loop, configuration=configuration)
+    count = checks.whole(tests, "tests", least=1, most=MOST_TESTS)
+    by = CRITERIA[checks.choice(criterion, list(CRITERIA), "criterion")]
+    quantities = GOALS[checks.choice(goal, list(GOALS), "goal")]
+    design = source if isinstance(source, Design) else read_design(source, fresh=fresh)
     n = design.stories
     number = n if sensors is None else checks.whole(sensors, "sensors", least=1, most=n)
-    model = AveragedModel.around(_model(design, goal, modes, noise or Declared.of_tests(design.declared)))
-    by = criterion_named(criterion or ("worst" if model.frames[0].targets else "D"))
-    limits = MassLimits.of(added_mass, added_mass_total, n)
-    if declared:
-        if not design.declared:
-            raise InputError(f"{design.name} declares no tests; say how many to plan")
-        masses = [each.added_mass for each in design.declared]
-        return _finished(model, masses, [each.name for each in design.declared], number, by, backend, None)
-    names = _names(design, int(tests))
-    if not limits.any:
-        return _finished(model, [np.zeros(n)] * int(tests), names, number, by, backend, None)
-    return _finished(model, _masses(model, number, int(tests), by, limits, backend), names, number, by, backend, limits)
-
-
-def _model(design: Design, goal: str, modes: int | Sequence[int] | None, noise: TestNoise) -> TestModel:
-    """Build the model of the tests for this goal."""
-    which = _which(modes, design)
-    if goal in GOALS:
-        return TestModel(design, (), GOALS[goal], which, noise)
-    names = [part.strip() for part in checks.text(goal, "what the plan is for").split(",") if part.strip()]
-    return TestModel(design, tuple(target(name, design.frame, design.scale) for name in names), (), which, noise)
+    model = TestModel(design, quantities, _which(modes, design), noise or Declared.of_tests(design.declared))
+    if added_mass is None:
+        return _finished(model, [np.zeros(n)] * count, None, number, by)
+    limit = checks.one_or_many(added_mass, "added_mass", n, each=", one a floor", least=0.0)
+    grid = mass_grid(limit)
+    chosen = _masses(model, grid, count, number, by)
+    masses = sorted((grid[i] for i in chosen.chosen), key=lambda test: float(test.sum()))
+    return _finished(model, masses, chosen, number, by)
 
 
 def _which(modes: int | Sequence[int] | None, design: Design) -> Ints:
     """Return the modes that will be identified, zero-based."""
     n = design.stories
     if modes is None:
-        if design.declared:
-            return design.declared[0].modes - 1
-        return np.arange(min(USUAL_MODES, n))
+        return design.declared[0].modes - 1 if design.declared else np.arange(min(USUAL_MODES, n))
     if isinstance(modes, int):
         return np.arange(checks.whole(modes, "modes", least=1, most=n))
     return checks.ascending_whole(list(modes), "modes", most=n) - 1
 
 
-def _names(design: Design, count: int) -> list[str]:
-    """Make names for the planned tests that differ from the names of the file's tests."""
-    taken = {each.name for each in design.declared}
-    free = (name for name in (f"planned test {i}" for i in range(1, count + len(taken) + 1)) if name not in taken)
-    return [next(free) for _ in range(count)]
-
-
-def _masses(
-    model: AveragedModel, number: int, count: int, by: Criterion, limits: MassLimits, backend: str
-) -> list[Floats]:
-    """Choose the masses of `number` tests, kg, the lightest first; choose floors and masses in turn."""
-    n = len(limits.floor)
-    grid = limits.grid()
+def _masses(model: TestModel, grid: Sequence[Floats], count: int, number: int, by: Criterion) -> Choice:
+    """Choose tests of the grid; choose floors and tests in turn until they stay."""
+    n = model.design.stories
     if count > len(grid):
         raise InputError(f"tests = {count} are more than the {len(grid)} that these added masses give; plan fewer")
     expected = [model.expected(test) for test in grid]
@@ -213,62 +415,27 @@ def _masses(
     tried: list[tuple[int, ...]] = []
     while number < n and tuple(floors) not in tried:
         tried.append(tuple(floors))
-        found = choose(model.choices(expected, floors, count), count, by, backend)
-        floors = choose(model.sensors([expected[i] for i in found.chosen], number), number, by, backend).chosen
-    found = choose(model.choices(expected, floors, count), count, by, backend)
-    return sorted((grid[i] for i in found.chosen), key=lambda test: float(test.sum()))
+        found = choose(model.choices(expected, floors, count), count, by)
+        floors = choose(model.sensors([expected[i] for i in found.chosen], number), number, by).chosen
+    return choose(model.choices(expected, floors, count), count, by)
 
 
-def _finished(
-    model: AveragedModel,
-    masses: Sequence[Floats],
-    names: Sequence[str],
-    number: int,
-    by: Criterion,
-    backend: str,
-    limits: MassLimits | None,
-) -> Plan:
+def _finished(model: TestModel, masses: Sequence[Floats], of_grid: Choice | None, number: int, by: Criterion) -> Plan:
     """Make the plan with its expected accuracy, also for one sensor more, one less, and sensors everywhere."""
-    designed = model.frames[0]
-    n = designed.design.stories
+    n = model.design.stories
+    taken = {each.name for each in model.design.declared}
+    free = [name for i in range(1, len(masses) + len(taken) + 1) if (name := f"planned test {i}") not in taken]
     expected = [model.expected(test) for test in masses]
-    wanted = [count for count in (number - 1, number, number + 1) if 1 <= count <= n]
-    found = {count: choose(model.sensors(expected, count), count, by, backend) for count in {*wanted, n}}
-    seen = {count: expected_accuracy(model, expected, choice) for count, choice in found.items()}
-    grid = None
-    if limits is not None:
-        tests = [model.expected(test) for test in limits.grid()]
-        grid = choose(model.choices(tests, found[number].chosen, len(masses)), len(masses), by, backend)
-    information = model.of_targets(expected, found[number].chosen) if designed.targets else None
+    counts = {count for count in (number - 1, number, number + 1, n) if 1 <= count <= n}
+    seen = {count: expected_accuracy(model, expected, count, by) for count in counts}
     return Plan(
+        model=model,
         criterion=by.name,
-        backend=backend,
         tests=tuple(masses),
-        names=tuple(names),
+        names=tuple(free[: len(masses)]),
         chosen=seen[number],
         fewer=seen.get(number - 1),
         more=seen.get(number + 1),
         everywhere=seen[n],
-        grid_bound=None if grid is None else grid.bound,
-        grid_worst=None if grid is None else grid.worst,
-        apart=() if information is None else chances(designed.targets, information),
-        averaged=model,
+        of_grid=of_grid,
     )
-
-
-def expected_accuracy(model: AveragedModel, tests: Sequence[Test], choice: Choice) -> ExpectedAccuracy:
-    """Compute the expected accuracy of the shear model with the chosen floors.
-
-    Parameters
-    ----------
-    model : AveragedModel
-    tests : sequence of Test
-    choice : Choice
-    """
-    design = model.frames[0].design
-    covariance, n = model.shear_covariance(tests, choice.chosen), design.stories
-    relative = np.sqrt(np.diag(covariance))
-    std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
-    share = design.floor_mass / design.floor_mass.sum()
-    total = float(np.sqrt(max(share @ covariance[:n, :n] @ share, 0.0)))
-    return ExpectedAccuracy(choice.chosen + 1, choice.value, choice.bound, choice.worst, std[:n], std[n:], total)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from cvxshear.io.columns import Columns
+from cvxshear.io.csv import Columns
 from cvxshear.io.record_file import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
 from cvxshear.records.data_frames import FEWEST_SAMPLES, sound_pieces

@@ -76,26 +76,9 @@ def _shell_escaped(text: str) -> str:
     )
 
 
-class Inserted:
-    """Pieces of a text that are written first; a mark replaces each piece until the rest is written."""
-
-    def __init__(self) -> None:
-        self._mark = secrets.token_hex(8)
-        self._pieces: list[str] = []
-
-    def mark(self, piece: str) -> str:
-        """Store a piece and return its mark, which the text must hold in quotation marks."""
-        self._pieces.append(piece)
-        return f"{self._mark}{len(self._pieces) - 1}"
-
-    def put_into(self, text: str) -> str:
-        """Replace every mark by its piece."""
-        return re.sub(rf'"{self._mark}(\d+)"', lambda found: self._pieces[int(found[1])], text)
-
-
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
     """Write a value as JSON, each row of numbers in one line; nan raises an error."""
-    rows, marks = Inserted(), dict[int, str]()
+    mark, rows, marks = secrets.token_hex(8), [], dict[int, str]()
 
     def marked(item: object) -> object:
         # json writes indented text in Python, number by number, and a row without line breaks in C.
@@ -107,11 +90,12 @@ def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> st
         if id(item) not in marks:
             if not item or not all(issubclass(kind, int | float | NoneType) for kind in set(map(type, item))):
                 return [marked(each) for each in item]
-            marks[id(item)] = rows.mark(json.dumps(item, allow_nan=False))
+            marks[id(item)] = f"{mark}{len(rows)}"
+            rows.append(json.dumps(item, allow_nan=False))
         return marks[id(item)]
 
     text = json.dumps(marked(value), indent=indent, allow_nan=False, ensure_ascii=ascii_only)
-    return rows.put_into(escaped(text, surrogates=True))
+    return re.sub(rf'"{mark}(\d+)"', lambda found: rows[int(found[1])], escaped(text, surrogates=True))
 
 
 def write_file(path: PathLike, content: str | bytes) -> None:

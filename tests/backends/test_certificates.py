@@ -181,7 +181,9 @@ def test_the_error_is_within_its_bound_and_the_bound_within_reach_of_it(conditio
             exact = backends.get("kkt").answer(problem)
             x = problem.to_x(exact.z)
             weak = np.linalg.svd(R / np.linalg.norm(R, axis=0))[2][-1] / np.linalg.norm(R, axis=0)
-            return dataclasses.replace(exact, z=problem.to_z(x + off * np.linalg.norm(x) * weak / np.linalg.norm(weak)))
+            scale = np.column_stack([problem.to_x(each) for each in np.eye(2)])
+            moved = off * np.linalg.norm(x) * weak / np.linalg.norm(weak)
+            return dataclasses.replace(exact, z=exact.z + np.linalg.solve(scale, moved))
 
     for seed in range(5):
         R, rng = conditioned(seed, condition, rows=4)
@@ -333,7 +335,7 @@ def test_equalities_of_any_scale_that_contradict_each_other_are_refused(side):
         np.testing.assert_allclose(backends.get("auto").solve(program).x, [5.0, 1.0], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (102, 3)])
+@pytest.mark.parametrize(("n", "constraints"), [(5, 0), (5, 1), (5, 2), (40, 3)])
 def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
     """Evaluate delta x = H f + Z (Z'R'RZ)^-1 Z'g + P d explicitly."""
     rng = np.random.default_rng(n + constraints)
@@ -358,11 +360,7 @@ def test_the_bounds_of_the_minimizer_are_those_of_its_formulas(n, constraints):
     u = 4 * np.finfo(float).eps
     f = u * np.sqrt(n) * (np.abs(C) @ np.abs(z) + np.abs(s))
     g = u * np.sqrt(2 * n) * np.abs(C).T @ np.abs(residual)
-    if n <= 100:
-        expected = np.abs(inverse @ C.T) @ f + np.abs(inverse) @ g
-    else:
-        reach = np.sqrt(np.diag(inverse))
-        expected = reach * (np.linalg.norm(f) + reach @ g)
+    expected = np.abs(inverse @ C.T) @ f + np.abs(inverse) @ g
     expected += np.abs(P) @ (u * np.sqrt(n) * (np.abs(B) @ np.abs(z) + np.abs(c)))
     # Add the last correction, which is of the size of rounding.
     np.testing.assert_allclose(found.errors, D * expected, rtol=0.2)

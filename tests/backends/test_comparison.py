@@ -9,7 +9,6 @@ import qpsolvers
 import cvxshear
 from cvxshear import InputError, NoSolutionError, backends
 from cvxshear.backends import Backend, BenchmarkProgram
-from cvxshear.backends.benchmark import condition_number
 from cvxshear.backends.solvers import THROUGH_CVXPY, THROUGH_QPSOLVERS, Qpsolvers, Solver
 from cvxshear.fit.identification import programs_of
 from cvxshear.programs import LeastSquares
@@ -62,25 +61,9 @@ def test_what_is_said_of_a_kind_is_of_its_programs():
     result = backends.compare([plane(), plane(**more)], ["kkt"])
     (kind,) = result.kinds
     assert (kind.programs, kind.unknowns, kind.rows, kind.equalities, kind.inequalities) == (2, 2, 2, 1, 3)
-    assert kind.condition == pytest.approx(1.0)
     assert result.to_dict()["kinds"] == [
-        {"kind": "plane", "programs": 2, "unknowns": 2, "rows": 2, "equalities": 1, "inequalities": 3,
-         "condition": pytest.approx(1.0)}
+        {"kind": "plane", "programs": 2, "unknowns": 2, "rows": 2, "equalities": 1, "inequalities": 3}
     ]  # fmt: skip
-
-
-def test_the_condition_number_is_that_on_the_null_space_and_does_not_depend_on_units():
-    rng = np.random.default_rng(0)
-    R, A = rng.standard_normal((5, 3)), np.array([[1.0, 1.0, 1.0]])
-    R /= np.linalg.norm(R, axis=0)
-    # Two orthonormal directions that leave the sum unchanged.
-    Z = np.array([[1, 1], [-1, 1], [0, -2]]) / np.sqrt([2, 6])
-    values = np.linalg.svd(R @ Z, compute_uv=False)
-    units = np.array([1e-6, 1.0, 1e9])
-    program = LeastSquares(R / units, np.zeros(5), A=A / units, b=np.zeros(1))
-    assert condition_number(program) == pytest.approx(values[0] / values[1], rel=1e-12)
-    assert condition_number(LeastSquares(np.array([[1.0, 1.0]]), np.zeros(1))) is None
-    assert condition_number(LeastSquares(np.array([[1.0, 1.0]]), np.zeros(1), A=np.eye(2), b=np.zeros(2))) == 1.0
 
 
 def test_the_singular_program_has_its_bounds_for_an_answer_and_no_closed_form(programs):
@@ -89,13 +72,11 @@ def test_the_singular_program_has_its_bounds_for_an_answer_and_no_closed_form(pr
     result = backends.compare([singular], ["kkt", "clarabel", "osqp"])
     kkt, clarabel, osqp = result.rows
     assert "do not determine every unknown" in kkt.failure
-    assert result.kinds[0].condition is None
     found = backends.get("clarabel").solve(singular.program)
     np.testing.assert_allclose(found.x, singular.program.upper, rtol=1e-6)
     for row in (clarabel, osqp):
         assert row.difference < 1e-6
-        assert row.reference == "consensus"
-        assert row.relative_time is None
+        assert row.reference == "auto"
 
 
 @pytest.mark.parametrize("name", [name for name in backends.available() if backends.get(name).tolerance])

@@ -53,7 +53,10 @@ PRIORS = {
 @pytest.mark.parametrize("prior", PRIORS)
 @pytest.mark.parametrize("std", [1e-12, 1e-9])
 def test_a_declared_total_is_met_however_sure_a_soft_prior_is(method, prior, std):
-    """HiGHS and others returned masses with a sum of 35.9 kg for 34 kg, because the prior's rows are large."""
+    """HiGHS and others returned masses with a sum of 35.9 kg for 34 kg, because the prior's rows are large.
+
+    A constraint holds to 1e-9 of the sizes of its terms, which are 34 kg of masses and the total of 34 kg.
+    """
     of = frames.experiment([12.0, 12.0, 10.0], [2e4, 2e4, 2e4], prior=[{**PRIORS[prior], "std": std}])
     found = {}
     for name in backends.available():
@@ -61,7 +64,7 @@ def test_a_declared_total_is_met_however_sure_a_soft_prior_is(method, prior, std
             frame = identify(Experiment.from_dict(of), method=method, backend=name).frame
         except (NoSolutionError, UnsuitableError):
             continue
-        assert frame.floor_mass.sum() == pytest.approx(34.0, rel=1e-9)
+        assert frame.floor_mass.sum() == pytest.approx(34.0, rel=2e-9)
         found[name] = np.concatenate([frame.floor_mass, frame.story_stiffness])
     assert len(found) >= 8
     for values in found.values():

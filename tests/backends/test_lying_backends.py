@@ -25,7 +25,6 @@ LIES = {
     "a ten-thousandth off": lambda z, _: (1 + 1e-4) * z,
     "noise": lambda z, _: z + 1e-3 * np.random.default_rng(len(z)).standard_normal(len(z)),
     "entries exchanged": lambda z, _: z[::-1].copy(),
-    "the start": lambda z, problem: np.zeros_like(z) if problem.start is None else problem.start.z,
     "half the step": lambda z, _: 0.5 * z,
     "the step backwards": lambda z, _: -z,
     "nan": lambda z, _: np.full_like(z, np.nan),
@@ -89,7 +88,7 @@ class Guest(backends.Backend):
     def answer(self, problem):
         raise AssertionError("never asked")
 
-    def solve(self, program, start=None):
+    def solve(self, program):
         right = backends.get("auto").solve(program)
         return dataclasses.replace(right, point=dataclasses.replace(right.point, x=self.share * right.x))
 
@@ -108,7 +107,7 @@ def test_an_exact_total_that_a_solver_misses_is_refused():
     theta = uniform(of)
 
     class Missing(Guest):
-        def solve(self, program, start=None):
+        def solve(self, program):
             return super().solve(program.replace(A=None, b=None))
 
     with pytest.raises(NoSolutionError, match="breaks an exact statement"):

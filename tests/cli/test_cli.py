@@ -254,7 +254,7 @@ FUNCTIONS = {
 
 OF_THE_COMMAND = {
     "author", "client", "csv", "date", "export", "figure", "help", "jobs", "json", "out", "output", "photograph",
-    "quiet", "record", "report", "strict", "title", "uff", "units", "validate", "xlsx",
+    "quiet", "record", "report", "strict", "title", "units", "validate", "xlsx",
 }  # fmt: skip
 """Options for the files to read and write, and for the display of results."""
 
@@ -271,6 +271,6 @@ def test_former_names_of_options_still_work(run):
     present = run("backends", "paper", "--names", "kkt", "--repeats", "1")
     former = run("backends", "paper", "--only", "kkt", "--repeat", "1")
     assert present[0] == former[0] == 0
-    shown = run("plan", "paper", "--for", "masses", "--solver", "clarabel", "--json", "-")[1]
-    assert json.loads(shown)["solver"] == "clarabel"
+    shown = run("plan", "paper", "--for", "masses", "--json", "-")[1]
+    assert json.loads(shown)["for"] == "floor masses"
     assert "--for" not in run("plan", "--help")[1]

@@ -54,7 +54,7 @@ class Refusing:
     def __init__(self, refusals, after=0):
         self.refusals, self.after, self.weights = refusals, after, []
 
-    def solve(self, program, start=None):
+    def solve(self, program):
         self.weights.append(program.R[-1, -1])
         self.after -= 1
         if self.after < 0 < self.refusals:
@@ -140,7 +140,7 @@ def test_a_hopeless_fit_is_given_up_after_three_steps_that_bring_little():
     class Slow:
         name = "slow"
 
-        def solve(self, program, start=None):
+        def solve(self, program):
             return SimpleNamespace(x=np.array([-0.05]))
 
     found = gauss_newton(Problem(lambda x: x + 10.0), np.zeros(1), free(1), Slow(), Accuracy(1e-3, 30, 0.02))

@@ -133,7 +133,7 @@ def sound(path) -> None:
     assert content
     if path.suffix == ".xlsx":
         sound_workbook(content)
-    elif path.suffix in (".json", ".toml", ".py", ".svg", ".csv", ".html", ".uff"):
+    elif path.suffix in (".json", ".toml", ".py", ".svg", ".csv", ".html"):
         sound_text(content.decode("utf-8"), path.suffix)
 
 
@@ -151,7 +151,7 @@ def check(run, folder, *arguments, outputs, printed=True) -> None:
         sound_text(out, ".json")
 
 
-OPTIONS = {".json": "--json", ".csv": "--csv", ".xlsx": "--xlsx", ".html": "--report", ".uff": "--uff", ".toml": "-o"}
+OPTIONS = {".json": "--json", ".csv": "--csv", ".xlsx": "--xlsx", ".html": "--report", ".toml": "-o"}
 
 
 def into(*endings: str, figures=()) -> list[tuple[str, str]]:
@@ -303,7 +303,7 @@ def test_a_report_of_modes(run, tmp_path, few_pieces):
 @pytest.mark.parametrize("start", range(6))
 def test_figures_and_files_of_one_record(start, run, tmp_path, few_pieces):
     (made,) = records(tmp_path, few(start)[:1], few(start)[1:2], few(start)[2:3])
-    kinds = into(".uff", ".csv", ".xlsx", figures=["shapes", "stabilization"])
+    kinds = into(".csv", ".xlsx", figures=["shapes", "stabilization"])
     check(run, tmp_path, "modes", made, outputs=kinds, printed=False)
 
 

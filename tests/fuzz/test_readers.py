@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from cvxshear.io.columns import Columns
-from cvxshear.io.csv import read_csv
-from cvxshear.io.mat import read_mat
+from cvxshear.io.arrays import read_mat, read_uff
+from cvxshear.io.csv import Columns, read_csv
 from cvxshear.io.record_file import read_record
 from cvxshear.io.toml import load
-from cvxshear.io.uff import read_uff
 from cvxshear.util.errors import CvxshearError, InputError
 from tests.fuzz import files
 from tests.fuzz.mutations import apply, damaged, deflated

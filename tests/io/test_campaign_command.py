@@ -101,7 +101,6 @@ def test_figures_tables_and_a_report(run, tmp_path):
     [
         (["modes", "bare.toml", "--figure", "stabilisation:a.png"], "did you mean 'stabilization'?"),
         (["modes", "bare.toml", "--figure", "mac:a.gif"], "a.gif must end in .svg or .png or .pdf"),
-        (["modes", "bare.toml", "loaded.toml", "--uff", "a.uff"], "--uff holds the modes of one record"),
         (["modes", "bare.toml", "--csv", "bare.csv"], "would be written over bare.csv"),
         (["modes", "bare.toml", "-o", "bare.toml"], "would be written over bare.toml"),
         (["loop", "bare.toml", "paper"], "paper"),

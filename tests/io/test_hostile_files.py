@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy import io
 
+from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import read_csv
-from cvxshear.io.mat import read_mat
 from cvxshear.io.record_file import read_record
 from cvxshear.io.toml import files_of, load
-from cvxshear.io.uff import read_uff
 from cvxshear.util.errors import InputError
 from tests.fuzz import files
 
@@ -74,12 +73,9 @@ def test_a_quote_that_never_ends(tmp_path):
 
 
 def test_a_pipe_that_never_ends(tmp_path):
-    with pytest.raises(InputError, match="/dev/zero has more than 5 MB"):
-        load("/dev/zero")
-    with pytest.raises(InputError, match=r"/dev/zero has more than 0.001 MB"):
-        read_csv("/dev/zero", 1000)
-    with pytest.raises(InputError, match=r"/dev/zero has more than 0.001 MB"):
-        read_mat("/dev/zero", 1000)
+    for read in (load, read_csv, read_mat):
+        with pytest.raises(InputError, match="/dev/zero is a device or a pipe"):
+            read("/dev/zero")
 
 
 HEADS = {

@@ -11,7 +11,6 @@ from scipy import linalg
 import cvxshear
 from cvxshear.io.spreadsheets import write_csv, write_xlsx
 from cvxshear.io.templates import template, template_from
-from cvxshear.io.uff import write_uff
 from cvxshear.records import from_arrays
 from cvxshear.report.handover import sheets_of
 from cvxshear.util.errors import InputError
@@ -88,8 +87,14 @@ def test_what_is_wrong_with_a_table_is_named(tmp_path, table, said, expected):
 
 
 def test_a_universal_file(tmp_path):
-    pytest.importorskip("pyuff")
-    write_uff(tmp_path / "modes.uff", from_arrays(FREQUENCIES, SHAPES, damping_ratios=[0.01, 0.02]))
+    pyuff = pytest.importorskip("pyuff")
+    for mode, (frequency, shape) in enumerate(zip(FREQUENCIES, SHAPES, strict=True), 1):
+        modal = pyuff.prepare_55(
+            model_type=1, analysis_type=2, data_ch=2, spec_data_type=8, data_type=2, n_data_per_node=3, load_case=1,
+            mode_n=mode, freq=frequency, modal_m=0.0, modal_damp_vis=0.01 * mode, modal_damp_his=0.0,
+            node_nums=[1, 2], r1=np.array(shape), r2=np.zeros(2), r3=np.zeros(2),
+        )  # fmt: skip
+        pyuff.UFF(str(tmp_path / "modes.uff")).write_sets(modal, mode="add")
     experiment = cvxshear.load(measurement(tmp_path, 'uff = "modes.uff"'))
     check(experiment)
     np.testing.assert_allclose(experiment.configurations[0].damping_ratios, [0.01, 0.02])

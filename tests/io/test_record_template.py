@@ -12,7 +12,7 @@ import pytest
 from scipy import io
 
 from cvxshear.io import formats
-from cvxshear.io.columns import Columns
+from cvxshear.io.csv import Columns
 from cvxshear.io.modes import modes_from_file
 from cvxshear.io.record_file import read_record
 from cvxshear.util.errors import InputError
@@ -107,25 +107,6 @@ def test_a_gap_is_said_and_what_a_frame_may_need_is_listed(values, run, tmp_path
     assert [each.start for each in record.runs] == [0.0, 17.0]
     for key in ("stories = 4", 'reference = "bare"', "story_heights = 3.0"):
         assert f"\n# {key}  # " in said
-
-
-@pytest.mark.parametrize(
-    ("position", "frame", "asked"),
-    [
-        ([120.0, 0.0], "", "120 m from the center of its floor, farther than in most halls"),
-        ([12.0, 9.0], "story_heights = 0.4", "15 m from the center of its floor, in a frame with stories of 0.4 m"),
-        ([12.0, 9.0], "story_heights = [3.0, 3.5, 3.0]", None),
-        ([12.0, 9.0], "", None),
-    ],
-)
-def test_positions_that_look_like_centimeters_are_asked_about(position, frame, asked, values, run, tmp_path):
-    (tmp_path / "a.csv").write_text(text("time,ground,a1,a2,a3\n", values))
-    said, _ = begun(run, tmp_path, "a.csv")
-    said = said.replace('column = "a2"', f'column = "a2"\nposition = {position}')
-    (tmp_path / "record.toml").write_text(f"{said}\n[frame]\n{frame}\n")
-    found = [note.message for note in read_record(tmp_path / "record.toml").notes]
-    assert len(found) == (asked is not None)
-    assert all(asked in each and "positions are in m" in each for each in found)
 
 
 CLOCKS = {
@@ -241,34 +222,6 @@ def test_several_files_are_the_runs_of_one_record(values, run, tmp_path):
     assert run("new", files[0])[0] == 2
 
 
-@pytest.mark.parametrize(
-    ("names", "preamble", "floors", "why", "called"),
-    [
-        (["before_OG2_hit1", "before_OG3_hit1"], "", (2, 3), "from its name", "before"),
-        (["hit floor 1 (2)", "hit floor 3 (1)"], "", (1, 3), "from its name", "hit floor"),
-        (["a_2F", "a_3F"], "", (2, 3), "from its name", "a"),
-        (["hit1", "hit2"], "Hammer at the 2nd floor, 16 bit\n", (2, 2), "from its preamble", "hit"),
-        (["run_12", "run_13"], "", (3, 3), "no file says it", "run"),
-        (["x7", "y8"], "Operator: floor 2\n", (3, 3), "no file says it", "x7"),
-    ],
-)
-def test_floors_that_were_hit(names, preamble, floors, why, called, values, run, tmp_path):
-    for name in names:
-        (tmp_path / f"{name}.csv").write_text(text(f"{preamble}t,Hammer [N],a1,a2,a3\n", values))
-    assert run("new", "--record", tmp_path / "*.csv", "-o", tmp_path / "r.toml") == (0, "", "")
-    said = (tmp_path / "r.toml").read_text()
-    assert said.count(f"# GUESSED, {why}: ") == 2
-    record = read_record(tmp_path / "r.toml").record
-    assert (tuple(each.floor for each in record.runs), record.name) == (floors, called)
-
-
-def test_a_release_and_a_roof_over_floors_without_sensors(values, run, tmp_path):
-    (tmp_path / "release.csv").write_text(text("t,Level 2,Level 4,Roof\n", values[:, :4]))
-    said, record = begun(run, tmp_path, "release.csv")
-    assert (record.input, record.floors.tolist()) == ("free_decay", [2, 4, 5])
-    assert "as low as it can be: CHECK how many stories there are" in said
-
-
 def test_functions(run, tmp_path):
     """Accelerances of a two-story frame with floors of 2 and 1 kg, with one file per driven floor."""
     frequencies = np.arange(0.0, 32.0, 1 / 64)
@@ -309,6 +262,13 @@ WRITERS = {
 def test_kinds_of_files(ending, values, run, tmp_path):
     WRITERS[ending](tmp_path / f"a.{ending}", values)
     check(begun(run, tmp_path, f"a.{ending}")[1], values)
+
+
+def test_a_roof_over_floors_without_sensors(values, run, tmp_path):
+    (tmp_path / "a.csv").write_text(text("t,Level 2,Level 4,Roof\n", values[:, :4]))
+    said, record = begun(run, tmp_path, "a.csv")
+    assert (record.input, record.floors.tolist()) == ("none", [2, 4, 5])
+    assert "as low as it can be: CHECK how many stories there are" in said
 
 
 def test_a_force(values, run, tmp_path):

@@ -108,7 +108,7 @@ def test_checks_of_a_sound_file_and_of_one_with_a_mistake():
     assert faults("check", said) == []
 
 
-@pytest.mark.parametrize("more", [{}, {"tests": 2, "added_mass": 2.0, "goal": "joint_rotation"}])
+@pytest.mark.parametrize("more", [{}, {"tests": 2, "added_mass": 2.0}])
 def test_plans(more):
     assert faults("plan", cvxshear.plan(EXAMPLES / "three_story.toml", sensors=2, **more).to_dict()) == []
 

@@ -10,7 +10,7 @@ import pytest
 
 from cvxshear import InputError
 from cvxshear.paper import PaperRow, reproduce
-from cvxshear.paper.tables import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, same_digits
+from cvxshear.paper.reproduction import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, same_digits
 from cvxshear.report.describe.studied import printed_beside_recomputed
 from cvxshear.report.terminal import text
 

@@ -5,8 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from cvxshear.planning.design import Design
-from cvxshear.planning.expected_noise import Declared
-from cvxshear.planning.tested_model import TestModel
+from cvxshear.planning.tested_model import Declared, TestModel
 from tests.frames import modes_of
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
@@ -29,7 +28,7 @@ def tapered(stories, **keys):
 
 
 def frame_model(of, modes=3, noise=NOISE, quantities=("floor_mass", "story_stiffness")):
-    return TestModel(of, (), quantities, np.arange(modes), noise)
+    return TestModel(of, quantities, np.arange(modes), noise)
 
 
 def exhaustive(of, number, by):

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import check_grad
 
-from cvxshear.planning.choice import choose, equally_spaced, exchanged, relaxed, values_of
-from cvxshear.planning.criteria import CRITERIA, criterion_named
-from cvxshear.planning.planner import MassLimits
-from cvxshear.util.errors import InputError
+from cvxshear.planning.choice import CRITERIA, choose, equally_spaced, exchanged, relaxed, values_of
+from cvxshear.planning.planner import mass_grid
 from tests.planning.common import exhaustive, frame_model, tapered
 from tests.studies.planning import OTHERS, beside_others, floors_of, random_frame
 
@@ -31,7 +29,6 @@ def test_a_criterion_is_what_it_says(name):
         "D": np.exp(np.mean(np.log(eigenvalues)) / 2),
         "A": np.sqrt(np.mean(np.diag(covariance))),
         "E": np.sqrt(eigenvalues[-1]),
-        "worst": np.sqrt(np.max(np.diag(covariance))),
     }
     assert CRITERIA[name].value(of, information) == pytest.approx(expected[name], rel=1e-9)
 
@@ -39,7 +36,7 @@ def test_a_criterion_is_what_it_says(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_smooth_functions_gradient_is_that_of_differences(name):
     of = floors(6, 3)
-    smooth = partial(CRITERIA[name].smooth, of)
+    smooth = partial(CRITERIA[name].smooth, of, power=24)
     shares = np.random.default_rng(1).uniform(0.2, 0.9, 6)
     error = check_grad(lambda w: smooth(w)[0], lambda w: smooth(w)[1], shares, epsilon=1e-6)
     assert error < 1e-4 * np.linalg.norm(smooth(shares)[1])
@@ -56,28 +53,21 @@ def test_no_choice_is_below_the_bound(name):
     assert found.value <= 1.001 * best
     assert 1 - found.bound / best < 0.3
     rough = np.random.default_rng(2).uniform(0, 1, 10)
-    assert by.bound(of, rough * 4 / rough.sum(), 4) <= best
+    assert by.bound(of, rough * 4 / rough.sum(), 4, 24) <= best
     assert choose(of, 4, by).bound == choose(of, 4, by).value == pytest.approx(best)
     assert list(choose(of, 4, by).chosen) == chosen
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_program_finds_what_descent_with_every_direction_finds(name):
-    """The bound is within 0.001 (E and worst: 0.03) of the value at the shares, so both are optimal within this gap."""
+def test_the_program_ends_where_its_bound_is(name):
+    """The bound is within 0.001 (E: 0.01) of the value at the shares, so both are optimal within this gap."""
     of = floors(10, 4)
     by = CRITERIA[name]
     weights, bound = relaxed(of, 4, by)
     assert weights.sum() == pytest.approx(4.0, abs=1e-4)
     at_shares = float(by.value(of, of.information(weights)))
-    slack = 3e-2 if name in ("E", "worst") else 1e-3
+    slack = 1e-2 if name == "E" else 1e-3
     assert bound <= at_shares <= (1 + slack) * bound
-
-
-def test_the_solvers_agree():
-    of = floors(6, 3)
-    for name in ("D", "A"):
-        bounds = [relaxed(of, 3, CRITERIA[name], solver)[1] for solver in ("clarabel", "scs")]
-        assert bounds[0] == pytest.approx(bounds[1], rel=1e-3)
 
 
 def test_equal_distances_are_those_of_the_e_defense_frame():
@@ -88,18 +78,18 @@ def test_equal_distances_are_those_of_the_e_defense_frame():
 
 def test_every_floor_needs_no_program():
     of = floors(5, 5)
-    found = choose(of, 5, criterion_named("D"))
+    found = choose(of, 5, CRITERIA["D"])
     assert found.gap == 0.0
     assert list(found.chosen) == [0, 1, 2, 3, 4]
 
 
 def test_a_tall_frames_gap_is_small():
     of, _ = floors_of(random_frame(np.random.default_rng(40), 40), 10)
-    assert choose(of, 10, criterion_named("D")).gap < 0.05
+    assert choose(of, 10, CRITERIA["D"]).gap < 0.05
 
 
 def test_an_exchange_takes_the_best_neighbour():
-    of, by = floors(7, 3), criterion_named("A")
+    of, by = floors(7, 3), CRITERIA["A"]
     value, chosen = exchanged(of, [0, 1, 2], by)
     neighbours = [sorted({*chosen} - {out} | {into}) for out in chosen for into in range(7) if into not in chosen]
     assert value <= values_of(of, neighbours, by).min() * (1 + 1e-9)
@@ -113,36 +103,8 @@ def test_the_choice_is_never_worse_than_the_others():
         assert ratios.min() >= 1 - 1e-9, name
 
 
-def test_an_unknown_criterion_or_solver_is_refused():
-    with pytest.raises(InputError, match="criterion must be one of D, A, E, worst"):
-        criterion_named("G")
-    with pytest.raises(InputError, match="solver must be one of clarabel, scs"):
-        relaxed(floors(4, 2), 2, criterion_named("D"), "osqp")
-
-
-def test_a_test_weighs_no_more_than_each_floor_and_all_together_can_carry():
-    limits = MassLimits(np.array([10.0, 4.0, 6.0]), 12.0)
-    grid = np.array(limits.grid())
-    assert np.all(grid <= limits.floor)
-    assert np.all(grid.sum(axis=1) <= 12.0 + 1e-9)
-    for wanted in (
-        [0, 0, 0],
-        [10, 0, 0],
-        [5, 0, 0],
-        [0, 4, 0],
-        [0, 0, 6],
-        [6, 2.4, 3.6],
-        [5, 2, 3],
-        [0, 4, 6],
-        [0, 2, 3],
-    ):
+def test_the_grid_has_single_floors_all_and_halves_at_the_limit_and_half_of_it():
+    grid = np.array(mass_grid(np.array([10.0, 4.0, 6.0])))
+    for wanted in ([0, 0, 0], [10, 0, 0], [5, 0, 0], [0, 4, 0], [0, 0, 6], [10, 4, 6], [5, 2, 3], [0, 4, 6], [0, 2, 3]):
         assert np.sum(np.all(np.isclose(grid, wanted), axis=1)) == 1, wanted
-
-
-def test_limits_are_of_each_floor_and_of_all_together():
-    assert not MassLimits.of(None, None, 3).any
-    assert MassLimits.of(2.0, None, 3).total == 6.0
-    assert MassLimits.of([1.0, 2.0], 9.0, 2).total == 3.0
-    assert MassLimits.of([1.0, 2.0], 2.5, 2).total == 2.5
-    two = MassLimits(np.array([2.0, 0.0]), 2.0).grid()
-    assert sorted(map(tuple, two)) == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
+    assert sorted(map(tuple, mass_grid(np.array([2.0, 0.0])))) == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]

@@ -9,12 +9,11 @@ import pytest
 from scipy import io
 
 import cvxshear
+from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import read_csv
-from cvxshear.io.mat import read_mat
 from cvxshear.io.modes import write_merged
 from cvxshear.io.record_file import read_record
 from cvxshear.io.toml import write_measurement
-from cvxshear.io.uff import read_modes, read_uff, write_uff
 from cvxshear.records import IdentifiedRecord, from_arrays
 from cvxshear.util.errors import InputError
 from tests.records.shared import csv
@@ -174,25 +173,6 @@ def test_universal_file_of_one_set(tmp_path, values):
     path = tmp_path / "record.toml"
     path.write_text('[record]\nfile = "a.uff"\n[[channel]]\ncolumn = "1x"\nfloor = 1\n')
     np.testing.assert_allclose(read_record(path).record.runs[0].responses[:, 0], values[:, 2], rtol=1e-5)
-
-
-def test_modes_to_a_universal_file_and_back(tmp_path):
-    pytest.importorskip("pyuff")
-    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], damping_ratios=[0.01, 0.02], name="pair")
-    write_uff(tmp_path / "modes.uff", given)
-    write_uff(tmp_path / "modes.uff", given)
-    frequencies, damping, shapes, _ = read_modes(tmp_path / "modes.uff")
-    np.testing.assert_allclose(frequencies, [3.0, 9.0], rtol=1e-5)
-    np.testing.assert_allclose(damping, [0.01, 0.02], rtol=1e-5)
-    np.testing.assert_allclose(shapes, given.mode_shapes, rtol=1e-5)
-    assert [path.name for path in tmp_path.iterdir()] == ["modes.uff"]
-
-
-def test_a_name_does_not_end_a_data_set(tmp_path):
-    pytest.importorskip("pyuff")
-    given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="a\n    -1\n    -1\n    58\nb\x00ä" * 9)
-    write_uff(tmp_path / "modes.uff", given)
-    np.testing.assert_allclose(read_modes(tmp_path / "modes.uff")[0], [3.0, 9.0], rtol=1e-5)
 
 
 def test_what_is_no_universal_file(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.io.columns import Columns
+from cvxshear.io.csv import Columns
 from cvxshear.records.data_frames import rounding_of, sampling_rate_of
 from cvxshear.util.errors import InputError
 

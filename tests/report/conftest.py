@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.paper.scatter import paper_setups
+from cvxshear.paper import paper_setups
 from tests import closed
 from tests.fe.experiments import simulated
 

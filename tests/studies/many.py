@@ -6,7 +6,7 @@ import numpy as np
 
 from cvxshear import Experiment, identify
 from cvxshear.loop.close import search_for_effects
-from cvxshear.paper.batch import one_shot_batch, two_stage_batch
+from cvxshear.paper.scatter import one_shot_batch, two_stage_batch
 from cvxshear.paper.setups import three_story
 from cvxshear.util.parallel import each
 from tests.frames import configuration, experiment, modes_of

@@ -1,4 +1,4 @@
-"""Compare plans with exhaustive search, other sensor placements, simulated tests and other frames.
+"""Compare plans with exhaustive search, other sensor placements and simulated tests.
 
 `python -m tests.studies planning` prints the figures in docs/theory/planning.md;
 `python -m tests.studies planning gap` prints a part of them.
@@ -12,20 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.effects import compose
 from cvxshear.fit.efficient import fitted
-from cvxshear.fit.gaussian import log_evidence_of_one
 from cvxshear.fit.misfit import Misfit
 from cvxshear.io.toml import parse, read_text
 from cvxshear.model import mass_matrix, modes, stiffness_matrix
 from cvxshear.planning import Declared, Design, plan, predicted
-from cvxshear.planning.choice import choose, equally_spaced, values_of
-from cvxshear.planning.criteria import CRITERIA, criterion_named
+from cvxshear.planning.choice import CRITERIA, choose, equally_spaced, values_of
 from cvxshear.planning.planner import GOALS
-from cvxshear.planning.tested_model import AveragedModel, TestModel
+from cvxshear.planning.tested_model import TestModel
 from cvxshear.priors import Value
-from cvxshear.util.odds import weigh
-from cvxshear.util.quantities import SURE
 
 NOISE = Declared(frequency_std=0.002, mode_shape_std=0.02)
 MODES = 3
@@ -51,15 +46,9 @@ def design_of(mass, stiffness, mass_std, stiffness_std, frame=None, name="design
     return Design.of_file({"frame": frame or {}, "prior": priors}, name)
 
 
-def paper_design(stiffness_std):
-    """Return the paper's frame (section 6) before any test: story stiffness 26.67 kN/m from column dimensions."""
-    frame = {"story_heights": 0.39, "total_mass": 31.33}
-    return design_of(None, np.full(2, 26.67e3), None, stiffness_std, frame, "paper, as designed")
-
-
 def floors_of(design, number, count=MODES, noise=NOISE):
     """Return the floors of a bare frame as sensor candidates, and its mode shapes, one column per mode."""
-    model = TestModel(design, (), GOALS["all"], np.arange(count), noise)
+    model = TestModel(design, GOALS["all"], np.arange(count), noise)
     found = modes(mass_matrix(design.floor_mass), stiffness_matrix(design.story_stiffness))
     return model.sensors([model.expected(np.zeros(design.stories))], number), found.shapes.T
 
@@ -160,23 +149,19 @@ def _exhaustive():
             print(f"  {name:5} {found.value / best:.4f}, bound {100 * (1 - found.bound / best):.1f} % below")
 
 
-def scatter(planned, samples, seed, *, drawn=False):
+def scatter(planned, samples, seed):
     """Return root mean square errors of masses and stiffnesses in simulated tests over planned deviations, (2N,).
 
-    Design values are drawn too, around the true frame. With `drawn`, the design values stay and the frame is drawn,
-    like before a test. The ratio of an exactly known value is nan.
+    Design values are drawn too, around the true frame. The ratio of an exactly known value is nan.
     """
     rng, solver = np.random.default_rng(seed), backends.get("auto")
-    design = planned.model.design
-    errors = []
+    sizes = planned.model.design.sizes
+    exact, errors = predicted(planned), []
     for _ in range(samples):
-        there = planned if not drawn else _on_another_frame(planned, rng)
-        truth = there.model.design.sizes
-        test = _noisy_tests(predicted(there), planned.names, rng)
-        if not drawn:
-            test = dataclasses.replace(test, priors=tuple(redrawn(each, rng) for each in test.priors))
-        errors.append((fitted(Misfit(test, ()), design.sizes, solver).theta - truth) / truth)
-    expected = np.concatenate([planned.chosen.floor_mass_std, planned.chosen.story_stiffness_std]) / design.sizes
+        test = _noisy_tests(exact, planned.names, rng)
+        test = dataclasses.replace(test, priors=tuple(redrawn(each, rng) for each in test.priors))
+        errors.append((fitted(Misfit(test, ()), sizes, solver).theta - sizes) / sizes)
+    expected = np.concatenate([planned.chosen.floor_mass_std, planned.chosen.story_stiffness_std]) / sizes
     observed = np.sqrt(np.mean(np.square(errors), axis=0))
     return np.where(expected > 1e-9, observed / expected, np.nan)
 
@@ -188,46 +173,6 @@ def redrawn(prior, rng):
     if isinstance(prior, Value):
         return dataclasses.replace(prior, value=prior.value * (1 + prior.std * rng.standard_normal()))
     return dataclasses.replace(prior, values=prior.values * (1 + prior.std * rng.standard_normal(len(prior.values))))
-
-
-def _on_another_frame(planned, rng):
-    """Return the plan on a frame with masses and stiffnesses drawn around the design values."""
-    design = planned.model.design
-    sizes = design.sizes.copy()
-    for prior in design.priors:
-        at = slice(0, design.stories) if prior.quantity == "floor_mass" else slice(design.stories, None)
-        sizes[at] *= np.maximum(1 + prior.std * rng.standard_normal(design.stories), 0.1)
-    moved = dataclasses.replace(design, floor_mass=sizes[: design.stories], story_stiffness=sizes[design.stories :])
-    model = dataclasses.replace(planned.model, design=moved)
-    return dataclasses.replace(planned, averaged=AveragedModel((model,)))
-
-
-def right_verdicts(planned, samples, seed):
-    """Return how often simulated tests name each planned effect of expected size with 95 %.
-
-    Each model (no effect, or one effect) is fitted to the same data. Its evidence is the evidence of the linear model
-    at the fitted value, with the chi-square of the fit in place of the linear chi-square.
-    """
-    rng, solver = np.random.default_rng(seed), backends.get("auto")
-    targets, sizes = planned.model.targets, planned.model.design.sizes
-    own = [each.distance**2 for each in planned.apart if each.distance is not None]
-    result = {}
-    for place, truth in enumerate(targets):
-        exact = _with_effect(predicted(planned), truth, sizes)
-        right = 0
-        for _ in range(samples):
-            test = _noisy_tests(exact, planned.names, rng)
-            test = dataclasses.replace(test, priors=tuple(redrawn(each, rng) for each in test.priors))
-            evidence = [-fitted(Misfit(test, ()), sizes, solver).chi2 / 2]
-            for target, information in zip(targets, own, strict=True):
-                start = np.append(sizes, target.null + target.size)
-                found = fitted(Misfit(test, (target.placed,)), start, solver)
-                y = information * (found.theta[-1] - target.null) / target.size
-                gain = log_evidence_of_one(information, np.array(y), target.mean, target.std, target.side)
-                evidence.append(float(gain) - found.chi2 / 2 - y**2 / (2 * information))
-            right += bool(weigh(evidence)[place + 1] >= SURE)
-        result[truth.placed.label] = right / samples
-    return result
 
 
 def _noisy_tests(exact, names, rng):
@@ -242,23 +187,6 @@ def _noisy(test, rng):
     return dataclasses.replace(test, frequencies=np.sort(frequencies), mode_shapes=shapes)
 
 
-def _with_effect(exact, target, sizes):
-    """Return the planned tests on a frame with the effect in its expected size."""
-    theta = np.append(sizes, target.null + target.size)
-    tests = []
-    for each in exact.configurations:
-        state = compose(exact, each, (target.placed,), theta)
-        found = modes(state.system.M, state.system.K)
-        shapes = state.observation.shown(found.shapes[each.modes - 1], each.measured_floors - 1)
-        scale = np.sum(shapes * each.mode_shapes, axis=1) / np.sum(shapes**2, axis=1)
-        tests.append(
-            dataclasses.replace(
-                each, frequencies=found.frequencies[each.modes - 1], mode_shapes=shapes * scale[:, None]
-            )
-        )
-    return dataclasses.replace(exact, configurations=tuple(tests))
-
-
 def _simulate():
     design = random_frame(np.random.default_rng(16), 6)
     for tests, limit in ((1, None), (2, 5e3)):
@@ -268,59 +196,6 @@ def _simulate():
             f"500 simulated tests ({tests} each): observed over planned standard deviations "
             f"{np.sqrt(np.nanmean(ratio**2)):.3f} (rms), {np.nanmin(ratio):.3f} to {np.nanmax(ratio):.3f}"
         )
-    mass, stiffness = np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0])
-    design = design_of(mass, stiffness, 0.02, 0.05, {"story_heights": 1.0}, "three stories")
-    goal = "joint_rotation=0.05,ground_spring@3=10"
-    planned = plan(design, goal=goal, modes=3, noise=Declared(0.001, 0.005))
-    seen = right_verdicts(planned, 200, seed=1)
-    for each in planned.apart[1:]:
-        print(f"right verdict for {each.label}: planned {each.probability:.2f}, of 200 {seen[each.label]:.2f}")
-
-
-def vague_designs(frames=6, std=0.3, others=400, seed=7):
-    """Compare the planned deviations for vague stiffnesses with an average over many other possible frames.
-
-    The actual deviation is the root mean square deviation of the same test over frames drawn from the prior. For each
-    frame, return the ratios of the actual deviation to the value at the design values and to the plan's average, (2N,).
-    """
-    rng = np.random.default_rng(seed)
-    promises = []
-    for _ in range(frames):
-        design = random_frame(rng, int(rng.integers(4, 9)), stiffness_std=std)
-        planned = plan(design, 3, modes=MODES, noise=Declared(0.002, 0.01))
-        floors = planned.chosen.floors - 1
-        own = np.concatenate([planned.chosen.floor_mass_std, planned.chosen.story_stiffness_std]) / design.sizes
-
-        def told(model, floors=floors, n=design.stories):
-            return np.sqrt(np.diag(AveragedModel((model,)).shear_covariance([(model.expected(np.zeros(n)),)], floors)))
-
-        each = [told(_on_another_frame(planned, rng).model) for _ in range(others)]
-        truth = np.sqrt(np.mean(np.square(each), axis=0))
-        promises.append((truth / told(planned.model), truth / own))
-    return promises
-
-
-def _vague():
-    print("6 frames of 4 to 8 stories, 3 sensors, design stiffnesses to 30 %: what 400 possible frames give over")
-    for place, name in enumerate(("the promise at the design values", "the plan's promise, an average")):
-        ratio = np.concatenate([each[place] for each in vague_designs()])
-        print(f"  {name}: mean {ratio.mean():.2f}, largest {ratio.max():.2f}, least {ratio.min():.2f}")
-
-
-def _paper():
-    print("the paper's frame, frequencies to 0.2 %, shapes to 1 %: gravity from none, standard deviations")
-    rows = [("the paper's three structures", plan("paper", tests="declared", goal="gravity"))]
-    for mass in (5.0, 10.0, 20.0, 41.0):
-        for tests in (1, 2):
-            planned = plan("paper", tests=tests, goal="gravity", fresh=True, added_mass=mass)
-            rows.append((f"{tests} test{'s' * (tests > 1)}, up to {mass:g} kg a floor", planned))
-    for std in (0.02, 0.05):
-        planned = plan(paper_design(std), tests=1, goal="gravity", added_mass=41.0)
-        rows.append((f"1 test, up to 41 kg a floor, design stiffness to {100 * std:g} %", planned))
-    for name, planned in rows:
-        found = planned.apart[1]
-        masses = "; ".join(str(test.tolist()) for test in planned.tests)
-        print(f"  {name}: {found.distance:.1f}, right verdict {100 * found.probability:.0f} %, kg {masses}")
 
 
 def _e_defense(file):
@@ -334,7 +209,7 @@ def _e_defense(file):
     problem, shapes = floors_of(design, number)
     print(f"E-Defense, {design.stories} stories, {MODES} modes, {number} floors, design values: standard deviations")
     for name in CRITERIA:
-        by = criterion_named(name)
+        by = CRITERIA[name]
         found = choose(problem, number, by)
         theirs = values_of(problem, [measured, *choices_of_others(shapes, number)], by)
         print(
@@ -344,9 +219,7 @@ def _e_defense(file):
         )
 
 
-PARTS = {
-    "exhaustive": _exhaustive, "gap": _gap, "others": _others, "simulate": _simulate, "vague": _vague, "paper": _paper,
-}  # fmt: skip
+PARTS = {"exhaustive": _exhaustive, "gap": _gap, "others": _others, "simulate": _simulate}
 
 
 def main(arguments=()):

@@ -1,4 +1,4 @@
-"""Time every backend on programs of growing frames, with and without a start; processor time."""
+"""Time every backend on programs of growing frames; processor time."""
 
 import time
 from functools import partial
@@ -16,7 +16,6 @@ fastest = partial(fastest_by_clock, clock=time.process_time)
 SIZES = (3, 10, 30, 100)
 NOISE = 0.01
 BOUNDED = ("bounded mass", "bounded stiffness")
-STORIES_OF_STARTS = 30
 
 
 def main():
@@ -27,11 +26,6 @@ def main():
         best = [min((one for one in column if one != "kkt"), key=column.get) for column in columns]
         rows.append([kind, "**fastest but the closed form**", *best])
     table("A backend's time over the closed form's", ["program", "backend", *(f"{n} stories" for n in SIZES)], rows)
-    table(
-        f"Starts: the paper's iteration under a bound, {STORIES_OF_STARTS} stories",
-        ["backend", "iterations without", "with", "time without over with"],
-        [_started(name) for name in backends.available() if name != "kkt"],
-    )
 
 
 def program(kind, stories):
@@ -65,26 +59,3 @@ def _times(of):
 
 def _relative(times, name):
     return f"{times[name] / times['kkt']:.1f}" if np.isfinite(times[name]) else "not solved"
-
-
-def _started(name):
-    backend = backends.get(name)
-    cold, without = fastest(lambda: _iterated(backend, started=False), 3)
-    warm, with_start = fastest(lambda: _iterated(backend, started=True), 3)
-    return name, without or "not told", with_start or "not told", f"{cold / warm:.1f}"
-
-
-def _iterated(backend, *, started):
-    """Return the solver's iterations over all steps of Eq. 14 for noisy modes, with masses up to 0.9 of the largest."""
-    of, mass, _ = exact_experiment(STORIES_OF_STARTS)
-    rng = np.random.default_rng(1)
-    shapes = of.configurations[0].mode_shapes.T * (1 + NOISE * rng.standard_normal((len(mass), len(mass))))
-    now, solution, iterations = np.full(len(mass), mass.mean()), None, 0
-    while solution is None or np.max(np.abs(solution.x)) > 1e-6 * now.max():
-        step = mass_rows(normalized(shapes, now), now, mass.sum()).replace(
-            lower=1e-3 * mass.mean() - now, upper=0.9 * mass.max() - now
-        )
-        solution = backend.solve(step, solution if started else None)
-        now = now + solution.x
-        iterations = None if iterations is None or solution.iterations is None else iterations + solution.iterations
-    return iterations

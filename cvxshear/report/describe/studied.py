@@ -10,12 +10,11 @@ import numpy as np
 from cvxshear.backends import Comparison, ProgramKind
 from cvxshear.backends.benchmark import BackendResult
 from cvxshear.fit.results import UNITS_OF_FRAME
-from cvxshear.paper import tables as printed
+from cvxshear.paper import reproduction as printed
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
-from cvxshear.paper.tables import Reproduction
 from cvxshear.planning.design import UNKNOWN_STD
-from cvxshear.planning.results import SUFFICES, ExpectedAccuracy, Plan
+from cvxshear.planning.planner import ExpectedAccuracy, Plan
 from cvxshear.report.describe import (
     Block,
     Document,
@@ -41,11 +40,9 @@ def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
     design = result.model.design
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
-        Section("choice", "", (Sentence(typical(result)), Sentence(sure(result)), *cautions(result), Sentence(noise))),
+        Section("choice", "", (Sentence(typical(result)), Sentence(sure(result)), Sentence(noise))),
         Section("tests", "The tests", (expected_modes(result), added_masses(result, units), *grid(result))),
     ]
-    if result.apart:
-        sections.append(Section("apart", "Which effects they will show", (verdicts(result), *conclusions(result))))
     sections.append(Section("accuracy", "What they will determine", (accuracy(result, units), counts(result))))
     return Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
 
@@ -82,13 +79,12 @@ def typical(result: Plan) -> str:
 
 def sure(result: Plan) -> str:
     """State the objective and the largest possible distance of the choice from the optimum."""
-    unit = "of the effects' sizes" if result.apart else "relative"
-    said = f"{result.measure} ({result.criterion}): {percent(result.objective)} {unit}"
+    said = f"{result.measure} ({result.criterion}): {percent(result.objective)} relative"
     if result.objective >= UNKNOWN_STD:
-        said = f"{result.measure} ({result.criterion}): open, {percent(UNKNOWN_STD, 0)} {unit} or more"
+        said = f"{result.measure} ({result.criterion}): open, {percent(UNKNOWN_STD, 0)} relative or more"
     if len(result.sensors) == result.model.design.stories:
         return said
-    if result.chosen.arbitrary:
+    if result.floors_arbitrary:
         return f"{said}; every choice of as many floors gives the same within 1 %: the floors named are arbitrary"
     if result.gap < PROVEN:
         return f"{said}; every choice of as many floors was looked at, none is better"
@@ -100,36 +96,15 @@ def sure(result: Plan) -> str:
     return f"{said}; no choice of as many floors is below {percent(result.bound)}{gap}"
 
 
-def cautions(result: Plan) -> list[Sentence]:
-    """State the limits of the predicted accuracy: averages over frames, and assumptions about the frame."""
-    said = []
-    if result.frames > 1:
-        said.append(
-            f"The design values are vague: what is promised is an average over {result.frames} frames that they allow."
-        )
-    if result.model.design.effects:
-        labels = ", ".join(placed.label for placed in result.model.design.effects)
-        state = "" if result.model.design.state is None else f' in state "{result.model.design.state}"'
-        said.append(f"The frame is tested{state} with what was found in it: {labels}.")
-    worst = result.misfit
-    if worst is not None:
-        said.append(
-            f'The frame of this plan has mode {worst.mode} of "{worst.configuration}" at {significant(worst.expected)} '
-            f"Hz; {significant(worst.measured)} Hz were measured ({percent(worst.error)}). The shear model lacks "
-            "something: --loop plans for the frame with the effects that the loop finds."
-        )
-    return [Sentence(each) for each in said]
-
-
 def grid(result: Plan) -> list[Sentence]:
     """State the bound on tests from the grid of added masses, if the masses were chosen."""
-    if result.grid_bound is None:
+    if result.of_grid is None:
         return []
-    if result.arbitrary_masses:
+    if result.of_grid.arbitrary:
         return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
     said = (
         "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
-        f"{_value(result.grid_bound)} at best."
+        f"{_value(result.of_grid.bound)} at best."
     )
     return [Sentence(said)]
 
@@ -142,7 +117,6 @@ def expected_modes(result: Plan) -> Table:
         "frequency, Hz": [significant(each.frequency) for each in modes],
         "std of it": percents([each.frequency_std for each in modes]),
         "std of a shape's entry": percents([each.mode_shape_std for each in modes]),
-        "std of damping": percents([each.damping_std for each in modes]),
     }
     # The sentence about the noise gives every value that is equal for all modes.
     shown = {name: cells for name, cells in given.items() if name == "mode" or len(set(cells)) > 1}
@@ -158,30 +132,6 @@ def added_masses(result: Plan, units: Units) -> Table:
         masses = (significant(float(test[floor - 1]) / factor) for test in result.tests)
         rows.append((str(floor), *masses, "x" if floor in result.sensors else ""))
     return table_of_rows("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
-
-
-def verdicts(result: Plan) -> Table:
-    """Tabulate how clearly the data separate each effect from the case without effects and from other effects."""
-    return table("verdicts", "probability of the right verdict", {
-        "if it is": [each.label for each in result.apart],
-        "expected size": [f"{significant(each.size, 3)} {each.unit or ''}".rstrip() for each in result.apart],
-        "std from none": [significant(each.distance, 3) for each in result.apart],
-        "most like": [each.nearest or "–" for each in result.apart],
-        "std from that": [significant(each.nearest_distance, 3) for each in result.apart],
-        "right verdict": [percent(each.probability, 0) for each in result.apart],
-    }, words=(0, 3))  # fmt: skip
-
-
-def conclusions(result: Plan) -> list[Sentence]:
-    """State for each effect in one sentence whether the tests suffice."""
-    return [
-        Sentence(
-            f"{each.label}: these tests {'can' if each.suffices else 'are not enough to'} show it; the right verdict "
-            f"comes with {percent(each.probability, 0)} probability, {percent(SUFFICES, 0)} are needed"
-        )
-        for each in result.apart
-        if each.size is not None
-    ]
 
 
 def accuracy(result: Plan, units: Units) -> Table:
@@ -202,7 +152,7 @@ def accuracy(result: Plan, units: Units) -> Table:
         sizes = significant(mass / mass_factor), significant(stiffness / factor)
         rows.append((str(i + 1), sizes[0], *of_mass, sizes[1], *of_stiffness))
     head = ("floor / story", f"mass, {mass_unit}", *names, f"stiffness, {unit}", *names)
-    return table_of_rows("accuracy-table", "expected standard deviations (of the shear model)", head, rows)
+    return table_of_rows("accuracy-table", "expected standard deviations", head, rows)
 
 
 def _std(std: Floats, at: int, value: float) -> str:
@@ -226,8 +176,8 @@ def counts(result: Plan) -> Table:
     return table("counts", f"{result.measure}, by number of sensors", {
         "sensors": [str(len(each.floors)) for each in shown],
         "floors": ["all" if len(each.floors) == everywhere else ", ".join(map(str, each.floors)) for each in shown],
-        "value": [_value(each.objective) for each in shown],
-        "no choice below": [_value(each.bound) for each in shown],
+        "value": [_value(each.choice.value) for each in shown],
+        "no choice below": [_value(each.choice.bound) for each in shown],
     })  # fmt: skip
 
 
@@ -238,7 +188,7 @@ Cells = tuple[str, ...]
 
 
 @describe.register
-def _reproduction(result: Reproduction, units: Units = AUTOMATIC) -> Document:
+def _reproduction(result: printed.Reproduction, units: Units = AUTOMATIC) -> Document:
     parts = tuple(
         Section(f"section-{place}", section.title, (printed_beside_recomputed(section), *map(Sentence, section.notes)))
         for place, section in enumerate(result.sections, 1)
@@ -251,7 +201,7 @@ def printed_beside_recomputed(section: printed.PaperSection) -> Table:
     """Tabulate one section of the paper; each place in the paper is named once."""
     random = any(row.std_error is not None for row in section.rows)
     errors = ("its standard error",) if random else ()
-    head = ("where", "what", section.printed_in, "recomputed", *errors, "difference", "agreement")
+    head = ("where", "what", "printed", "recomputed", *errors, "difference", "agreement")
     rows = [
         (row.where if place == 0 or row.where != section.rows[place - 1].where else "", *_cells(row, random=random))
         for place, row in enumerate(section.rows)
@@ -355,7 +305,7 @@ def _kind(result: Comparison, kind: ProgramKind) -> Iterator[Block]:
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"
     figures = ("difference", "primal", "dual", "gap", "error", "iterations", "tolerance")
-    head = ("backend", *figures, "time, ms", "time / kkt")
+    head = ("backend", *figures, "time, ms", "time / reference")
     yield table_of_rows(f"kind-{name}", title, head, _rows([row for row in rows if not row.failure]))
     failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
     if failures:
@@ -370,8 +320,7 @@ def programs(kind: ProgramKind) -> str:
         counted(kind.equalities, "equality"),
         counted(kind.inequalities, "inequality"),
     )
-    condition = "singular" if kind.condition is None else f"condition {significant(kind.condition, 2)}"
-    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}, {condition}"
+    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}"
 
 
 def _rows(rows: list[BackendResult]) -> Iterator[Cells]:

@@ -16,7 +16,7 @@ from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import by_part
 from cvxshear.paper.scatter import NoiseStudy, Scatter
-from cvxshear.planning.results import Plan, accuracy_curve
+from cvxshear.planning.planner import Plan, accuracy_curve
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.util.errors import InputError

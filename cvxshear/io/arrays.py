@@ -1,4 +1,7 @@
-"""Read files of named arrays: MAT files with scipy and h5py, and the files of NumPy."""
+"""Read files of named arrays: MAT files with scipy and h5py, the files of NumPy, and universal files with pyuff.
+
+pyuff (the extra `uff`) returns a file of one data set as a dict rather than a list.
+"""
 
 import re
 import warnings
@@ -10,15 +13,23 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
-from cvxshear.io.columns import Columns
+from cvxshear.io.csv import Columns
 from cvxshear.io.formats import LIMIT, TOO_LARGE, read_bytes
 from cvxshear.util.errors import InputError, optional, printable
+from cvxshear.util.typing import Floats, Json
 
 Array = np.ndarray[Any, Any]
 
 RATE_NAMES = re.compile(r"(.*\.)?(fs|f_s|sr|rate|sampl(e|ing)_?(rate|freq(uency)?)|fsample)(_hz)?", re.IGNORECASE)
 STEP_NAMES = re.compile(r"(.*\.)?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval|period))(_s)?", re.IGNORECASE)
 """Names of single numbers: a sampling rate in Hz, and a time between two samples in s."""
+
+AXES = ("", "x", "y", "z", "rx", "ry", "rz")
+"""Names of the directions 0 to 6; negative ones point the other way."""
+FRF = 4
+"""Function type of frequency response functions in data set 58."""
+NEEDED = {58: ("x", "data", "func_type"), 55: ("r1", "node_nums")}
+"""Keys that pyuff returns for a complete data set; for a damaged one it omits some."""
 
 
 def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:
@@ -170,3 +181,123 @@ def read_npz(path: str | Path, limit: float = LIMIT) -> Columns:
         # numpy raises whatever a damaged file makes it run into.
         raise InputError(f"{where} is not a NumPy file that can be read ({type(error).__name__})") from None
     return columns_of_arrays(arrays, where)
+
+
+def read_uff(path: str | Path, limit: float = LIMIT) -> Columns:
+    """Read the functions (data set 58) of a universal file as columns.
+
+    Parameters
+    ----------
+    path : str or Path
+    limit : float, optional
+        Bytes that the file may have.
+
+    Returns
+    -------
+    Columns
+        The abscissa as `time` or `frequency`; each function by its response node and direction, `1x`, `2x-`, ... (`1d9`
+        for a direction outside the format); a complex function in two columns with `_re` and `_im`. A function whose
+        name is taken already has its place in the file appended, `1x#7`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or its functions have different abscissae, naming the function.
+    """
+    where = str(path)
+    functions = _sets(Path(path), 58, limit)
+    if not functions:
+        raise InputError(f"{where} holds no function (data set 58)")
+    axis = np.asarray(functions[0]["x"], dtype=np.float64)
+    named: dict[str, Floats] = {"frequency" if int(functions[0]["func_type"]) == FRF else "time": axis}
+    taken: set[str] = set()
+    for place, item in enumerate(functions, 1):
+        name = _name(item, place, taken)
+        taken.add(name)
+        other = np.asarray(item["x"], dtype=np.float64)
+        values = np.asarray(item["data"])
+        with np.errstate(over="ignore", invalid="ignore"):
+            same = values.shape == other.shape == axis.shape and np.allclose(other, axis, rtol=1e-5, atol=1e-9)
+        if not same:
+            raise InputError(
+                f'{where}: function {place}, channel "{name}", has {len(other)} points in steps of '
+                f"{_step(other):.6g}, the first has {len(axis)} in steps of {_step(axis):.6g}; one file, one rate"
+            )
+        if np.iscomplexobj(values):
+            named[f"{name}_re"], named[f"{name}_im"] = values.real, values.imag
+        else:
+            named[name] = values.astype(np.float64)
+    return Columns(where, tuple(named), np.column_stack(list(named.values())))
+
+
+def read_mode_uff(path: str | Path) -> Json:
+    """Read the modes of a universal file; its nodes 1, 2, ... are the floors.
+
+    Parameters
+    ----------
+    path : str or Path
+        With data sets 55; the x direction is taken, complex shapes are made real on their main axis.
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]].
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or holds no mode.
+    """
+    where = str(path)
+    modes = _sets(Path(path), 55, LIMIT)
+    if not modes:
+        raise InputError(f"{where} holds no mode (data set 55)")
+    nodes = [np.atleast_1d(item["node_nums"]).astype(np.int64) for item in modes]
+    if any("freq" not in item for item in modes) or len({each.tobytes() for each in nodes}) > 1:
+        raise InputError(f"{where}: the sets 55 are not normal modes at the same nodes")
+    shapes = np.array([np.atleast_1d(item["r1"]).astype(np.complex128) for item in modes])
+    frequencies = np.array([float(np.real(item["freq"])) for item in modes])
+    damping = np.array([float(item.get("modal_damp_vis", 0.0)) for item in modes])
+    upward, rising = np.argsort(nodes[0]), np.argsort(frequencies)
+    turn = np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=1, keepdims=True)))
+    result: Json = {
+        "measured_floors": nodes[0][upward].tolist(),
+        "frequencies": frequencies[rising].tolist(),
+        "mode_shapes": (shapes * turn).real[rising][:, upward].tolist(),
+    }
+    if np.any(damping > 0):
+        result["damping_ratios"] = np.where(damping > 0, damping, np.nan)[rising].tolist()
+    return result
+
+
+def _sets(path: Path, kind: int, limit: float) -> list[Json]:
+    """Read the data sets of one kind, 58 (functions) or 55 (modes)."""
+    where = str(path)
+    # pyuff opens the file by its name; that it can be read, and how large it is, is checked here.
+    read_bytes(path, limit, TOO_LARGE)
+    pyuff = optional("pyuff", "universal files need")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            file = pyuff.UFF(str(path))
+            places = [place for place, each in enumerate(file.get_set_types()) if int(each) == kind]
+            found = file.read_sets(places) if places else []
+    except Exception as error:
+        # pyuff raises whatever its parsing runs into, and quotes the file, which may have been named by mistake.
+        reason = f"{type(error).__name__} in pyuff"
+        raise InputError(f"{where} is not a universal file that can be read ({reason})") from error
+    sets = [found] if isinstance(found, dict) else list(found)
+    if any(key not in item for item in sets for key in NEEDED[kind]):
+        raise InputError(f"{where} is not a universal file that can be read: a data set {kind} lacks its numbers")
+    return sets
+
+
+def _name(item: Json, place: int, taken: set[str]) -> str:
+    direction = int(item.get("rsp_dir", AXES.index("x")))
+    axis = AXES[abs(direction)] if abs(direction) < len(AXES) else f"d{abs(direction)}"
+    name = f"{int(item.get('rsp_node', 0))}{axis}{'-' if direction < 0 else ''}"
+    return f"{name}#{place}" if name in taken else name
+
+
+def _step(axis: Floats) -> float:
+    return float(axis[1] - axis[0]) if len(axis) > 1 else 0.0
