@@ -166,11 +166,6 @@ LONGEST_PULSE = 0.25
 """Part of a run between its first and last hit that asks to part them: half of it would otherwise go unused."""
 
 
-def default_method(record: Record) -> str:
-    """Return the method that suits the record's input."""
-    return _suited(record)[0]
-
-
 def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_sweep.Source:
     """Bring the record's data into the form the method needs.
 
@@ -193,7 +188,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_swee
     """
     checks.choice(method, MODAL_METHODS, "method")
     checks.whole(blocks, "blocks", least=4, most=200)
-    suited = _suited(record)
+    suited = suited_methods(record)
     if method not in suited:
         kind = "frequency response functions" if isinstance(record, FrfRecord) else f'input = "{record.input}"'
         raise UnsuitableError(f'method "{method}" cannot use {kind}; use "{suited[0]}"')
@@ -211,7 +206,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_swee
     return _driven(record, blocks)
 
 
-def _suited(record: Record) -> tuple[str, ...]:
+def suited_methods(record: Record) -> tuple[str, ...]:
     """List the methods that can use the record's input, the one that suits it best first."""
     if isinstance(record, FrfRecord):
         return ("era",)
@@ -246,18 +241,11 @@ def _refuse_several_hits(record: TimeRecord) -> None:
 
 def _decays(record: TimeRecord) -> frf.ImpulseSource:
     record = decimated(without_offset(record))
-    decays, _ = releases_of(record)
-    impulse = pole_sweep.Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
+    starts = [_release(run.responses) for run in record.runs]
+    samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
+    decays = [run.responses[start : start + samples] for run, start in zip(record.runs, starts, strict=True)]
+    impulse = pole_sweep.Impulse(np.stack(decays, axis=2), 0, np.zeros(len(decays), dtype=np.int64))
     return frf.ImpulseSource(impulse, record.sampling_rate, releases=True)
-
-
-def releases_of(record: TimeRecord) -> tuple[Floats, Ints]:
-    """Cut the decay out of each run, shape (samples, channels, runs); the sample that it begins with comes second."""
-    runs = without_offset(record).runs
-    starts = np.array([_release(run.responses) for run in runs])
-    samples = min(run.samples - start for run, start in zip(runs, starts, strict=True))
-    pieces = [run.responses[start : start + samples] for run, start in zip(runs, starts, strict=True)]
-    return np.stack(pieces, axis=2), starts
 
 
 def _release(responses: Floats) -> int:
