@@ -24,7 +24,8 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 FAULTY = 0.02
-"""Probability beforehand that a clock is late, that it drifts, and that a channel carries no motion: one in fifty."""
+"""Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a channel carries no
+motion, is reversed or in another's place, and that a mode was missed."""
 LONGEST_DELAY = 2.6
 """Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. All are as probable."""
 SHORTEST_DELAY = 0.5
