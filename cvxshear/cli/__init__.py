@@ -18,22 +18,13 @@ STATUSES = (
     "130 interrupted."
 )
 
-FORMER_OPTIONS = {
-    "for": "goal", "solver": "backend", "state": "configuration", "check": "leave-out", "no-check": "no-leave-out",
-    "only": "names", "repeat": "repeats",
-}  # fmt: skip
-"""Former names of options, which still work, and their present ones."""
-
 app = typer.Typer(
     name="cvxshear",
     help="Floor masses and story stiffnesses of shear-type frames from measured modes, and what the shear model lacks.",
     epilog=STATUSES,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={
-        "help_option_names": ["-h", "--help"],
-        "token_normalize_func": lambda name: FORMER_OPTIONS.get(name, name),
-    },
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import RenderableType
 
-from cvxshear.cli.options import LIST, File, JsonOut, ReportOut, ResultOptions, TomlOut, input_files
+import cvxshear
+from cvxshear.cli import options
 from cvxshear.cli.output import as_typed, deliver, numbers, printing, progress
 from cvxshear.io.formats import endings_of
 from cvxshear.report import terminal
@@ -19,7 +20,6 @@ from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output, write_file
 
 if TYPE_CHECKING:
-    from cvxshear import Experiment
     from cvxshear.records import IdentifiedRecord
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def new(
     more: Annotated[list[str] | None, typer.Argument(metavar="DATA...")] = None,
-    output: TomlOut = None,
+    output: options.TomlOut = None,
     stories: int | None = None,
     modes: Annotated[
         str | None,
@@ -82,10 +82,10 @@ def new(
 
 
 MISTAKE_STATUS, DOUBT_STATUS = 2, 3
-"""Exit statuses of `check`: 2 for a mistake, which the other commands refuse; 3 with --strict for a doubt."""
+"""Exit statuses: 2 for a mistake, which other commands refuse; 3 with --strict for a doubt or an unreliable verdict."""
 
 
-def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
+def check(file: options.File, out: options.JsonOut = None, strict: bool = False) -> None:
     """Tell what looks wrong in a measurement file or a record, before anything is fitted; status 2 for a mistake.
 
     Example: cvxshear check paper
@@ -107,16 +107,16 @@ def check(file: File, out: JsonOut = None, strict: bool = False) -> None:
 
 
 def modes(
-    records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=input_files)],
-    output: TomlOut = None,
+    records: Annotated[list[str], typer.Argument(metavar="RECORD...", callback=options.input_files)],
+    output: options.TomlOut = None,
     method: str | None = None,
     count: int | None = None,
     pick: str | None = None,
     accept_swapped: bool = False,
     jobs: int = 1,
-    report: ReportOut = None,
+    report: options.ReportOut = None,
     *,
-    outputs: ResultOptions,
+    outputs: options.ResultOptions,
 ) -> None:
     """Identify natural frequencies, damping and mode shapes from records.
 
@@ -143,21 +143,23 @@ def modes(
     """
     from cvxshear.io.modes import identify_modes_many, write_merged
     from cvxshear.records import ModalResult
-    from cvxshear.report.describe.from_records import poles_table
+    from cvxshear.report.from_records import poles_table
 
     sources = _files(records, output)
     files_of = outputs.prepared(ModalResult)
     if report is not None:
         from cvxshear.report.html import render_modes
-    options = {
-        "functions": bool(outputs.figure) or report is not None,
-        "method": method,
-        "count": count,
-        "accept_swapped": accept_swapped,
-        "pick": None if pick == LIST else numbers(pick, "--pick"),
-    }
     with progress("identifying modes", outputs.quiet) as advance:
-        found = identify_modes_many(sources, jobs=jobs, progress=advance, **options)
+        found = identify_modes_many(
+            sources,
+            jobs=jobs,
+            progress=advance,
+            functions=bool(outputs.figure) or report is not None,
+            method=method,
+            count=count,
+            accept_swapped=accept_swapped,
+            pick=None if pick == options.LIST else numbers(pick, "--pick"),
+        )
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors)
     tests = _kept(found)
@@ -172,7 +174,7 @@ def modes(
         deliver(
             _said(sources, found),
             outputs.out,
-            lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == LIST else tables_of(tests),
+            lambda: map(terminal.HouseTable, map(poles_table, results)) if pick == options.LIST else tables_of(tests),
             *files,
         )
     if errors:
@@ -181,7 +183,7 @@ def modes(
 
 def measured(
     names: Sequence[str], *, jobs: int = 1, progress: Progress | None = None, accept_swapped: bool = False
-) -> tuple[Experiment, list[IdentifiedRecord]]:
+) -> tuple[cvxshear.Experiment, list[IdentifiedRecord]]:
     """Read the experiment from a measurement file, or from record files and their identified modes.
 
     Raises
@@ -191,24 +193,22 @@ def measured(
     NoSolutionError
         If a record has no identified mode.
     """
-    from cvxshear import Experiment, load
-    from cvxshear.io.modes import identify_modes_many
-    from cvxshear.io.toml import is_built_in, is_record_file
+    from cvxshear.io import modes, toml
     from cvxshear.records import merged
 
-    files = list(names) if len(names) == 1 and is_built_in(names[0]) else _files(names)
-    if len(files) == 1 and not is_record_file(files[0]):
-        return load(files[0]), []
+    files = list(names) if len(names) == 1 and toml.is_built_in(names[0]) else _files(names)
+    if len(files) == 1 and not toml.is_record_file(files[0]):
+        return cvxshear.load(files[0]), []
     for file in files:
-        if not is_record_file(file):
+        if not toml.is_record_file(file):
             raise InputError(f"{file} is no record file; hand in either records or one measurement file")
-    found = identify_modes_many(files, jobs=jobs, progress=progress, accept_swapped=accept_swapped)
+    found = modes.identify_modes_many(files, jobs=jobs, progress=progress, accept_swapped=accept_swapped)
     errors = [error for error in found if isinstance(error, CvxshearError)]
     _complain(errors[:-1])
     if errors:
         raise errors[-1]
     tests = _kept(found)
-    return Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
+    return cvxshear.Experiment.from_dict(merged(tests), name=Path(files[0]).stem), tests
 
 
 def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:

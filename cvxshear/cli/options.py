@@ -224,20 +224,22 @@ XlsxOut = Annotated[
     str | None, writes("--xlsx", what="Write the result's tables as a workbook here.", endings=(".xlsx",))
 ]
 SeriesOut = Annotated[
-    str | None, typer.Option("--out", help="Write the time series here: .csv, .mat or .npz.", metavar="OUT")
+    str | None,
+    writes("--out", what="Write the time series here: .csv, .mat or .npz.", endings=(".csv", ".mat", ".npz")),
 ]
 
 
 @dataclass(frozen=True)
-class FigureOptions:
-    """Options of commands that draw figures of their result."""
+class TableOptions:
+    """Options of commands that write the tables of their result."""
 
-    figure: FiguresOut = None
     quiet: Quiet = False
     out: JsonOut = None
+    csv: CsvOut = None
+    xlsx: XlsxOut = None
 
     def prepared(self, result: type) -> Callable[..., list[Writer]]:
-        """Check the requested files before the command runs; "list" alone prints the figures and ends the command.
+        """Check the requested files before the command runs; `--figure list` prints the figures and ends the command.
 
         Parameters
         ----------
@@ -254,20 +256,24 @@ class FigureOptions:
         InputError
             If a kind of figure is unknown, or a package for a file is not installed.
         """
-        wanted = self._figures(result)
+        from cvxshear.io.spreadsheets import load_openpyxl, write_csv, write_xlsx
 
-        def writers(*results: Any) -> list[Writer]:
-            return [*(partial(_draw, entry, path, results) for entry, path in wanted), *self.tables(results)]
+        if self.xlsx is not None:
+            load_openpyxl()
+        asked = [(write, path) for write, path in ((write_csv, self.csv), (write_xlsx, self.xlsx)) if path is not None]
+        return lambda *results: [partial(_tabulate, write, path, results) for write, path in asked]
 
-        return writers
 
-    def tables(self, results: Sequence[object]) -> list[Writer]:
-        """Return the functions that write the tables of results."""
-        return []
+@dataclass(frozen=True)
+class ResultOptions(TableOptions):
+    """Options of commands that write the tables of their result and draw its figures."""
 
-    def _figures(self, result: type) -> list[tuple[FigureEntry, str]]:
+    figure: FiguresOut = None
+
+    def prepared(self, result: type) -> Callable[..., list[Writer]]:
+        tabulated = super().prepared(result)
         if not self.figure:
-            return []
+            return tabulated
         from cvxshear.report.figures import figures_of
 
         figures = figures_of(result)
@@ -276,28 +282,8 @@ class FigureOptions:
             rows = ((name, entry.title, entry.needs) for name, entry in figures.items())
             show([terminal.plain_table(title, *head, words=(0, 1, 2), rows=rows)])
             raise typer.Exit
-        return [_split(text, figures) for text in self.figure]
-
-
-@dataclass(frozen=True)
-class ResultOptions(FigureOptions):
-    """Options of commands that draw figures of their result and write its tables."""
-
-    csv: CsvOut = None
-    xlsx: XlsxOut = None
-
-    def prepared(self, result: type) -> Callable[..., list[Writer]]:
-        if self.xlsx is not None:
-            from cvxshear.io.spreadsheets import load_openpyxl
-
-            load_openpyxl()
-        return super().prepared(result)
-
-    def tables(self, results: Sequence[object]) -> list[Writer]:
-        from cvxshear.io.spreadsheets import write_csv, write_xlsx
-
-        asked = ((write_csv, self.csv), (write_xlsx, self.xlsx))
-        return [partial(_tabulate, write, path, results) for write, path in asked if path is not None]
+        wanted = [_split(text, figures) for text in self.figure]
+        return lambda *results: [*(partial(_draw, *each, results) for each in wanted), *tabulated(*results)]
 
 
 def _draw(entry: FigureEntry, path: str, results: Sequence[Any]) -> None:
@@ -307,9 +293,7 @@ def _draw(entry: FigureEntry, path: str, results: Sequence[Any]) -> None:
 
 
 def _tabulate(write: Callable[..., None], path: str, results: Sequence[object]) -> None:
-    from cvxshear.report.handover import sheets_of
-
-    write(path, sheets_of(*results))
+    write(path, terminal.sheets_of(*results))
 
 
 def _path(text: str) -> str:
@@ -328,25 +312,3 @@ def _split(text: str, figures: Mapping[str, FigureEntry]) -> tuple[FigureEntry, 
         hint = checks.near(kind, figures)
         raise InputError(f"--figure: there is no figure {kind!r} here; there are {', '.join(figures)}{hint}")
     return figures[kind], path
-
-
-def handed_over(
-    context: typer.Context, option: str, paths: Iterable[str], kind_of: Callable[[str], str], write: Callable[..., None]
-) -> list[Callable[..., None]]:
-    """Check the output files, and return one function for each file that writes a given result.
-
-    Parameters
-    ----------
-    context : typer.Context
-    option : str
-        Option that names the files.
-    paths : iterable of str
-    kind_of : callable
-        (path) -> ending; raises `InputError` for an unknown ending.
-    write : callable
-        (path, result)
-    """
-    asked = list(paths)
-    for path in asked:
-        claim(context, option, path, [f".{kind_of(path)}"])
-    return [partial(write, path) for path in asked]

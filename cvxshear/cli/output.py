@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import errno
 import hashlib
 import io
@@ -107,7 +106,7 @@ def deliver(
 
 def doubts_of(found: Sequence[FileFinding] | None) -> Iterable[RenderableType]:
     """Render the warnings of a computed result."""
-    from cvxshear.report.describe.from_records import doubts_section
+    from cvxshear.report.from_records import doubts_section
 
     return terminal.rendered(doubts_section(found or ()))
 
@@ -157,22 +156,6 @@ def _digest(file: str) -> str | None:
     return hashlib.sha256(content).hexdigest()
 
 
-def heading_of(report: str | None, **parts: str | None) -> dict[str, str]:
-    """Collect the options for the heading of a report.
-
-    Raises
-    ------
-    InputError
-        If an option is given without a report, or a text is empty.
-    """
-    from cvxshear.util import checks
-
-    given = {key: checks.text(value, f"--{key}") for key, value in parts.items() if value is not None}
-    if given and report is None:
-        raise InputError(f"--{next(iter(given))} belongs to a report: add --report OUT.html")
-    return given
-
-
 _silent: list[bool] = [False]
 
 
@@ -215,11 +198,6 @@ def numbers(
         raise InputError(f"{option} must be {right}, not {text!r}") from None
 
 
-SPELLED = "cvxshear.spelled"
-SPELLINGS = {"±": "+-", "–": "-", "−": "-", "·": "*", "°": " deg", "²": "2", "χ": "chi", "≤": "<=", "≥": ">="}
-"""ASCII spellings of characters that a terminal's encoding may lack."""
-
-
 class OutputError(Exception):
     """Standard output cannot be written."""
 
@@ -237,7 +215,7 @@ def sound_streams() -> Iterator[None]:
             null = os.open(os.devnull, os.O_RDONLY if name == "stdout" else os.O_WRONLY)
             setattr(sys, name, open(null, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - open to the end
         elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=SPELLED)
+            stream.reconfigure(errors="backslashreplace")
     yield
     with printing():
         pass
@@ -265,15 +243,3 @@ def lost(error: OSError) -> OutputError:
     if isinstance(sys.stdout, io.TextIOWrapper):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return OutputError("it is closed" if error.errno == errno.EBADF else error.strerror)
-
-
-def _spelled(error: UnicodeError) -> tuple[str, int]:
-    """Spell characters that a terminal's encoding does not contain."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    missing = error.object[error.start : error.end]
-    spelled = [SPELLINGS.get(each) or each.encode("ascii", "backslashreplace").decode("ascii") for each in missing]
-    return "".join(spelled), error.end
-
-
-codecs.register_error(SPELLED, _spelled)

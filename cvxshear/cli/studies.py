@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cvxshear.cli.options import (
-    BackendName,
-    FigureOptions,
-    File,
-    JsonOut,
-    Quiet,
-    ResultOptions,
-    TomlOut,
-    UnitsOption,
-    input_files,
-)
+import cvxshear
+from cvxshear.cli import options
 from cvxshear.cli.output import deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
 from cvxshear.report import terminal
@@ -34,7 +25,7 @@ Samples = Annotated[int, typer.Option(min=2)]
 
 
 def plan(
-    file: File,
+    file: options.File,
     sensors: int | None = None,
     tests: int = 1,
     added_mass: str | None = None,
@@ -48,10 +39,10 @@ def plan(
     goal: str = "all",
     criterion: str = "D",
     fresh: bool = False,
-    output: TomlOut = None,
-    units: UnitsOption = None,
+    output: options.TomlOut = None,
+    units: options.UnitsOption = None,
     *,
-    outputs: ResultOptions,
+    outputs: options.TableOptions,
 ) -> None:
     """Choose the floors to measure and the masses to add, before a test.
 
@@ -90,25 +81,23 @@ def plan(
     output
         Write a measurement file to fill in.
     """
-    from cvxshear.planning import Plan, measurement_of, write_template
-    from cvxshear.planning import plan as run
-    from cvxshear.screening import in_json, refuse_mistakes
+    from cvxshear import planning, screening
 
-    files_of, display = outputs.prepared(Plan), Units.parse(units)
+    files_of, display = outputs.prepared(planning.Plan), Units.parse(units)
     noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
     wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
-    measured = measurement_of(file)
-    doubts = None if measured is None else refuse_mistakes(measured)
+    measured = planning.measurement_of(file)
+    doubts = None if measured is None else screening.refuse_mistakes(measured)
     with progress("planning", outputs.quiet):
-        result = run(
+        result = planning.plan(
             measured or file, sensors, tests, modes=_one_or_many(wanted), noise=noise,
             added_mass=_one_or_many(masses), goal=goal, criterion=criterion, fresh=fresh,
         )  # fmt: skip
     files = files_of(result)
     if output is not None:
-        files.append(lambda: write_template(output, result))
-    said = {**result.to_dict(), **in_json(doubts)}
+        files.append(lambda: planning.write_template(output, result))
+    said = {**result.to_dict(), **screening.in_json(doubts)}
     deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result, display)], *files)
 
 
@@ -140,11 +129,11 @@ def _one_or_many(found: list[Any] | None) -> Any:
 
 
 def reproduce(
-    backend: BackendName = "auto",
+    backend: options.BackendName = "auto",
     samples: Samples = 10_000,
     seed: int = 2023,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    quiet: options.Quiet = False,
+    out: options.JsonOut = None,
 ) -> None:
     """Print the paper's figures beside recomputed ones, with the difference.
 
@@ -170,7 +159,7 @@ def noise(
     methods: str = "two-stage,one-shot,efficient",
     jobs: int = 1,
     *,
-    outputs: FigureOptions,
+    outputs: options.ResultOptions,
 ) -> None:
     """Print the scatter of each method under noise beside the Cramer-Rao bound: Table 3, Figs. 5 and 6, six stories.
 
@@ -200,12 +189,12 @@ def noise(
 
 
 def backends(
-    file: Annotated[str | None, typer.Argument(callback=input_files)] = None,
+    file: Annotated[str | None, typer.Argument(callback=options.input_files)] = None,
     names: str | None = None,
     repeats: int = 3,
     tolerance: float | None = None,
-    quiet: Quiet = False,
-    out: JsonOut = None,
+    quiet: options.Quiet = False,
+    out: options.JsonOut = None,
 ) -> None:
     """List the backends; with a file, solve its programs with every one and compare them to the closed form.
 
@@ -232,11 +221,9 @@ def backends(
         there = listed()
         deliver({"backends": [each.to_dict() for each in there]}, out, lambda: _listed(there))
         return
-    from cvxshear import compare_backends, load
-
-    experiment = load(file)
+    experiment = cvxshear.load(file)
     with progress("comparing backends", quiet):
-        result = compare_backends(experiment, listed_names(names), repeats=repeats, tolerance=tolerance)
+        result = cvxshear.compare_backends(experiment, listed_names(names), repeats=repeats, tolerance=tolerance)
     title = experiment.report.title or experiment.name
     deliver(result.to_dict(), out, lambda: terminal.shown(result), title=title)
 

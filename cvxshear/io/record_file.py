@@ -7,7 +7,6 @@ has them all.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -20,22 +19,17 @@ from cvxshear.io import record_tables
 from cvxshear.io.csv import Columns
 from cvxshear.io.formats import LIMIT, MEGABYTE, named_after, read_columns
 from cvxshear.io.record_tables import ChannelDeclaration
-from cvxshear.io.toml import parse, read_text
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
-from cvxshear.util.writing import write_file
 
 RECORD_KEYS = (
     "name", "kind", "input", "input_floor", "file", "sampling_rate", "time", "time_unit", "frequency", "axis",
     "stories", "quantity", "band", "exponential_window", "truncated", "pick", "size_limit",
 )  # fmt: skip
-HEADER = re.compile(r"^[ \t]*\[record\][ \t]*(#.*)?\n", re.MULTILINE)
-PICK = re.compile(r"^[ \t]*pick[ \t]*=[ \t]*\[[^\]]*\]", re.MULTILINE)
-"""Patterns of the header of the record's table, and of the line of poles picked by hand."""
 
 FREQUENCY_NAMES = ("frequency", "frequency_hz", "freq", "f", "f_hz", "Frequency", "hz")
 
@@ -104,32 +98,6 @@ def read_record(path: str | Path) -> RecordFile:
     if picked is not None:
         picked = checks.vector(picked, f"{path}: record: pick", above=0.0).tolist()
     return RecordFile(record, frame, priors, tables.added_mass, tables.state, picked, files, tuple(notes))
-
-
-def write_pick(path: str | Path, frequencies: Sequence[float]) -> None:
-    """Write the frequencies of modes that were chosen by hand into a record file, and change nothing else.
-
-    Parameters
-    ----------
-    path : str or Path
-    frequencies : sequence of float
-        Hz.
-
-    Raises
-    ------
-    InputError
-        If the file has no table `[record]` under a header of its own, or cannot be written.
-    """
-    path = Path(path)
-    text = read_text(path)
-    line = f"pick = [{', '.join(f'{frequency:.5g}' for frequency in frequencies)}]"
-    changed, count = PICK.subn(line, text, count=1)
-    if not count:
-        changed, count = HEADER.subn(rf"\g<0>{line}\n", text, count=1)
-    table = parse(changed, path).get("record")
-    if not count or not isinstance(table, dict) or len(table.get("pick", ())) != len(frequencies):
-        raise InputError(f"{path} has no table [record] that a line could be written into; write there: {line}")
-    write_file(path, changed)
 
 
 class RecordTables:

@@ -1,6 +1,5 @@
 """The measurement file: an experiment as TOML, read and written."""
 
-import dataclasses
 import os
 import re
 import textwrap
@@ -73,9 +72,6 @@ def load(path: str | Path) -> Experiment:
         experiment = Experiment.from_dict(with_modes_read(declared, path.parent), name=named_after(path))
         for expected in experiment.expected:
             checks.choice(expected.name, [effect.name for effect in catalogue()], "effect: name")
-    if experiment.report.photograph is not None:
-        beside = dataclasses.replace(experiment.report, photograph=str(path.parent / experiment.report.photograph))
-        experiment = dataclasses.replace(experiment, report=beside)
     return experiment
 
 

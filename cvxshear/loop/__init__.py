@@ -1,6 +1,5 @@
 """Closing the loop between measurement and model."""
 
-from cvxshear.loop.results import LoopResult
-from cvxshear.loop.verdicts import VERDICTS
+from cvxshear.loop.results import VERDICTS, LoopResult
 
 __all__ = ["VERDICTS", "LoopResult"]

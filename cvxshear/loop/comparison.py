@@ -6,19 +6,16 @@ test that mere extra freedom does not pass.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from cvxshear import backends
-from cvxshear.backends import Backend
 from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit.efficient import Estimate, fitted_with
-from cvxshear.fit.gauss_newton import ROUGH
+from cvxshear.fit.gauss_newton import FULL, ROUGH
 from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
 from cvxshear.loop.posterior import Posterior
@@ -26,15 +23,11 @@ from cvxshear.loop.results import Step
 from cvxshear.loop.search import Search
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model import mode_derivatives, modes
-from cvxshear.util import ranking
-from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Bools
 
-DETERMINED = 1e-3
-"""Largest change of the log frequency along an undetermined direction for a prediction that counts."""
-
 USEFUL = 0.1
-"""Largest relative standard deviation of a prediction that counts."""
+"""Largest relative standard deviation of a prediction that counts; an undetermined direction counts with its length."""
 
 MOST_PREDICTIONS = 24
 """Largest number of predictions: each is a fit, and a tall frame has many modes."""
@@ -119,10 +112,10 @@ def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_g
         ways.append((f"with {placed.label}", partial(_in_noise_of, final, order[:count], fitter)))
     estimates = [*(make() for _, make in ways[:-1]), final]
     left_out = held_out_frequency_errors(estimates[0], final, fitter)
-    errors = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
+    held_out = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
     return tuple(
         Step(estimate, what, estimate.p_value, error)
-        for (what, _), estimate, error in zip(ways, estimates, errors, strict=True)
+        for (what, _), estimate, error in zip(ways, estimates, held_out, strict=True)
     )
 
 
@@ -134,27 +127,18 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     """
     wanted = (*fitter.assumed, *effects)
     base = fitter.base or final
-    first = final if final.experiment is fitter.experiment else base
-    proposals = [
-        dataclasses.replace(
-            proposal, misfit=proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
-        )
-        for proposal in (fitter.proposal(start, wanted) for start in (first, base))
-    ]
-    misfit = proposals[0].misfit
+    starts = [final, base] if final.experiment is fitter.experiment else [base]
     fitter.fits += 1
-
-    def fit(by: Backend) -> Estimate:
+    for start, accuracy in (*((each, FULL) for each in starts), (base, ROUGH)):
+        proposal = fitter.proposal(start, wanted)
+        misfit = proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
+        by = partial(fitted_with, misfit, proposal.starts[0], accuracy=accuracy)
         try:
-            return fitted_with(misfit, proposals[0].starts[0], by)
-        except NoModesError:
-            return fitted_with(misfit, proposals[1].starts[0], by)
-
-    try:
-        return with_stand_in(fitter.backend, fit)[0]
-    except NoSolutionError:
-        # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough for a comparison.
-        return fitted_with(misfit, proposals[1].starts[0], backends.get("auto"), ROUGH)
+            return with_stand_in(fitter.backend, by)[0]
+        except (errors.NoModesError, errors.NoSolutionError) as error:
+            # Far from the data a fit may follow an endless curved valley; a rough fit is accurate enough here.
+            failure = error
+    raise failure
 
 
 def held_out_frequency_errors(before: Estimate, after: Estimate, fitter: Fitter) -> tuple[float | None, float | None]:
@@ -208,7 +192,7 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     fitter.fits += 1
     try:
         rest = fitted_with(misfit, estimate.theta, fitter.backend)
-    except CvxshearError:
+    except errors.CvxshearError:
         # The remaining data allow no prediction here; predictions elsewhere still count.
         return {}
     if not rest.fit.converged:
@@ -221,6 +205,6 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     open_change = np.abs(gradient * np.abs(rest.theta)[:, None])[~rest.uncertainty.determined].sum(axis=0)
     variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(), gradient)
     error = np.abs(found.frequencies[which] / configuration.frequencies[mask] - 1.0)
-    counts = (open_change <= DETERMINED) & (variance <= USEFUL**2)
+    counts = np.sqrt(variance) + open_change <= USEFUL
     places = np.flatnonzero(mask).tolist()
     return {(name, place): float(value) for place, value, good in zip(places, error, counts, strict=True) if good}

@@ -8,26 +8,18 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import special
 
-from cvxshear.effects import Effect, LocatedEffect
-from cvxshear.effects.masses import LoadScale
+from cvxshear.effects import Effect, LocatedEffect, masses
 from cvxshear.fit.efficient import Estimate, parameter_names
-from cvxshear.loop.comparison import VerdictFits
+from cvxshear.loop import comparison, hypotheses, next_test, results
 from cvxshear.loop.fitter import ModelClass
-from cvxshear.loop.hypotheses import OPEN, OVERLOOKED, NumberingProbability, dual_fits_as_well, dual_set
-from cvxshear.loop.next_test import next_test
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
-from cvxshear.loop.results import AddedEffect, Candidate, EffectSet, LoopResult, where_it_sits
-from cvxshear.loop.search import Search, fits_alike
+from cvxshear.loop.search import REPORTED, Search, fits_alike
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util import ranking
-from cvxshear.util.quantities import SURE, listed, significant
+from cvxshear.util import quantities, ranking
 
-NUMBERED = 1.0 - 2.0 * OVERLOOKED
+NUMBERED = 1.0 - 2.0 * hypotheses.OVERLOOKED
 """Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
 numbers keep their prior probability, which suffices."""
-
-REPORTED = 1e-3
-"""Smallest probability of a reported set."""
 
 LITTLE_GAINED = 1.1
 """Smallest ratio of precisions, with the data and without, for an effect that the data distinguish from the frame."""
@@ -37,13 +29,13 @@ AT_AN_END = 1e-3
 
 
 def conclude(
-    fits: VerdictFits,
+    fits: comparison.VerdictFits,
     posterior: Posterior,
     wanted: Sequence[Effect],
     *,
     messages: Sequence[str],
     effort: tuple[int, int],
-) -> LoopResult:
+) -> results.LoopResult:
     """Reach the verdict on the visited sets; no fit is made.
 
     Parameters
@@ -71,7 +63,7 @@ def conclude(
     by_set = {model.effects: model.estimate for model in reversed(here.models)}
     rivals = [estimate for rival in _rival_sets(here, added) if (estimate := by_set[rival]) is not None]
     granted = (*_granted(search, found), *_granted_of_the_scale(search, found), *_granted_of_bounds(fitter.experiment))
-    return LoopResult(
+    return results.LoopResult(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
         verdict=_verdict(added, here, numbering, final, unexplained=significant and not negligible),
@@ -85,9 +77,9 @@ def conclude(
         averaged=posterior.averaged(),
         candidates=tuple(_candidates(posterior, fits)),
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
-        remains=tuple(where_it_sits(final)) if significant and not negligible else (),
+        remains=tuple(results.where_it_sits(final)) if significant and not negligible else (),
         information=(*messages, *_information(search, posterior, judged, negligible=negligible)),
-        next_test=next_test(judged, rivals),
+        next_test=next_test.next_test(judged, rivals),
         fits=effort[0],
         programs=effort[1],
     )
@@ -97,21 +89,21 @@ def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Loca
     """List the twins of each effect of a set: exact twins, and the dual if only frequencies were measured."""
     experiment = search.fitter.experiment
     twins = {placed: search.twins(found, placed) for placed in found.effects}
-    if not dual_fits_as_well(experiment):
+    if not hypotheses.dual_fits_as_well(experiment):
         return twins
     known = [item.placed for item in search.fitter.hypotheses]
     alike = [model.effects for model in posterior.models if fits_alike(model, found)]
-    if dual_set(found.effects, known, experiment.stories) in alike:
+    if hypotheses.dual_set(found.effects, known, experiment.stories) in alike:
         for placed in found.effects:
-            other = dual_set(frozenset([placed]), known, experiment.stories)
+            other = hypotheses.dual_set(frozenset([placed]), known, experiment.stories)
             twins[placed] += [each for each in other or () if each not in (placed, *twins[placed])]
     return twins
 
 
 def _verdict(
-    added: Sequence[AddedEffect],
+    added: Sequence[results.AddedEffect],
     posterior: Posterior,
-    numbering: NumberingProbability,
+    numbering: hypotheses.NumberingProbability,
     final: Estimate,
     *,
     unexplained: bool,
@@ -121,11 +113,11 @@ def _verdict(
     if not added and not numbering.changes:
         answered = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
         return "adequate" if answered else "ambiguous"
-    sure = min([numbering.probability, *(item.probability for item in added)]) >= SURE
+    sure = min([numbering.probability, *(item.probability for item in added)]) >= quantities.SURE
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:
         return "ambiguous"
-    return "located" if any(item.placed.effect.kind == OPEN for item in added) else "explained"
+    return "located" if any(item.placed.effect.kind == hypotheses.OPEN for item in added) else "explained"
 
 
 def _negligible(final: Estimate) -> bool:
@@ -135,7 +127,7 @@ def _negligible(final: Estimate) -> bool:
     return all(kind.leading is not None and (errors[kind.leading.key] or 0.0) < kind.negligible for kind in kinds)
 
 
-def _added(posterior: Posterior, final: Estimate, placed: LocatedEffect) -> AddedEffect:
+def _added(posterior: Posterior, final: Estimate, placed: LocatedEffect) -> results.AddedEffect:
     values, errors = final.theta[final.own(placed)], posterior.deviations_about(final, placed)
     names = [item.name for item in placed.effect.parameters]
     parameters = dict(zip(names, values.tolist(), strict=True))
@@ -144,8 +136,8 @@ def _added(posterior: Posterior, final: Estimate, placed: LocatedEffect) -> Adde
     if placed.effect.rescales:
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
-        said = f"{said}: {significant(factor['factor'], 2)} times"
-    return AddedEffect(
+        said = f"{said}: {quantities.significant(factor['factor'], 2)} times"
+    return results.AddedEffect(
         placed,
         posterior.of_effects[placed],
         parameters,
@@ -166,7 +158,7 @@ def _remarks(final: Estimate, placed: LocatedEffect) -> Iterator[str]:
                 yield f"{item.name} is at the {word} end of what is physical"
 
 
-def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[frozenset[LocatedEffect]]:
+def _rival_sets(posterior: Posterior, added: Sequence[results.AddedEffect]) -> list[frozenset[LocatedEffect]]:
     """List the sets that hold a rival in place of an added effect, twins first."""
     effects = frozenset(item.placed for item in added)
     twins = [(effects - {item.placed}) | {rival.placed} for item in added for rival in item.rivals if rival.twin]
@@ -182,7 +174,7 @@ def _rival_sets(posterior: Posterior, added: Sequence[AddedEffect]) -> list[froz
     return list(dict.fromkeys(found))
 
 
-def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
+def _shown_sets(posterior: Posterior) -> Iterator[results.EffectSet]:
     sums = defaultdict[object, float](float)
     for model, probability in zip(posterior.models, posterior.of_sets, strict=True):
         sums[model.effects, model.changes] += float(probability)
@@ -192,10 +184,10 @@ def _shown_sets(posterior: Posterior) -> Iterator[EffectSet]:
         model = best[key]
         if sums[key] >= REPORTED and model.estimate is not None:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
-            yield EffectSet(order, min(sums[key], 1.0), model.log_evidence, model.estimate.chi2, model.changes)
+            yield results.EffectSet(order, min(sums[key], 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
 
-def _candidates(posterior: Posterior, fits: VerdictFits) -> list[Candidate]:
+def _candidates(posterior: Posterior, fits: comparison.VerdictFits) -> list[results.Candidate]:
     """List all effects that were looked for, the most probable first.
 
     The search fits only promising effects. An effect with too small an influence to detect keeps its prior probability;
@@ -224,13 +216,13 @@ def _candidates(posterior: Posterior, fits: VerdictFits) -> list[Candidate]:
         probability = posterior.of_effects[placed]
         if fits.model.effects | {placed} not in search.visited:
             probability += (1.0 - probability) * unseen.get(placed, 0.0)
-        found.append(Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
+        found.append(results.Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
     order = posterior.ranked((each.placed for each in found), {each.placed: each.probability for each in found})
     return sorted(found, key=lambda each: (order.index(each.placed) if each.probability else len(order), each.chi2))
 
 
 def _quoted(names: Sequence[str]) -> str:
-    return listed([f'"{name}"' for name in names])
+    return quantities.listed([f'"{name}"' for name in names])
 
 
 def _rests_on(final: Estimate) -> Iterator[str]:
@@ -243,11 +235,11 @@ def _rests_on(final: Estimate) -> Iterator[str]:
         return
     # The noise of the misfit is not used: it has no factor if the fit stopped at the default.
     factors = dict(final.noise.noise.factors)
-    listed = ", ".join(
+    shown = ", ".join(
         f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
     )
     partly = len(final.misfit.open_noises) < len(final.misfit.noises)
-    yield f"{'stated and ' if partly else ''}estimated noise ({listed})"
+    yield f"{'stated and ' if partly else ''}estimated noise ({shown})"
 
 
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
@@ -275,8 +267,8 @@ def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
     if experiment.frame.known_total is not None and experiment.frame.total_mass_std is None:
         return
     loaded = any(np.any(each.added_mass) for each in experiment.configurations)
-    if loaded and not any(placed.effect.name == LoadScale.name for placed in found.effects):
-        yield LoadScale.granted
+    if loaded and not any(placed.effect.name == masses.LoadScale.name for placed in found.effects):
+        yield masses.LoadScale.granted
     if any(each.mass_normalized and each.measured.any() for each in experiment.configurations):
         yield "that forces and motions were measured in right proportion, which is that of all masses"
 

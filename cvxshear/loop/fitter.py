@@ -1,26 +1,43 @@
-"""Fits of sets of effects to one experiment, their probabilities, and the effort of the fits."""
+"""Fits of sets of effects to one experiment, their effort, and their evidence.
+
+The evidence of a set is the probability of the data under the set (Beck and Yuen 2004), by Laplace's approximation at
+the penalised optimum. Let x be the directions that the equalities leave free, and H the Gauss-Newton Hessian of half
+the sum of squares, with the priors among its rows. Then
+
+    log Z = -objective / 2 - log det H / 2 + sum over effects of the logarithm of their priors' constants
+            - sum of log theta over the frame + the logarithm of the part of the Gaussian that keeps the inequalities
+            + the term of undeclared noise.
+
+A parameter pressed against a bound with the multiplier w has integral(exp(-w t - t^2 / 2 s^2)) dt in place of a whole
+Gaussian, with variance s^2. A parameter with Student's t as its prior has the integral of this prior times the
+likelihood's Gaussian (`log_tailed_interval`). Directions of the frame count in units of a typical floor and story,
+which are the same in every set, so the constants of the frame's own prior cancel.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import optimize, special
 
 from cvxshear import backends
-from cvxshear.backends import Backend
-from cvxshear.effects import LocatedEffect
-from cvxshear.effects.composition import slices
-from cvxshear.fit.domain import EffectPrior
+from cvxshear.effects import LocatedEffect, composition
+from cvxshear.fit import domain, gauss_newton, gaussian
 from cvxshear.fit.efficient import Estimate, fitted
-from cvxshear.fit.gauss_newton import FULL, ROUGH, Accuracy
 from cvxshear.fit.misfit import Evaluation, Misfit
-from cvxshear.loop.evidence import log_evidence
 from cvxshear.loop.hypotheses import Changes, Hypothesis, Numbering, log_odds
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
-from cvxshear.util.parallel import each as in_parallel
+from cvxshear.programs import LeastSquares, constraints
+from cvxshear.util import errors
 from cvxshear.util.typing import Floats
+
+TINY = 1e-12
+"""Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
+
+TOUCHING = 1e-4
+"""Largest distance from an active inequality, in standard deviations."""
 
 SAME_OPTIMUM = 0.3
 """Largest difference of two fits at the same optimum, in standard deviations of any datum or prior. Fits of the search
@@ -50,7 +67,7 @@ class ModelClass:
     estimate: Estimate | None
     log_evidence: float
     log_prior: float
-    failure: CvxshearError | None = None
+    failure: errors.CvxshearError | None = None
     changes: Changes = ()
 
     @property
@@ -69,7 +86,7 @@ class ModelClass:
         if mine is None or theirs is None:
             return False
         n2 = 2 * mine.experiment.stories
-        values = {placed: theirs.theta[own] for placed, own in slices(theirs.effects, n2)}
+        values = {placed: theirs.theta[own] for placed, own in composition.slices(theirs.effects, n2)}
         there = np.concatenate([theirs.theta[:n2], *(values[placed] for placed in mine.effects)])
         return bool(np.all(np.abs(mine.fit.at.J @ (there - mine.theta)) < SAME_OPTIMUM))
 
@@ -109,8 +126,6 @@ class Fitter:
     assumed : tuple of LocatedEffect
         Effects that every set holds.
     expectation : EffectPrior
-    jobs : int
-        Processes over which sets are fitted.
     fits, programs : int
         Fits made so far, and step programs that they solved.
     stand_ins : int
@@ -120,11 +135,10 @@ class Fitter:
     """
 
     numbering: Numbering
-    backend: Backend
+    backend: backends.Backend
     hypotheses: Sequence[Hypothesis]
     assumed: tuple[LocatedEffect, ...]
-    expectation: EffectPrior
-    jobs: int = 1
+    expectation: domain.EffectPrior
     fits: int = 0
     programs: int = 0
     stand_ins: int = 0
@@ -157,42 +171,37 @@ class Fitter:
     def proposal(self, start: Estimate, effects: Sequence[LocatedEffect], more: Sequence[Floats] = ()) -> FitProposal:
         """Propose a fit of these effects, started from a fit that shares some of them."""
         n2 = 2 * self.experiment.stories
-        values = {placed: start.theta[own] for placed, own in slices(start.effects, n2)}
+        values = {placed: start.theta[own] for placed, own in composition.slices(start.effects, n2)}
         own = [values.get(placed, np.array(placed.start)) for placed in effects]
         plain = np.concatenate([start.theta[:n2], *own])
         return FitProposal(tuple(effects), (*more, plain), start.misfit.replaced(effects), start.fit.at.objective)
 
-    def fit(self, misfit: Misfit, start: Floats, accuracy: Accuracy = FULL) -> Estimate:
+    def fit(self, misfit: Misfit, start: Floats, accuracy: gauss_newton.Accuracy = gauss_newton.FULL) -> Estimate:
         """Fit a model from a starting point."""
         self.fits += 1
         found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, accuracy))
         self.stand_ins += stood_in
         return found
 
-    def models(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> list[ModelClass]:
-        """Fit sets, on several processes if there are several."""
-        if self.jobs == 1 or len(proposals) < 2:
-            found = [_fitted(proposal, self.backend, accuracy) for proposal in proposals]
-        else:
-            work = _Work(self.backend, accuracy)
-            found = [
-                (_own(item, proposal), stood_in)
-                for (item, stood_in), proposal in zip(
-                    in_parallel(work, proposals, jobs=self.jobs), proposals, strict=True
-                )
-            ]
-        self.stand_ins += sum(stood_in for _, stood_in in found)
-        return [self._model(proposal, item) for proposal, (item, _) in zip(proposals, found, strict=True)]
+    def models(
+        self, proposals: Sequence[FitProposal], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH
+    ) -> list[ModelClass]:
+        """Fit sets."""
+        return [self._model(proposal, accuracy) for proposal in proposals]
 
     def set_of(self, proposal: FitProposal) -> frozenset[LocatedEffect]:
         """Return the set of a proposal, without the assumed effects."""
         return frozenset(proposal.effects) - frozenset(self.assumed)
 
-    def _model(self, proposal: FitProposal, found: Estimate | CvxshearError) -> ModelClass:
+    def _model(self, proposal: FitProposal, accuracy: gauss_newton.Accuracy) -> ModelClass:
         self.fits += 1
-        effects = self.set_of(proposal)
-        if isinstance(found, CvxshearError):
-            return ModelClass(effects, None, -np.inf, self.log_prior(effects), found, self.numbering.changes)
+        try:
+            start, at = _start(proposal)
+            found, stood_in = with_stand_in(self.backend, lambda by: fitted(proposal.misfit, start, by, accuracy, at))
+        except errors.CvxshearError as error:
+            effects = self.set_of(proposal)
+            return ModelClass(effects, None, -np.inf, self.log_prior(effects), error, self.numbering.changes)
+        self.stand_ins += stood_in
         self.programs += found.fit.steps
         return self.model_of(found)
 
@@ -207,45 +216,19 @@ class Fitter:
         """Fit the same set to full accuracy; return the old fit if this fails."""
         if model.estimate is None:
             return model
-        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], FULL)
+        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], gauss_newton.FULL)
         return model if found.estimate is None else found
 
 
-@dataclass(frozen=True)
-class _Work:
-    """Fit in another process."""
-
-    backend: Backend
-    accuracy: Accuracy
-
-    def __call__(self, proposal: FitProposal) -> tuple[Estimate | CvxshearError, bool]:
-        return _fitted(proposal, self.backend, self.accuracy)
-
-
-def _own(found: Estimate | CvxshearError, proposal: FitProposal) -> Estimate | CvxshearError:
-    """Bind a fit from another process, which holds copies of the effects, to the effects of this process."""
-    if isinstance(found, CvxshearError):
-        return found
-    theta = found.theta
-    misfit = proposal.misfit.replaced(noise=found.misfit.noise)
-    fit = type(found.fit)(theta, misfit.evaluate(theta), found.fit.reason, found.fit.steps)
-    return Estimate(misfit, found.domain, fit, found.uncertainty, found.noise)
-
-
-def _fitted(proposal: FitProposal, backend: Backend, accuracy: Accuracy) -> tuple[Estimate | CvxshearError, bool]:
-    """Fit a set, or return the reason for a missing fit; also return whether another backend made the fit."""
-    try:
-        start = _start(proposal)
-        return with_stand_in(backend, lambda by: fitted(proposal.misfit, start[0], by, accuracy, start[1]))
-    except CvxshearError as error:
-        return error, False
-
-
-def with_stand_in(backend: Backend, fit: Callable[[Backend], Estimate]) -> tuple[Estimate, bool]:
+def with_stand_in(
+    backend: backends.Backend,
+    fit: Callable[[backends.Backend], Estimate],
+    refusals: tuple[type[errors.CvxshearError], ...] = (errors.UnsuitableError, errors.NoSolutionError),
+) -> tuple[Estimate, bool]:
     """Make a fit on one backend, or on `auto` if this backend refuses or fails; also return whether `auto` made it."""
     try:
         return fit(backend), False
-    except (UnsuitableError, NoSolutionError):
+    except refusals:
         if backend.name == "auto":
             raise
         return fit(backends.get("auto")), True
@@ -257,8 +240,164 @@ def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
     for guess in guesses:
         try:
             at = proposal.misfit.evaluate(guess)
-        except NoModesError:
+        except errors.NoModesError:
             continue
         if at.objective <= proposal.objective:
             return guess, at
     return plain, None
+
+
+def log_evidence(estimate: Estimate, expectation: domain.EffectPrior) -> float:
+    """Return the logarithm of the evidence, up to a constant that all sets for the same data share.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The penalised optimum.
+    expectation : EffectPrior
+        The expectation used in the fit.
+    """
+    B = free_basis(estimate, expectation)
+    U, c = estimate.fit.at.triangle
+    moved = U @ B
+    H = moved.T @ moved
+    sign, log_det = np.linalg.slogdet(H)
+    if sign <= 0:
+        return -np.inf
+    value = -0.5 * (estimate.fit.at.objective + float(log_det)) + estimate.noise.gain - _log_size(estimate, expectation)
+    value += sum(_log_constant(placed, expectation) for placed in estimate.effects if not placed.fixed)
+    return float(value + _log_kept(estimate, B, H, moved.T @ c))
+
+
+def _log_size(estimate: Estimate, expectation: domain.EffectPrior) -> float:
+    """Return the sum of the logarithms of masses and stiffnesses in typical units: the prior is on the logarithms."""
+    scale = expectation.scale
+    assert scale is not None, "evidence needs an expectation"
+    n = estimate.experiment.stories
+    mass, stiffness = estimate.theta[:n] / scale.floor_mass, estimate.theta[n : 2 * n] / scale.story_stiffness
+    return float(np.sum(np.log(mass)) + np.sum(np.log(stiffness)))
+
+
+def free_basis(estimate: Estimate, expectation: domain.EffectPrior) -> Floats:
+    """Return columns that span the directions that the equalities leave free, shape (P, f).
+
+    The first columns are orthonormal directions of the frame, in units of a typical floor and story. Each parameter of
+    the effects then has one column: its own entry is 1, and the frame changes by the least that keeps the equalities.
+    """
+    n2 = 2 * estimate.experiment.stories
+    size = len(estimate.theta)
+    scale = expectation.scale
+    assert scale is not None, "evidence needs an expectation"
+    unit = np.repeat([scale.floor_mass, scale.story_stiffness], n2 // 2)
+    A, _ = _program(estimate).equalities
+    lengths = np.linalg.norm(np.hstack([A[:, :n2] * unit, A[:, n2:]]), axis=1)
+    A = A / np.where(lengths > 0, lengths, 1.0)[:, None]
+    frame, own = A[:, :n2] * unit, A[:, n2:]
+    without_frame = np.linalg.norm(frame, axis=1) < 1e-12
+    inverse = np.linalg.pinv(frame, rcond=1e-10)
+    _, values, right = np.linalg.svd(frame, full_matrices=True)
+    open_frame = right[int(np.sum(values > 1e-10)) :].T
+    # An effect held at a value has its own row and no direction.
+    fixed = np.any(np.abs(own[without_frame]) > 0, axis=0)
+    parameters = np.flatnonzero(~fixed)
+    B = np.zeros((size, open_frame.shape[1] + len(parameters)))
+    B[:n2, : open_frame.shape[1]] = unit[:, None] * open_frame
+    for column, parameter in enumerate(parameters, open_frame.shape[1]):
+        B[n2 + parameter, column] = 1.0
+        B[:n2, column] = -unit * (inverse @ own[:, parameter])
+    return B
+
+
+def _program(estimate: Estimate) -> LeastSquares:
+    """Write the constraints of a fit about its optimum."""
+    empty = LeastSquares(R=estimate.fit.at.triangle[0], s=np.zeros(len(estimate.fit.at.triangle[1])))
+    return constraints.constrained(empty, estimate.domain.statements, estimate.theta)
+
+
+def _log_constant(placed: LocatedEffect, expectation: domain.EffectPrior) -> float:
+    """Return the log constant of an effect's prior, times sqrt(2 pi) per parameter as in Laplace's integral."""
+    value = 0.0
+    tail, normal = placed.effect.tail, placed.effect.common_size
+    peak = -0.5 * np.log(2 * np.pi) if normal else -0.5 * np.log(tail) - special.betaln(0.5 * tail, 0.5)
+    for item, std in zip(placed.effect.parameters, expectation.of(placed), strict=True):
+        if np.isinf(std) and np.isinf(item.upper - item.lower):
+            # The effect has no prior size: only an assumed effect, which is in every set, may lack one.
+            continue
+        value += 0.5 * np.log(2 * np.pi)
+        if np.isinf(std):
+            value -= np.log(item.upper - item.lower)
+        else:
+            ends = (np.array([item.lower, item.upper]) - item.null) / std
+            below, above = special.ndtr(ends) if normal else special.stdtr(tail, ends)
+            value += peak - np.log(std) - np.log(above - below)
+    return float(value)
+
+
+def _log_kept(estimate: Estimate, B: Floats, H: Floats, gradient: Floats) -> float:
+    """Return the logarithm of the part of the Gaussian that keeps the inequalities, each taken alone.
+
+    An effect's parameter is limited by its own interval; other rows cut the remaining Gaussian.
+    """
+    program = _program(estimate)
+    n2 = 2 * estimate.experiment.stories
+    value = 0.0
+    assert program.lower is not None
+    assert program.upper is not None
+    G = np.zeros((0, len(B))) if program.G is None else program.G
+    h = np.zeros(0) if program.h is None else program.h
+    rows = np.concatenate([-np.eye(len(B)), np.eye(len(B)), G]) @ B
+    slack = np.concatenate([-program.lower, program.upper, h])
+    within = B / estimate.domain.interval_std[:, None]
+    together = {p for _, own in composition.slices(estimate.effects, n2) for p in range(own.start, own.stop)}
+    std = _spread(rows, H + within.T @ within)
+    alone = [row for row in range(2 * len(B)) if row % len(B) in together]
+    # The standard deviation of a parameter excludes its own interval, which cuts the Gaussian explicitly, and includes
+    # the intervals of the other parameters. If two parameters act alike (flexible joints and braces), a free one would
+    # otherwise be carried far beyond the limit of the other.
+    own_part = (std[alone] / np.concatenate([estimate.domain.interval_std] * 2)[alone]) ** 2
+    std[alone] = std[alone] / np.sqrt(np.maximum(1.0 - own_part, TINY))
+    multipliers = _multipliers(rows, slack <= TOUCHING * std, gradient)
+    priors = dict(_tailed_priors(estimate))
+    for p in sorted(together):
+        if std[p] > 0:
+            slope = multipliers[p] - multipliers[p + len(B)]
+            between = -slack[p], slack[p + len(B)]
+            tailed_prior = priors.get(p)
+            value += (
+                float(gaussian.log_interval(*between, slope, std[p]))
+                if tailed_prior is None
+                else gaussian.log_tailed_interval(*between, slope, std[p], *tailed_prior)
+            )
+    own_interval = (np.arange(len(rows)) < 2 * len(B)) & np.isin(np.arange(len(rows)) % len(B), sorted(together))
+    cut = ~own_interval & (std > 0)
+    return value + float(
+        np.sum(gaussian.log_interval(-np.inf, np.maximum(slack[cut], 0.0), -multipliers[cut], std[cut]))
+    )
+
+
+def _spread(rows: Floats, H: Floats) -> Floats:
+    """Return the standard deviations of these rows under a Gaussian of this precision."""
+    variance: Floats = np.einsum("ij,ji->i", rows, np.linalg.solve(H, rows.T))
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _multipliers(rows: Floats, active: np.ndarray[tuple[int], np.dtype[np.bool_]], gradient: Floats) -> Floats:
+    """Return w >= 0 with gradient + rows' w = 0, zero for rows that are not active."""
+    result = np.zeros(len(rows))
+    lengths = np.linalg.norm(rows, axis=1)
+    active = active & (lengths > 0)
+    if np.any(active):
+        unit = rows[active] / lengths[active, None]
+        result[active] = optimize.nnls(unit.T, -gradient)[0] / lengths[active]
+    return result
+
+
+def _tailed_priors(estimate: Estimate) -> Iterator[tuple[int, tuple[float, float, float]]]:
+    """Yield the parameters with Student's t as prior: place in theta, deviation from null, size, degrees of freedom."""
+    for placed, own in composition.slices(estimate.effects, 2 * estimate.experiment.stories):
+        if placed.fixed or placed.effect.common_size or np.isinf(placed.effect.tail):
+            continue
+        sizes = estimate.misfit.expectation.of(placed)
+        for p, item, size in zip(range(own.start, own.stop), placed.effect.parameters, sizes, strict=True):
+            if np.isfinite(size):
+                yield p, (float(estimate.theta[p]) - item.null, float(size), placed.effect.tail)

@@ -22,19 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.effects import (
-    Effect,
-    LocatedEffect,
-    Place,
-    catalogue,
-    open_classes,
-    refuse_faulty,
-    refuse_repeated,
-)  # fmt: skip
+from cvxshear import effects as known_effects
+from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, open_classes
 from cvxshear.measurement.experiment import Configuration, ExpectedEffect, Experiment
 from cvxshear.measurement.reading import MeasuredModes, violations
-from cvxshear.util import checks
-from cvxshear.util.errors import InputError
+from cvxshear.util import checks, errors
 from cvxshear.util.typing import Floats, Ints, Json, T
 
 OPEN = "open"
@@ -186,16 +178,16 @@ def able_to_take_part(wanted: Sequence[Effect], experiment: Experiment) -> tuple
     InputError
         If two effects share one name, or the only effect is unusable.
     """
-    refuse_repeated(wanted)
+    known_effects.refuse_repeated(wanted)
     own = {id(effect) for effect in (*catalogue(), *open_classes())}
     sound: list[Effect] = []
     messages = []
     for effect in wanted:
         try:
             if id(effect) not in own:
-                refuse_faulty(effect, experiment)
+                known_effects.refuse_faulty(effect, experiment)
             sound.append(effect)
-        except InputError as error:
+        except errors.InputError as error:
             if len(wanted) == 1:
                 raise
             messages.append(str(error))
@@ -217,12 +209,12 @@ def assumed_effects(experiment: Experiment, assume: Sequence[str | LocatedEffect
             continue
         effect = chosen([each])[0].bound(experiment)
         if effect.lacks(experiment):
-            raise InputError(
+            raise errors.InputError(
                 f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"
             )
         places = effect.places(experiment)
         if len(places) > 1:
-            raise InputError(
+            raise errors.InputError(
                 f"effect {each} can sit at {len(places)} places; which one is said in Python: "
                 "close_loop(assume=[LocatedEffect(effect, Place(...))])"
             )

@@ -16,23 +16,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from cvxshear.effects import LocatedEffect
-from cvxshear.effects.composition import slices
-from cvxshear.fit.domain import EffectPrior, domain_of
+from cvxshear.effects import LocatedEffect, composition
+from cvxshear.fit import domain, gaussian
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gaussian import LOG_SIZES, SizeMarginal, UnknownSize, gains_by_size, log_interval, student_weights
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import free_basis
-from cvxshear.util import ranking
-from cvxshear.util.decorators import cached_property
+from cvxshear.loop.fitter import free_basis
+from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Floats
-
-MOST_TAKEN = 12
-"""Largest number of effects added in one sequence. More are not credible, and fits of sets of twenty or more reach
-their limit of steps without convergence."""
-
-WIDE = 4.0
-"""Factor on an effect's size for its first prediction."""
 
 EXACT = 1e-5
 """Rounding: share of an effect's derivatives outside the span of the others that counts as zero."""
@@ -52,7 +42,7 @@ class Linearised:
     expectation : EffectPrior
     """
 
-    def __init__(self, base: Estimate, candidates: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
+    def __init__(self, base: Estimate, candidates: Sequence[LocatedEffect], expectation: domain.EffectPrior) -> None:
         self.base = base
         self.candidates = list(candidates)
         self.expectation = expectation
@@ -61,7 +51,7 @@ class Linearised:
         self._columns = self._sensitivities()
         self._own = self._columns - self._reached @ (self._reached.T @ self._columns)
         self._slope = self._own.T @ base.fit.at.r
-        self._at = dict(slices(self.candidates, 0))
+        self._at = dict(composition.slices(self.candidates, 0))
         self._singles = _Singles(self.candidates, expectation)
 
     def _sensitivities(self) -> Floats:
@@ -74,7 +64,7 @@ class Linearised:
         found = whole.evaluate(np.concatenate([base.theta, nulls]), by=slice(P, None)).J
         columns = np.zeros((len(base.fit.at.r), found.shape[1]))
         columns[: base.fit.at.measured] = found[: base.fit.at.measured]
-        for placed, own in slices(self.candidates, 0):
+        for placed, own in composition.slices(self.candidates, 0):
             if placed.effect.releases:
                 columns[:, own] += base.fit.at.J[:, : 2 * base.experiment.stories] @ self._shift(placed)
         return columns
@@ -86,16 +76,14 @@ class Linearised:
         n2 = 2 * base.experiment.stories
         unit = np.repeat([scale.floor_mass, scale.story_stiffness], n2 // 2)
         theta = np.concatenate([base.theta, placed.start])
-        said = [each.constraints.A for each in domain_of(base.experiment, (*base.effects, placed), theta).statements]
+        said = [
+            each.constraints.A for each in domain.domain_of(base.experiment, (*base.effects, placed), theta).statements
+        ]
         A = np.concatenate([np.zeros((0, len(theta))), *(rows for rows in said if rows is not None)])
         shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, len(base.theta) :])
         return shift
 
-    def gain(self, placed: LocatedEffect) -> float:
-        """Return the gain in log evidence with an effect, from the linearised model."""
-        return float(self.gains[self.candidates.index(placed)])
-
-    @cached_property
+    @decorators.cached_property
     def gains(self) -> Floats:
         """Gain in log evidence of each candidate, shape (n,)."""
         return self._gains(self._own, self.base.fit.at.r)
@@ -118,8 +106,10 @@ class Linearised:
     def _noise(self, placed: LocatedEffect, reached: Floats, r: Floats) -> tuple[float, float]:
         """Find the gain with open accuracy of some residuals, and the log of the most probable factor on it."""
         rows = self.base.misfit.rescaled_rows(self.base.fit.at, placed)
-        size = UnknownSize(placed.label, float(np.count_nonzero(r[rows])), placed.effect.size_width, above_one=True)
-        return SizeMarginal([size], [1.0], [reached[rows]], [r[rows]], reached.T @ r).over_grid()
+        size = gaussian.UnknownSize(
+            placed.label, float(np.count_nonzero(r[rows])), placed.effect.size_width, above_one=True
+        )
+        return gaussian.SizeMarginal([size], [1.0], [reached[rows]], [r[rows]], reached.T @ r).over_grid()
 
     def _gains_by_size(self, placed: LocatedEffect, own: Floats, r: Floats) -> tuple[Floats, Floats]:
         """Find the gain with each common log size of an effect's parameters, weighted by its prior; and these sizes.
@@ -128,11 +118,11 @@ class Linearised:
         """
         effect, stds = placed.effect, self._sizes(placed)
         if effect.common_size:
-            sizes, weights = effect.size_width * LOG_SIZES, -0.5 * LOG_SIZES**2
+            sizes, weights = effect.size_width * gaussian.LOG_SIZES, -0.5 * gaussian.LOG_SIZES**2
             weights = weights - np.logaddexp.reduce(weights)
         else:
-            sizes, weights = LOG_SIZES, student_weights(effect.tail)
-        gains = gains_by_size(-stds * (own.T @ r), stds[:, None] * (own.T @ own) * stds, sizes)
+            sizes, weights = gaussian.LOG_SIZES, gaussian.student_weights(effect.tail)
+        gains = gaussian.gains_by_size(-stds * (own.T @ r), stds[:, None] * (own.T @ own) * stds, sizes)
         lower, upper = _limits([placed])
         cut = np.log(special.ndtr(upper / stds) - special.ndtr(lower / stds))
         return gains + weights - float(np.sum(cut)), sizes
@@ -144,14 +134,10 @@ class Linearised:
         return np.where(np.isinf(stds), (upper - lower) / np.sqrt(12), stds)
 
     def _likely_sizes(self, placed: LocatedEffect) -> Floats:
-        """Choose the standard deviations for a first prediction of an effect's parameters, shape (p,).
-
-        Student's prior is widened by `WIDE`, so that the prediction does not shrink a large effect. A common size gets
-        its most probable value.
-        """
+        """Choose the standard deviations for a first prediction; a common size gets its most probable value."""
         stds = self.expectation.of(placed)
         if not placed.effect.common_size:
-            return stds if np.isinf(placed.effect.tail) else WIDE * stds
+            return stds
         gains, sizes = self._gains_by_size(placed, self._own[:, self._at[placed]], self.base.fit.at.r)
         found: Floats = stds * np.exp(sizes[np.argmax(gains)])
         return found
@@ -167,7 +153,7 @@ class Linearised:
         taken: list[LocatedEffect] = []
         open_to = np.array(log_priors)
         own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
-        for _ in range(min(len(self.candidates), MOST_TAKEN)):
+        for _ in self.candidates:
             gains = self._gains(own, left) + open_to
             at = ranking.first_largest(gains)
             if not gains[at] > 0.0:
@@ -241,7 +227,7 @@ class Linearised:
         first = self._own[:, own.start]
         return float(1.0 + (first @ first) * self._sizes(placed)[0] ** 2)
 
-    @cached_property
+    @decorators.cached_property
     def _free_columns(self) -> tuple[Floats, tuple[LocatedEffect | None, ...]]:
         """Derivatives of the data by the directions that the declarations do not fix, and the effect of each direction.
 
@@ -252,7 +238,7 @@ class Linearised:
         n2 = 2 * estimate.experiment.stories
         owners = [
             placed
-            for placed, own in slices(estimate.effects, n2)
+            for placed, own in composition.slices(estimate.effects, n2)
             if not placed.fixed
             for _ in range(own.start, own.stop)
         ]
@@ -309,17 +295,21 @@ class _Singles:
         Precisions of the normal parts of each prior, and the logarithms of their weights with the priors' constants.
     """
 
-    def __init__(self, candidates: Sequence[LocatedEffect], expectation: EffectPrior) -> None:
+    def __init__(self, candidates: Sequence[LocatedEffect], expectation: domain.EffectPrior) -> None:
         alone = np.array(
             [len(p.effect.parameters) == 1 and not (p.effect.common_size or p.effect.rescales) for p in candidates],
             dtype=bool,
         )
         self.at, self.others = np.flatnonzero(alone), np.flatnonzero(~alone)
-        self.columns = np.array([own.start for _, own in slices(candidates, 0)], dtype=np.int64)[alone]
+        self.columns = np.array([own.start for _, own in composition.slices(candidates, 0)], dtype=np.int64)[alone]
         single = [placed for placed, of_one in zip(candidates, alone, strict=True) if of_one]
         self.lower, self.upper = _limits(single)
-        sizes = np.exp(LOG_SIZES)[:, None] * np.array([expectation.of(placed)[0] for placed in single])
-        weights = np.array([student_weights(placed.effect.tail) for placed in single]).reshape(-1, len(LOG_SIZES)).T
+        sizes = np.exp(gaussian.LOG_SIZES)[:, None] * np.array([expectation.of(placed)[0] for placed in single])
+        weights = (
+            np.array([gaussian.student_weights(placed.effect.tail) for placed in single])
+            .reshape(-1, len(gaussian.LOG_SIZES))
+            .T
+        )
         self.precision = 1.0 / sizes**2
         self.constants = weights + _log_normal_constants(self.lower, self.upper, sizes)
 
@@ -328,7 +318,7 @@ class _Singles:
         precision = h + self.precision
         untouched = precision <= 0.0
         std = 1.0 / np.sqrt(np.where(untouched, 1.0, precision))
-        parts = self.constants + log_interval(self.lower, self.upper, -b, std) + np.log(std)
+        parts = self.constants + gaussian.log_interval(self.lower, self.upper, -b, std) + np.log(std)
         # The data do not depend on the parameter; a uniform prior between its bounds stays uniform.
         even = self.constants + np.log(np.where(untouched, self.upper - self.lower, 1.0)) - 0.5 * np.log(2 * np.pi)
         found: Floats = np.logaddexp.reduce(np.where(untouched, even, parts), axis=0)

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.effects import LocatedEffect
+from cvxshear.fit import gauss_newton, results
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import ROUGH
-from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Changes, Hypothesis, NumberingProbability, log_odds
-from cvxshear.util import ranking
-from cvxshear.util.decorators import cached_property
+from cvxshear.util import decorators, ranking
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -88,25 +86,25 @@ class Posterior:
         """Most probable set."""
         return self.models[0]
 
-    @cached_property
+    @decorators.cached_property
     def of_sets(self) -> Floats:
         """Probability that each set is right about all of its effects, shape (sets,)."""
         factor = self.many_causes_penalty
         least = [min((factor.get(placed, 1.0) for placed in model.effects), default=1.0) for model in self.models]
         return self.probabilities * least
 
-    @cached_property
+    @decorators.cached_property
     def of_effects(self) -> dict[LocatedEffect, float]:
         """Probability of each effect: the sum over the sets that hold it, with the penalty for many causes."""
         factor = self.many_causes_penalty
         return {placed: probability * factor.get(placed, 1.0) for placed, probability in self._in_sets.items()}
 
-    @cached_property
+    @decorators.cached_property
     def _in_sets(self) -> dict[LocatedEffect, float]:
         """Probability of the sets that hold each effect, before the penalty for many causes."""
         return {placed: min(self._any([placed]), 1.0) for placed in self._prior}
 
-    @cached_property
+    @decorators.cached_property
     def numberings(self) -> tuple[NumberingProbability, ...]:
         """Probability of each numbering of the modes, most probable first."""
         sums: dict[Changes, float] = {}
@@ -123,7 +121,7 @@ class Posterior:
         """Return a copy that knows the twins."""
         return Posterior(self.models, self._hypotheses, twins)
 
-    @cached_property
+    @decorators.cached_property
     def many_causes_penalty(self) -> dict[LocatedEffect, float]:
         """Factor on the probability of each effect of the verdict: many kinds against one unknown cause.
 
@@ -159,7 +157,7 @@ class Posterior:
         with np.errstate(divide="ignore"):
             logs = {each: float(np.log(chance[each])) for each in known}
         # Fits of the search end within this distance of their optimum.
-        return ranking.ranked(known, logs.__getitem__, same=ROUGH.step)
+        return ranking.ranked(known, logs.__getitem__, same=gauss_newton.ROUGH.step)
 
     def verdict_set(self) -> frozenset[LocatedEffect]:
         """Choose the added effects.
@@ -199,12 +197,12 @@ class Posterior:
         including = [not model.effects.isdisjoint(alternatives) for model in self.models]
         return float(self.probabilities[including].sum())
 
-    @cached_property
+    @decorators.cached_property
     def _kept_odds(self) -> frozenset[LocatedEffect]:
         """Effects with odds that the data hardly changed."""
         return frozenset(placed for placed in self._prior if 1.0 / RAISED < self._raised([placed]) < RAISED)
 
-    @cached_property
+    @decorators.cached_property
     def _indifferent(self) -> frozenset[LocatedEffect]:
         """Effects with unchanged odds that replace no other effect: no probable set improves with one of them.
 
@@ -290,14 +288,14 @@ class Posterior:
         found: Floats = np.sqrt(np.average(squares, axis=0, weights=weights))
         return found
 
-    def averaged(self) -> IdentifiedFrame:
+    def averaged(self) -> results.IdentifiedFrame:
         """Masses and stiffnesses averaged over the sets, with the scatter within and between them."""
         frames = [model.estimate.expected_frame for model in self.models if model.estimate is not None]
         mass = self._mixture([frame.floor_mass for frame in frames], [frame.floor_mass_std for frame in frames])
         stiffness = self._mixture(
             [frame.story_stiffness for frame in frames], [frame.story_stiffness_std for frame in frames]
         )
-        return IdentifiedFrame(mass[0], stiffness[0], mass[1], stiffness[1])
+        return results.IdentifiedFrame(mass[0], stiffness[0], mass[1], stiffness[1])
 
     def _mixture(self, values: Sequence[Floats], stds: Sequence[Floats]) -> tuple[Floats, Floats]:
         x, s = np.array(values), np.array(stds)

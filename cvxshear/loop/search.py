@@ -17,31 +17,29 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from cvxshear.effects import LocatedEffect
-from cvxshear.effects.open_class import OpenClass
+from cvxshear.effects import LocatedEffect, open_class
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
-from cvxshear.util import ranking
-from cvxshear.util.errors import NoModesError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 BEAM = 6
 """Number of best visited sets that are expanded."""
 
-WITHIN = 7.0
-"""Largest distance from the best set, in log probability, of a set that is followed up: a thousandth of the best
-probability."""
+REPORTED = 1e-3
+"""Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
+"""
+
+WITHIN = float(-np.log(REPORTED))
+"""Largest distance from the best set, in log probability, of a set that is followed up."""
 
 TIE = 2.0
 """Largest difference in log probability of two sets that are equally good. Further effects are tried beside both of
 them. Tried beside one only, they would count for that set alone, and the probabilities of its effects would be wrong:
 without this rule, an effect that no datum concerns loses its prior probability."""
-
-A_PILE = 3
-"""Number of effects that a simple explanation does not reach: two simultaneous causes are rare, three are very rare."""
 
 MOST_FURTHER = 10
 """Largest number of further effects, each fitted alone, when a set is expanded."""
@@ -153,9 +151,8 @@ class Search:
 
     @property
     def _unsatisfied(self) -> bool:
-        """Whether no simple set of causes explains the data so far."""
-        best = self.best
-        return best.improbable or len(best.effects) >= A_PILE or holds_open(best.effects)
+        """Whether no set of causes explains the data so far."""
+        return self.best.improbable or holds_open(self.best.effects)
 
     def add_motions(self, model: ModelClass) -> None:
         """Visit the shear model, and a set, with effects that add degrees of freedom.
@@ -175,10 +172,6 @@ class Search:
         found = self.fitter.models(_from_starts(with_companions(self.fitter, model), base))
         self.other_optima += found
         self._record(found)
-
-    def probe(self) -> None:
-        """Expand the shear model alone."""
-        self._follow(self._expand, [self.base])
 
     def visit(self, sets: Iterable[Set]) -> None:
         """Fit sets that are named from outside, started at the shear model."""
@@ -319,12 +312,14 @@ class Search:
         model : ModelClass
         barred : frozenset of LocatedEffect, optional
         behind : float, optional
-            Distance in log probability that the further effects must close. Default: the distance from the best set.
+            Distance in log probability that the further effects must close. Default: the distance from the best set;
+            none for the shear model, so that rivals of an effect tried first are found.
         """
         if model.estimate is None or not self.candidates(model):
             return
         linear = self.linearised(model)
-        behind = self.best.score - model.score if behind is None else behind
+        if behind is None:
+            behind = 0.0 if model is self.base else self.best.score - model.score
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if each not in self.visited and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
@@ -403,17 +398,12 @@ class Search:
             self._follow(self._expand, [self.visited[each]])
 
     def _fit_without(self, model: ModelClass, sets: Sequence[Set]) -> None:
-        """Fit subsets of a fitted set, started at its fit, unless they have an equally good fit already."""
+        """Fit subsets of a fitted set that were not visited, started at its fit."""
         assert model.estimate is not None
         assumed = set(self.fitter.assumed)
-        new = [each for each in sets if each not in self.visited or self._untried(self.visited[each])]
+        new = [each for each in sets if each not in self.visited]
         effects_of = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in effects_of]))
-
-    @staticmethod
-    def _untried(model: ModelClass) -> bool:
-        """Whether a set was passed over without a fit."""
-        return model.estimate is None and model.failure is None
 
 
 def _strength(estimate: Estimate, placed: LocatedEffect) -> float:
@@ -475,7 +465,7 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
     known = {(item.placed.effect.name, item.placed.place): item.placed for item in fitter.hypotheses}
     proposals = []
     for placed in model.effects:
-        if not isinstance(placed.effect, OpenClass):
+        if not isinstance(placed.effect, open_class.OpenClass):
             continue
         own = estimate.own(placed)
         values = estimate.theta[own]
@@ -547,7 +537,7 @@ def _best_starts(proposals: Sequence[FitProposal]) -> list[FitProposal]:
     for proposal in proposals:
         try:
             at = proposal.misfit.evaluate(proposal.starts[0])
-        except NoModesError:
+        except errors.NoModesError:
             left.append(np.inf)
             continue
         _, c = at.triangle

@@ -19,8 +19,7 @@ from cvxshear.util.typing import Bools, Floats, Json
 
 MISTAKES = (
     "sensor_sign", "swapped_sensors", "floors_from_top", "transposed", "mode_order", "missing_mode", "mode_number",
-    "entry_sign", "sensor_floors", "sensor_unit", "drifts", "periods", "masses_from_top", "frequency_unit", "frequency",
-    "signs",
+    "entry_sign", "sensor_floors", "sensor_unit", "drifts", "periods", "frequency_unit", "signs",
 )  # fmt: skip
 """Findings of `check` that refuse a file unless they are accepted; docs/howto/check-a-file.md says what each means."""
 
@@ -28,8 +27,8 @@ NUMBERS = ("missing_mode", "mode_number")
 """Mistakes in which modes of the frame the measured ones are."""
 
 DOUBTS = (
-    "angular_frequency", "heights", "masses", "elevations", "time_unit", "deviations", "look_alike", "repeated",
-    "states", "gravity", "total_mass", "floor_mass", "added_mass",
+    "angular_frequency", "heights", "masses", "deviations", "look_alike", "repeated", "gravity",
+    "total_mass", "added_mass",
 )  # fmt: skip
 """Findings of `check` that are warnings."""
 
@@ -204,8 +203,6 @@ class Heading(InTable):
     ----------
     title, client, author, test : str, optional
     date : str, optional
-    photograph : str, optional
-        Name of a PNG or JPEG file.
     """
 
     title: str | None = None
@@ -213,7 +210,6 @@ class Heading(InTable):
     author: str | None = None
     date: str | None = None
     test: str | None = None
-    photograph: str | None = None
 
     @staticmethod
     def from_dict(declared: object) -> Heading:
@@ -233,7 +229,7 @@ class Heading(InTable):
     @property
     def lines(self) -> list[tuple[str, str]]:
         """Names and texts that stand below the title."""
-        return [(key, value) for key, value in self.to_dict().items() if key not in ("title", "photograph")]
+        return [(key, value) for key, value in self.to_dict().items() if key != "title"]
 
 
 @dataclass(frozen=True, eq=False)

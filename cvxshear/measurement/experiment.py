@@ -57,7 +57,7 @@ class Experiment(Shown):
         What is known beforehand of effects that the shear model lacks.
     damping : Damping, optional
     report : Heading, optional
-        What a report says of the test: title, client, author, date, photograph.
+        What a report says of the test: title, client, author, date.
     limits : Limits, optional
         Drift ratios whose passing a reconstruction judges.
 

@@ -219,25 +219,6 @@ class Plan(Shown):
         return {key: getattr(self.model.design, key) for key in ("floor_mass", "story_stiffness")}
 
 
-def accuracy_curve(plan: Plan, most: int = 10) -> list[tuple[int, float, float]]:
-    """List numbers of sensors (ascending), the criterion of the best choice found, and its lower bound.
-
-    Parameters
-    ----------
-    plan : Plan
-    most : int, optional
-        Largest number of points.
-    """
-    by, n = CRITERIA[plan.criterion], plan.model.design.stories
-    tests = [plan.model.expected(masses) for masses in plan.tests]
-    spread = np.unique(np.linspace(1, n, min(n, most)).round().astype(int))
-    points = []
-    for count in sorted({*spread.tolist(), len(plan.sensors)}):
-        found = choose(plan.model.sensors(tests, count), count, by)
-        points.append((count, found.value, found.bound))
-    return points
-
-
 def predicted(plan: Plan) -> Experiment:
     """Simulate the planned tests on the expected frame, without noise.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from cvxshear.records.prepare import Functions
 from cvxshear.records.record import Finding
 from cvxshear.util.checks import shown
 from cvxshear.util.errors import InputError
-from cvxshear.util.results import Shown, ask, data_frame
+from cvxshear.util.results import Shown, data_frame
 from cvxshear.util.typing import Complexes, Floats, Ints, Json
 
 if TYPE_CHECKING:
@@ -184,26 +183,6 @@ class ModalResult(Shown):
             for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
         }
         return data_frame(columns).set_index("mode")
-
-    def pick(self, record_file: str | Path | None = None) -> Any:
-        """Open the stabilization diagram, where a click on a pole chooses it as a mode and another gives it up.
-
-        Parameters
-        ----------
-        record_file : str or Path, optional
-            The record file (TOML) whose key `pick` is to hold the choice; it is rewritten after each click.
-
-        Returns
-        -------
-        PolePicker
-            Its `frequencies`, Hz, are `pick` for `identify_modes`.
-
-        Raises
-        ------
-        InputError
-            Where matplotlib has no interactive backend, or the result holds no order sweep.
-        """
-        return ask("show", "picked", self, record_file)
 
     def configuration(self, *, added_mass: Sequence[float] | None = None, state: str | None = None) -> Json:
         """Write the table `[[configuration]]` of a measurement file that these modes make."""

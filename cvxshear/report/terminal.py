@@ -1,4 +1,4 @@
-"""Arrange descriptions of results for a terminal, for plain text, and for a notebook."""
+"""Arrange descriptions of results for a terminal, plain text, a notebook, pandas, and a spreadsheet program."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table as Grid
 from rich.text import Text
 
-from cvxshear.report.describe import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
+from cvxshear.report.blocks import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
 from cvxshear.util.errors import UnsuitableError, printable
 from cvxshear.util.quantities import AUTOMATIC, Units, column_name
 from cvxshear.util.results import data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from cvxshear.io.spreadsheets import Sheet
 
 COLUMN_GAP = 2
 """Number of spaces between columns."""
@@ -166,6 +168,25 @@ def line_of(result: object) -> str:
     return printable(line(result))
 
 
+def sheets_of(*results: object) -> list[Sheet]:
+    """Convert the tables of results to sheets of a spreadsheet program.
+
+    Parameters
+    ----------
+    *results : object
+        Results of a type that `describe` supports.
+    """
+    from cvxshear.io.spreadsheets import Sheet  # noqa: PLC0415 - the formats of files load slowly
+
+    sheets = []
+    for result in results:
+        for each in describe(result).data:
+            columns = [(column.spelled(name), values) for column in each.columns for name, values in column.exported]
+            rows = list(zip(*(values for _, values in columns), strict=True))
+            sheets.append(Sheet(each.key, tuple(header for header, _ in columns), rows))
+    return sheets
+
+
 def data_frame_of(result: object) -> pd.DataFrame:
     """Convert the main table of a result to a table of pandas.
 
@@ -210,10 +231,3 @@ def drawn(result: Any, name: str) -> Any:
 
     first = next(iter(figures.figures_of(type(result))), "")
     return figures.drawn_figure(name or first, result)
-
-
-def picked(result: Any, record_file: Any) -> Any:
-    """Open the stabilization diagram, in which a click chooses a pole."""
-    from cvxshear.report.figures.frequency_figures import opened  # noqa: PLC0415 - loads matplotlib
-
-    return opened(result, record_file)

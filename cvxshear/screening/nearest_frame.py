@@ -32,17 +32,12 @@ import numpy as np
 
 from cvxshear import backends
 from cvxshear.data.kinds import frequency_residual, shape_residual
-from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, Domain
-from cvxshear.fit.gauss_newton import ROUGH, Accuracy, gauss_newton
-from cvxshear.fit.gaussian import tailed
-from cvxshear.fit.optimality import PlainResiduals
-from cvxshear.fit.start import START_PASSES, solved_story_equations
+from cvxshear.fit import domain, gauss_newton, gaussian, optimality, start
 from cvxshear.measurement.reading import CLOSER, FARTHER, MeasuredModes
 from cvxshear.model import Modes, mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
-from cvxshear.util import ranking
-from cvxshear.util.errors import CvxshearError, NoModesError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 FARTHEST_LOG = 14.0
@@ -53,9 +48,6 @@ ODD = 1e-3
 
 ODD_TAIL = 4.0
 """Degrees of freedom of masses and stiffnesses about typical ones: now and then a frame stands on bearings."""
-
-RANKED = dataclasses.replace(ROUGH, most_steps=8)
-"""Accuracy of a fit that only ranks starts or repairs; further steps rarely change the order."""
 
 TALLEST_FITTED = 24
 """Largest number of stories for fits of repairs: their number grows with the square of the stories."""
@@ -85,7 +77,7 @@ class NearestFrame:
 
     theta: Floats
     misfit: float = np.inf
-    at: PlainResiduals | None = None
+    at: optimality.PlainResiduals | None = None
     stds: float = 0.0
 
     @property
@@ -107,16 +99,6 @@ class NearestFrame:
         if self.at is None:
             return np.diag(np.full(len(self.theta), np.inf))
         return np.asarray(np.linalg.pinv(self.at.J.T @ self.at.J))
-
-
-def loads_of(added: Sequence[Floats]) -> list[tuple[int, int]]:
-    """List the added masses, each by its test and its floor, from 0."""
-    return [(test, floor) for test, mass in enumerate(added) for floor in np.flatnonzero(mass).tolist()]
-
-
-def usual_width(stories: int) -> Floats:
-    """Return the standard deviations of the logarithms of masses and stiffnesses about typical ones, shape (2N,)."""
-    return np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], stories)
 
 
 def modes_of(mass: Floats, stiffness: Floats) -> Modes:
@@ -144,28 +126,23 @@ class ShearFrames:
     readings : sequence of MeasuredModes
     added : sequence of ndarray, shape (N,)
         Added mass of each reading, kg.
-    expected, width : ndarray, shape (2N,)
-        Logarithms of masses and stiffnesses that are expected, the stiffnesses up to a factor, and their standard
-        deviations.
+    expected : ndarray, shape (2N,)
+        Logarithms of masses and stiffnesses that are expected, the stiffnesses up to a factor.
     centred : bool, optional
         Whether masses are compared with their mean, and not with what is expected: where the added masses fix their
         scale.
-    tail : float, optional
-        Degrees of freedom of Student's t about what is expected; infinite for a normal distribution.
     """
 
     readings: Sequence[MeasuredModes]
     added: Sequence[Floats]
     expected: Floats
-    width: Floats
     centred: bool = False
-    tail: float = np.inf
 
     @staticmethod
     def of(reading: MeasuredModes) -> ShearFrames:
         """Compare one reading with frames of usual proportions; one reading leaves the unit of mass free."""
         N = reading.stories
-        return ShearFrames([reading], [np.zeros(N)], np.zeros(2 * N), usual_width(N), tail=ODD_TAIL)
+        return ShearFrames([reading], [np.zeros(N)], np.zeros(2 * N))
 
     @property
     def stories(self) -> int:
@@ -191,19 +168,19 @@ class ShearFrames:
     @property
     def stds(self) -> float:
         """Twice the sum of the logarithms of all standard deviations, but for a constant that repairs do not change."""
-        return sum(each.certainty_lost() for each in self.readings) + 2 * float(np.sum(np.log(self.width)))
+        return sum(each.certainty_lost() for each in self.readings)
 
-    def nearest(self, starts: Iterable[Floats], accuracy: Accuracy = ROUGH) -> NearestFrame:
+    def nearest(self, starts: Iterable[Floats]) -> NearestFrame:
         """Return the best fit that begins at one of these logarithms, shape (2N,)."""
         size = len(self.expected)
         found = []
         for each in starts:
             try:
-                start = self.tuned(each)
-                within = NamedConstraints("reach", Constraints(lower=start - FARTHEST_LOG, upper=start + FARTHEST_LOG))
-                domain = Domain((within,), np.ones(size), np.full(size, np.inf))
-                fit = gauss_newton(self, start, domain, backends.get("auto"), accuracy)
-            except CvxshearError:
+                begin = self.tuned(each)
+                within = NamedConstraints("reach", Constraints(lower=begin - FARTHEST_LOG, upper=begin + FARTHEST_LOG))
+                inside = domain.Domain((within,), np.ones(size), np.full(size, np.inf))
+                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), gauss_newton.ROUGH)
+            except errors.CvxshearError:
                 # No step from here can be solved in 64 bits.
                 found.append(NearestFrame(each))
             else:
@@ -232,15 +209,15 @@ class ShearFrames:
         unit = [NamedConstraints("unit of mass", total)]
         eigenvalues, shapes = (2 * np.pi * np.exp(reading.log_frequencies)) ** 2, reading.scaled
         data, found = (shapes, eigenvalues, np.zeros(shapes.shape)), []
-        for start in starts:
-            with suppress(CvxshearError):
-                theta = np.exp(self.tuned(start))
-                for _ in range(START_PASSES):
-                    theta = solved_story_equations(*data, theta, unit, weighed=True)
+        for each in starts:
+            with suppress(errors.CvxshearError):
+                theta = np.exp(self.tuned(each))
+                for _ in range(start.START_PASSES):
+                    theta = start.solved_story_equations(*data, theta, unit, weighed=True)
                 found.append(np.log(theta))
         return found
 
-    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> PlainResiduals:
+    def evaluate(self, theta: Floats, /, *, derivatives: bool = True) -> optimality.PlainResiduals:
         """Compute residuals of frequencies and shapes, then of the logarithms themselves.
 
         Raises
@@ -255,7 +232,7 @@ class ShearFrames:
             system = shear_system(mass + added, stiffness)
             found, which = modes(system.M, system.K), reading.modes
             if not found.eigenvalues[0] > 0:
-                raise NoModesError("masses and stiffnesses of the frame differ by more than 64 bits resolve")
+                raise errors.NoModesError("masses and stiffnesses of the frame differ by more than 64 bits resolve")
             of_frequencies, of_shapes = mode_derivatives(found, system, which) if derivatives else (None, None)
             log_omega = reading.log_frequencies + np.log(2 * np.pi)
             parts.append(frequency_residual(log_omega, found.eigenvalues[which], reading.frequency_std, of_frequencies))
@@ -263,11 +240,11 @@ class ShearFrames:
             slopes = None if of_shapes is None else of_shapes[:, :, reading.floors]
             parts.append(shape_residual(reading.scaled, psi, reading.weights, slopes))
         rows = self._prior
-        about, slope = tailed(rows @ (theta - self.expected), self.tail)
+        about, slope = gaussian.tailed(rows @ (theta - self.expected), ODD_TAIL)
         r = np.concatenate([*(r for r, _ in parts), about])
         if not derivatives:
-            return PlainResiduals(r, np.zeros((0, len(theta))))
-        return PlainResiduals(r, np.concatenate([*(J * value for _, J in parts), slope[:, None] * rows]))
+            return optimality.PlainResiduals(r, np.zeros((0, len(theta))))
+        return optimality.PlainResiduals(r, np.concatenate([*(J * value for _, J in parts), slope[:, None] * rows]))
 
     @property
     def _prior(self) -> Floats:
@@ -277,15 +254,11 @@ class ShearFrames:
         rows = np.zeros((2 * N, 2 * N))
         rows[:N, :N] = about_mean if self.centred else np.eye(N)
         rows[N:, N:] = about_mean
-        return rows / self.width[:, None]
+        return np.asarray(rows / np.repeat([domain.MASS_WIDTH, domain.STIFFNESS_WIDTH], N)[:, None])
 
 
 def misfit(reading: MeasuredModes, found: Modes) -> float:
     """Add up the squares of the residuals for a frame of only about the right proportions, its scale free."""
     off = np.log(found.frequencies[reading.modes]) - reading.log_frequencies
-    return float(np.sum(((off - off.mean()) / reading.frequency_std) ** 2) + np.sum(shape_errors(reading, found) ** 2))
-
-
-def shape_errors(reading: MeasuredModes, found: Modes) -> Floats:
-    """Return residuals of the shapes of a frame, shape (m n,)."""
-    return shape_residual(reading.scaled, found.shapes[np.ix_(reading.modes, reading.floors)], reading.weights)[0]
+    shapes, _ = shape_residual(reading.scaled, found.shapes[np.ix_(reading.modes, reading.floors)], reading.weights)
+    return float(np.sum(((off - off.mean()) / reading.frequency_std) ** 2) + np.sum(shapes**2))

@@ -9,17 +9,12 @@ from typing import TYPE_CHECKING
 
 from cvxshear.backends import Backend
 from cvxshear.effects import Effect, LocatedEffect
-from cvxshear.loop import LoopResult
-from cvxshear.loop.close import search_for_effects
+from cvxshear.loop import LoopResult, close
 from cvxshear.measurement.declaration import NUMBERS
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
-from cvxshear.screening.doubts import DECLARED_DOUBTS, frequency_units, look_alike, total_mass
-from cvxshear.screening.finding import FileFinding
-from cvxshear.screening.mistakes import masses_declared, mistakes, wrong_frequency
-from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.errors import InputError
-from cvxshear.util.results import Shown
+from cvxshear.screening import doubts, mistakes
+from cvxshear.util import decorators, errors, results
 
 if TYPE_CHECKING:
     from cvxshear.records.record import Finding as RecordFinding
@@ -29,7 +24,7 @@ MISDECLARED = ("sign", "unit", "swapped channels")
 
 
 @dataclass(frozen=True, repr=False)
-class Screening(Shown):
+class Screening(results.Shown):
     """What `check` shows of a file.
 
     Parameters
@@ -46,7 +41,7 @@ class Screening(Shown):
 
     name: str
     accepted: tuple[str, ...]
-    findings: tuple[FileFinding, ...]
+    findings: tuple[doubts.FileFinding, ...]
     record: tuple[RecordFinding, ...] = ()
 
     json_keys = "name refused doubtful findings record"
@@ -68,8 +63,8 @@ class Screening(Shown):
         return bool(self.findings) or any(item.kind in MISDECLARED for item in self.record)
 
 
-@usual_arithmetic
-def screen(experiment: Measurement) -> tuple[FileFinding, ...]:
+@decorators.usual_arithmetic
+def screen(experiment: Measurement) -> tuple[doubts.FileFinding, ...]:
     """Find what looks wrong in an experiment.
 
     Parameters
@@ -82,17 +77,19 @@ def screen(experiment: Measurement) -> tuple[FileFinding, ...]:
         Mistakes first, then warnings; without those that `[frame] accept` lists.
     """
     experiment = opened(experiment)
-    found = [*frequency_units(experiment), *(item for each in experiment.configurations for item in mistakes(each))]
-    if not found and "frequency" not in experiment.frame.accept:
-        found += wrong_frequency(experiment)
+    found = [
+        *doubts.frequency_units(experiment),
+        *(item for each in experiment.configurations for item in mistakes.mistakes(each)),
+    ]
     # Frequencies and shapes that are wrong tell no mass.
-    for doubt in DECLARED_DOUBTS if found else (total_mass, masses_declared, look_alike, *DECLARED_DOUBTS):
+    by_modes = () if found else (doubts.total_mass, doubts.look_alike)
+    for doubt in (*by_modes, *doubts.DECLARED_DOUBTS):
         said = {item.name for item in found}
         found += [item for item in doubt(experiment) if item.name not in said]
     return tuple(item for item in found if not item.accepted(experiment.frame.accept))
 
 
-def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> tuple[FileFinding, ...]:
+def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> tuple[doubts.FileFinding, ...]:
     """Return the warnings of `screen`, where nothing refuses.
 
     Parameters
@@ -114,13 +111,13 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     for item in found:
         if item.refuses:
             where = f'configuration "{item.configuration}": ' if item.configuration else ""
-            raise InputError(
+            raise errors.InputError(
                 f"{where}{item.found}. To mend it: {item.change}; or, if it is right as it is: {item.how_to_accept}"
             )
     return found
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def close_loop(
     experiment: Measurement,
     effects: Sequence[str | Effect] | None = None,
@@ -128,7 +125,6 @@ def close_loop(
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
     *,
-    jobs: int = 1,
     weighed: Collection[str] = (),
 ) -> LoopResult:
     """Find the physical effects that the shear model lacks.
@@ -146,8 +142,6 @@ def close_loop(
     backend : str or Backend, optional
     priors : sequence of Prior, optional
         Priors in addition to those of the experiment.
-    jobs : int, optional
-        Number of processes that fit sets of effects; -1 uses every core.
     weighed : collection of str, optional
         Names of the configurations whose mode numbers come from a record and not from a file. The loop weighs other
         numbers for them, so a number that looks wrong is a warning there and not a mistake.
@@ -167,6 +161,6 @@ def close_loop(
     experiment = opened(experiment)
     # The loop weighs the mode numbers of a configuration with other_modes together with the effects.
     numbered_anew = [each.name for each in experiment.configurations if each.other_modes]
-    doubts = refuse_mistakes(experiment, {*weighed, *numbered_anew})
-    found = search_for_effects(experiment, effects, assume, backend, priors, jobs=jobs)
-    return dataclasses.replace(found, warnings=doubts)
+    warnings = refuse_mistakes(experiment, {*weighed, *numbered_anew})
+    found = close.search_for_effects(experiment, effects, assume, backend, priors)
+    return dataclasses.replace(found, warnings=warnings)

@@ -152,7 +152,7 @@ def name_module(task: str, module: str) -> None:
         "read" or "show". A module for "read" has `experiment_from_file`, which takes a path or the name of a built-in
         example. A module for "show" has `line_of` (a result in a short line), `text` (its tables), `notebook_html` (the
         tables for a notebook, or None), `data_frame_of` (its main table), `drawn` (one of its figures by name; the
-        first if the name is empty) and `picked` (the diagram for the choice of poles).
+        first if the name is empty).
     module : str
     """
     _modules[task] = module

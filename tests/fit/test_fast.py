@@ -13,7 +13,7 @@ import joblib
 import numpy as np
 import pytest
 
-from cvxshear import Experiment, InputError, NoSolutionError, backends, close_loop, identify
+from cvxshear import Experiment, InputError, NoSolutionError, backends, identify
 from cvxshear.model import mass_matrix, mode_derivatives, modes, shear_system, stiffness_matrix
 from cvxshear.paper.setups import three_story
 from cvxshear.programs import LeastSquares
@@ -176,19 +176,6 @@ def test_a_dask_cluster_has_the_same_numbers_and_loses_nothing_with_two_workers(
     assert {"first", "second"} <= {path.name for path in tmp_path.iterdir()}
     np.testing.assert_array_equal(plain, expected)
     np.testing.assert_array_equal(survived, expected)
-
-
-def test_candidates_fitted_over_processes_close_the_loop_the_same_way():
-    mass, stiffness, rng = random_frame(4, seed=3)
-    tables = [
-        configuration(mass, stiffness, added, rng=rng, shape_noise=0.01, frequency_noise=0.001)
-        for added in ([0, 0, 0, 0], [0, 0, 0, 6e3])
-    ]
-    tables[1]["added_mass"] = [0, 0, 0, 1e3]
-    of = Experiment.from_dict(experiment(mass, stiffness, *tables))
-    one, two = (close_loop(of, jobs=jobs) for jobs in (1, 2))
-    assert one.effects
-    assert two.to_dict() == one.to_dict()
 
 
 def test_design_values_are_where_a_large_fit_starts():

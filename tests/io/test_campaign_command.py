@@ -104,7 +104,7 @@ def test_figures_tables_and_a_report(run, tmp_path):
         (["modes", "bare.toml", "--csv", "bare.csv"], "would be written over bare.csv"),
         (["modes", "bare.toml", "-o", "bare.toml"], "would be written over bare.toml"),
         (["loop", "bare.toml", "paper"], "paper"),
-        (["identify", "paper", "--figure", "coherence:a.png"], "no figure 'coherence' here; there are frame, "),
+        (["identify", "paper", "--figure", "functions:a.png"], "no figure 'functions' here; there are frame, "),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_runs(run, folder, arguments, expected):

@@ -12,7 +12,7 @@ import cvxshear
 from cvxshear.io.spreadsheets import write_csv, write_xlsx
 from cvxshear.io.templates import template, template_from
 from cvxshear.records import from_arrays
-from cvxshear.report.handover import sheets_of
+from cvxshear.report.terminal import sheets_of
 from cvxshear.util.errors import InputError
 from tests import closed
 

@@ -11,7 +11,7 @@ from cvxshear.fit.efficient import fitted
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.gaussian import log_interval, log_normal_between
 from cvxshear.fit.misfit import WIDTH, Misfit
-from cvxshear.loop.evidence import free_basis, log_evidence
+from cvxshear.loop.fitter import free_basis, log_evidence
 from tests.frames import chain, configuration, experiment
 
 MASS, STIFFNESS = np.array([11.0, 9.0]), np.array([24e3, 20e3])

@@ -304,27 +304,6 @@ def test_the_same_answers_from_every_backend(backend):
     assert found.effects[0].parameters["s"] == pytest.approx(expected.effects[0].parameters["s"], rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    "backend", ["clarabel", "osqp", "quadprog", "daqp", "highs", "piqp", "proxqp", "scs", "cvxpy-scs"]
-)
-def test_the_same_answer_where_gamma_sits_on_its_bound(backend):
-    expected = closed.paper("gravity")
-    found = close_loop(expected.experiment, effects=["gravity"], backend=backend)
-    assert found.effects[0].parameters["gamma"] == pytest.approx(1.2, rel=1e-6)
-    np.testing.assert_allclose(found.frame.story_stiffness, expected.frame.story_stiffness, rtol=1e-6)
-
-
-def test_rivals_come_with_the_test_that_parts_them():
-    """Rocking and chord drift of a frame of three stories look alike in one configuration."""
-    declared, _ = simulated("axial_columns", stories=3, configurations=1, rng=np.random.default_rng(21))
-    result = close_loop(Experiment.from_dict(declared), effects=["axial_columns", "base_rocking"])
-    assert result.verdict == "ambiguous"
-    assert {result.effects[0].placed.effect.name, result.effects[0].rivals[0].placed.effect.name} == {
-        "axial_columns",
-        "base_rocking",
-    }
-
-
 def test_held_out_error_of_an_exact_frame_is_next_to_nothing():
     """The weak priors move a prediction by a fiftieth of a deviation, 1e-3."""
     exact = experiment(MASS, STIFFNESS, *(configuration(MASS, STIFFNESS, each) for each in ADDED))

@@ -11,7 +11,7 @@ import pytest
 from cvxshear import InputError
 from cvxshear.paper import PaperRow, reproduce
 from cvxshear.paper.reproduction import DIFFERS, MISPRINTED, ROUNDED, TO_THE_DIGIT, same_digits
-from cvxshear.report.describe.studied import printed_beside_recomputed
+from cvxshear.report.studied import printed_beside_recomputed
 from cvxshear.report.terminal import text
 
 DOCS = Path(__file__).parents[2] / "docs" / "paper.md"

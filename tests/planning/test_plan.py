@@ -11,11 +11,9 @@ from cvxshear.cli import main
 from cvxshear.planning import Declared, Recorded, plan, predicted, write_template
 from cvxshear.planning.choice import CRITERIA
 from cvxshear.planning.planner import mass_grid
-from cvxshear.report import figures
 from cvxshear.util.errors import InputError
 from tests.frames import configuration, experiment
 from tests.planning.common import NOISE, design, tapered
-from tests.report.test_figures import assert_readable
 from tests.studies.planning import scatter
 
 DESIGN = """
@@ -159,16 +157,15 @@ def test_a_wrong_file_of_design_values_is_refused(file, old, new, message):
         plan(file)
 
 
-def test_the_command_prints_writes_and_draws(file, tmp_path, capsys):
-    out, drawn = tmp_path / "plan.toml", tmp_path / "plan.svg"
+def test_the_command_prints_and_writes(file, tmp_path, capsys):
+    out = tmp_path / "plan.toml"
     with pytest.raises(SystemExit) as ended:
-        main(["plan", str(file), "--sensors", "2", "--modes", "1,2", "-o", str(out), "--figure", str(drawn)])
+        main(["plan", str(file), "--sensors", "2", "--modes", "1,2", "-o", str(out)])
     assert ended.value.code == 0
     said = capsys.readouterr().out
     assert said.startswith("Measure floors ")
     assert "none is better" in said
     assert out.exists()
-    assert drawn.read_bytes().startswith(b"<?xml")
     with pytest.raises(SystemExit):
         main(["plan", str(file), "--sensors", "2", "--modes", "1,2", "--json", "-"])
     result = json.loads(capsys.readouterr().out)
@@ -192,11 +189,6 @@ def test_a_wrong_option_of_the_command_ends_with_2(file, capsys, arguments, mess
         main(["plan", str(file), *arguments])
     assert ended.value.code == 2
     assert message in capsys.readouterr().err
-
-
-def test_the_figure_is_readable(paper, file):
-    assert_readable(figures.plan(paper))
-    assert_readable(figures.plan(plan(file, 2, 2, added_mass=5.0, noise=Recorded("shaker", 600.0))))
 
 
 def test_the_command_shows_quantities_in_the_units_that_were_asked_for(file, run):

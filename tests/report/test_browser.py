@@ -5,11 +5,7 @@ Without a Chromium on the PATH, these tests are skipped. In continuous integrati
 
 import json
 import os
-import re
 import shutil
-import subprocess
-import sys
-import tomllib
 
 import pytest
 
@@ -19,7 +15,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.records import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.report.html import render, render_modes, render_response
 from cvxshear.response import predict
 from tests.report.test_modal_figures import twenty_modes
@@ -32,18 +28,6 @@ FLAGS = (
 )  # fmt: skip
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 A4 = {"width": 680, "height": 1000}
-
-PICKED = """
-import os, sys
-import matplotlib
-from cvxshear.records import identify_modes
-from cvxshear.records.simulate import PAPER_FRAME, hammer_record
-
-port = 20000 + os.getpid() % 20000
-matplotlib.rcParams |= {"webagg.port": port, "webagg.port_retries": 500, "webagg.open_in_browser": False}
-identify_modes(hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2)).pick(sys.argv[1])
-"""
-"""Script that opens the stabilization diagram of the paper's frame as a browser page."""
 
 
 def missing(what):
@@ -118,11 +102,6 @@ def opened(browser, reports, pages):
         assert len([url for url in asked if url.startswith("file:")]) == 1
 
 
-def visible(page, selector):
-    """Return the visible drawings: for a figure with two forms, the form for this page width."""
-    return [each for each in page.query_selector_all(selector) if each.is_visible()]
-
-
 EVERY = pytest.mark.parametrize("name", ["paper", "eight", "unexplained"])
 
 
@@ -149,13 +128,13 @@ def test_the_page_says_what_the_json_says(opened, reports, name):
 @pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_figures_have_size_and_the_page_does_not_run_over_its_edge(opened, name, viewport):
     page = opened(name, viewport)
-    drawings = visible(page, ".drawing svg, svg.mode")
-    assert len(drawings) >= 6
+    drawings = page.query_selector_all(".drawing svg")
+    assert len(drawings) >= 5
     for drawing in drawings:
         box = drawing.bounding_box()
         assert box["width"] > 50
         assert box["height"] > 50
-    for part in page.query_selector_all(".has-narrow, .scroll:has(> .cards)"):
+    for part in page.query_selector_all(".scroll:has(> .cards)"):
         assert part.evaluate("each => each.scrollWidth <= each.clientWidth"), part.get_attribute("aria-label")
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
 
@@ -168,8 +147,8 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     (tmp_path / "p.html").write_text(render_response(prediction, "cvxshear"))
     page = browser.new_page(viewport=viewport)
     page.goto((tmp_path / "p.html").as_uri())
-    drawings = visible(page, ".drawing svg")
-    assert len(drawings) == 3
+    drawings = page.query_selector_all(".drawing svg")
+    assert len(drawings) == 2
     assert all(drawing.bounding_box()["height"] > 50 for drawing in drawings)
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     if viewport is DESKTOP:
@@ -180,11 +159,11 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     page.close()
 
 
-@pytest.mark.parametrize(("name", "figures"), [("modes", 5), ("tall", 3)])
+@pytest.mark.parametrize(("name", "figures"), [("modes", 3), ("tall", 2)])
 @pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, name, figures, viewport):
     page = opened(name, viewport)
-    drawings = visible(page, ".drawing svg")
+    drawings = page.query_selector_all(".drawing svg")
     assert len(drawings) == figures
     for drawing in drawings:
         shown, natural = drawing.bounding_box()["width"], float(drawing.get_attribute("width"))
@@ -217,29 +196,12 @@ def test_letters_and_lines_of_a_drawing_stand_out_from_the_page(opened, scheme):
     assert all(abs(ink - paper) > 80 for ink in inks)
 
 
-def test_modes_are_set_in_motion_and_stopped(opened):
-    page = opened("paper")
-    column = page.query_selector("svg.mode .column")
-    before = column.get_attribute("points")
-    page.click("#play")
-    page.wait_for_function(
-        "before => document.querySelector('svg.mode .column').getAttribute('points') !== before", arg=before
-    )
-    assert page.inner_text("#play") == "Stop"
-    page.click("#play")
-    points = [
-        [float(value) for value in text.replace(",", " ").split()] for text in (before, column.get_attribute("points"))
-    ]
-    assert points[0] == points[1]
-
-
 def test_the_report_is_whole_without_scripts_and_a_mouse(browser, reports):
     context = browser.new_context(java_script_enabled=False, viewport=DESKTOP)
     page = context.new_page()
     page.goto((reports[0] / "paper.html").as_uri())
     assert page.inner_text("#verdict") == "explained"
-    assert not page.is_visible("#play")
-    assert page.query_selector("svg.mode .column").bounding_box()["width"] > 5
+    assert page.query_selector(".drawing svg").bounding_box()["width"] > 50
     # The first Tab stop is the link to the result.
     page.keyboard.press("Tab")
     assert page.inner_text(":focus") == "To the result"
@@ -254,55 +216,3 @@ def test_nothing_is_cut_off_on_paper(opened, name, tmp_path):
     sheet = tmp_path / "report.pdf"
     page.pdf(path=sheet, prefer_css_page_size=True)
     assert sheet.read_bytes().startswith(b"%PDF")
-
-
-@pytest.fixture
-def picking(tmp_path):
-    """Yield the address of a stabilization diagram from a separate script, and the script's record file."""
-    pytest.importorskip("tornado", reason="matplotlib's browser pages need the package tornado")
-    file = tmp_path / "record.toml"
-    file.write_text('[record]\ninput = "force"\n')
-    environment = {**os.environ, "MPLBACKEND": "webagg"}
-    command = [sys.executable, "-c", PICKED, str(file)]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
-        # The script chooses a free port and prints it.
-        line = process.stdout.readline()
-        address = re.search(r"http://127\.0\.0\.1:\d+", line)
-        assert address, line
-        yield address[0], file
-        process.terminate()
-
-
-LINES = """() => {
-  const canvas = document.querySelector("canvas.mpl-canvas");
-  const row = canvas.getContext("2d").getImageData(0, Math.round(0.86 * canvas.height), canvas.width, 1).data;
-  const found = [];
-  for (let x = 0; x < canvas.width; x++) {
-    const blue = row[4 * x] < 90 && row[4 * x + 2] > 150 && row[4 * x + 3] > 200;
-    if (blue && (!found.length || x > found[found.length - 1] + 3)) found.push(x);
-  }
-  return found.map((x) => x * canvas.clientWidth / canvas.width);
-}"""
-"""Positions of the lines through the chosen poles in the picture, in pixels of the page."""
-
-GLANCE = 100
-"""Interval between two checks of the picture, ms; a check at every frame would keep the browser busy."""
-
-
-def test_a_click_in_a_browser_chooses_a_pole_and_is_written(browser, picking):
-    """A click on the line of the second mode removes it; a second click restores it."""
-    address, file = picking
-    page = browser.new_page(viewport=DESKTOP)
-    said = []
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(address)
-    box = page.wait_for_selector("canvas.mpl-canvas").bounding_box()
-    page.wait_for_function(f"() => ({LINES})().length === 3", polling=GLANCE)
-    second = page.evaluate(LINES)[1]
-    frequencies = PAPER_FRAME.modes()[0]
-    for lines, expected in ((2, frequencies[[0, 2]]), (3, frequencies)):
-        page.mouse.click(box["x"] + second, box["y"] + box["height"] / 2)
-        page.wait_for_function(f"() => ({LINES})().length === {lines}", polling=GLANCE)
-        assert tomllib.loads(file.read_text())["record"]["pick"] == pytest.approx(expected, rel=1e-3)
-    page.close()
-    assert said == []

@@ -14,12 +14,12 @@ from cvxshear import close_loop
 from cvxshear.fit.gauss_newton import Ending
 from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.posterior import Rival
-from cvxshear.loop.verdicts import VERDICTS, Verdict
+from cvxshear.loop.results import VERDICTS, Verdict
 from cvxshear.report import terminal
-from cvxshear.report.describe import Table, describe, table_of_rows
-from cvxshear.report.describe.headline import carried_by, chi2_by_kind, headline
-from cvxshear.report.describe.identified import frame_table, in_words
+from cvxshear.report.blocks import Table, describe, table_of_rows
+from cvxshear.report.headline import carried_by, chi2_by_kind, headline
 from cvxshear.report.html import render
+from cvxshear.report.identified import frame_table, in_words
 from cvxshear.report.terminal import notebook_html, plain_table
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import (
@@ -180,7 +180,7 @@ def test_states_and_frame_come_first_then_the_probabilities_of_the_result(ambigu
     keys = [section.key for section in document.sections]
     assert keys[:7] == ["verdict", "limits", "states", "frame", "effects", "sets", "candidates"]
     assert [section.key for section in document.sections if section.appendix] == [
-        "declared", "modes", "steps", "not-considered", "effort"
+        "declared", "frequencies", "not-considered", "effort"
     ]  # fmt: skip
     found = [row[1] for row in table(document, "models").rows]
     assert found == [chance(item.probability) for item in ambiguous.models]
@@ -210,14 +210,6 @@ def test_a_large_set_is_told_by_what_sets_it_apart_from_the_first(paper):
     ]
 
 
-def test_frequencies_alone_are_described_too(paper):
-    bare = [dataclasses.replace(each, mode_shapes=np.zeros((2, 0)), measured_floors=np.zeros(0, dtype=int))
-            for each in paper.experiment.configurations]  # fmt: skip
-    said = describe(dataclasses.replace(paper.experiment, configurations=tuple(bare)))
-    assert table(said, "modes-1").head == ("mode", "frequency, Hz", "std", "std of the shape")
-    assert table(said, "modes-1").title == "Frequencies alone"
-
-
 def test_the_averaged_frame_stands_beside_the_final_one(paper):
     identified = table(describe(paper), "identified")
     lowest, total = (row for row in identified.rows[-2:])
@@ -241,8 +233,7 @@ def test_a_fit_that_did_not_converge_is_said_wherever_its_numbers_are_shown(pape
     fit = dataclasses.replace(paper.estimate.fit, reason=Ending.STEP_LIMIT)
     step = dataclasses.replace(paper.after, estimate=dataclasses.replace(paper.estimate, fit=fit))
     document = describe(dataclasses.replace(paper, steps=(paper.before, step)))
-    for key in ("before-after", "frame"):
-        assert any("NOT CONVERGED" in getattr(part, "text", "") for part in document[key].parts)
+    assert any("NOT CONVERGED" in getattr(part, "text", "") for part in document["limits"].parts)
     found = cvxshear.identify(paper.experiment)
     stopped = dataclasses.replace(found, parts=(dataclasses.replace(found.parts[0], reason=Ending.STEP_LIMIT),))
     assert "NOT CONVERGED. " in str(stopped)

@@ -15,7 +15,7 @@ import cvxshear
 from cvxshear.planning import plan
 from cvxshear.priors import Bounds
 from cvxshear.records.record import Finding
-from cvxshear.report.describe import Sentence, Table, describe
+from cvxshear.report.blocks import Sentence, Table, describe
 from cvxshear.report.terminal import notebook_html
 from cvxshear.response import DrivenRecord, DrivenRun, predict
 from cvxshear.screening import Screening

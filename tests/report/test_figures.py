@@ -1,6 +1,5 @@
 """Test figures for two to twenty stories: no overlap, no clipping, and values equal to the result."""
 
-import contextlib
 import itertools
 import subprocess
 import sys
@@ -19,8 +18,8 @@ from cvxshear import close_loop
 from cvxshear.cli import main
 from cvxshear.report import figures, html
 from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_shapes import mac_tables, mode_shapes
-from cvxshear.report.figures.style import for_narrow_page, inline_svg, letters, power_of_ten, spread
+from cvxshear.report.figures.mode_figures import mac_tables, mode_shapes
+from cvxshear.report.figures.style import inline_svg, letters, spread
 from cvxshear.util.errors import InputError
 from tests import frames
 
@@ -65,22 +64,9 @@ def test_no_text_of_a_loops_figure_overlaps_or_is_cut_off(draw, result, request)
     assert_readable(draw(request.getfixturevalue(result)))
 
 
-@pytest.mark.parametrize("result", ["paper", "eight", "ambiguous", "unexplained"])
-def test_no_text_of_a_narrow_figure_overlaps_or_is_cut_off(result, request):
-    found = request.getfixturevalue(result)
-    for entry in style.applicable(found):
-        with for_narrow_page():
-            drawn = entry.draw(found)
-        assert drawn.get_figwidth() <= 3.7
-        assert_readable(drawn)
-
-
-def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_story, no_heights, eight):
+def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_story, no_heights):
     two_stage = cvxshear.identify(paper.experiment, method="two-stage")
-    tall = cvxshear.identify(eight.experiment, method="two-stage")
     for figure in (
-        figures.convergence(two_stage),
-        figures.convergence(tall),
         figures.frame(two_stage),
         figures.frame(no_heights),
         figures.mac(two_stage),
@@ -90,12 +76,6 @@ def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_s
         figures.noise_variation(six_story),
     ):
         assert_readable(figure)
-
-
-@pytest.mark.parametrize("result", ["paper", "twenty"])
-def test_no_text_of_a_plan_overlaps_or_is_cut_off(result, request):
-    experiment = request.getfixturevalue(result).experiment
-    assert_readable(figures.plan(cvxshear.plan(experiment, sensors=2)))
 
 
 def test_the_residual_is_drawn_in_the_noise_of_the_final_model(paper):
@@ -115,8 +95,7 @@ def test_the_residual_is_drawn_in_the_noise_of_the_final_model(paper):
     assert drawn["with effects"] == pytest.approx(np.log(modelled / measured) * ratio[0])
 
 
-@pytest.mark.parametrize("narrow", [False, True])
-def test_every_residual_lies_within_its_panel_and_its_label_beside_it(narrow):
+def test_every_residual_lies_within_its_panel_and_its_label_beside_it():
     """The residuals include soft priors (one with two rows, one with a single negative row) and long names."""
     frame = {"total_mass": 20.0, "story_heights": 0.4}
     prior = [
@@ -126,8 +105,7 @@ def test_every_residual_lies_within_its_panel_and_its_label_beside_it(narrow):
     tested = frames.configuration([10.0, 10.0], [24e3, 20e3])
     declared = frames.experiment([10.0, 10.0], [24e3, 20e3], tested, frame=frame)
     result = close_loop(cvxshear.Experiment.from_dict({**declared, "prior": prior}), effects=["gravity"])
-    with for_narrow_page() if narrow else contextlib.nullcontext():
-        figure = figures.residual(result)
+    figure = figures.residual(result)
     figure.draw_without_rendering()
     width = figure.get_window_extent().width
     for axes in figure.axes:
@@ -172,15 +150,6 @@ def test_the_mac_matrix_is_that_of_the_predictions(paper):
     assert min(np.diag(table).min() for _, table in mac_tables(paper)) == pytest.approx(
         paper.after.estimate.quality.min_mac
     )
-
-
-def test_convergence_shows_the_history(paper):
-    found = cvxshear.identify(paper.experiment, method="two-stage")
-    axes = figures.convergence(found).axes[0]
-    history = found.parts[0].history
-    assert axes.lines[1].get_ydata() == pytest.approx(np.abs(history[:-1, 1] / history[-1, 1] - 1.0))
-    with pytest.raises(InputError, match="the figure 'convergence' needs a method that iterates"):
-        figures.convergence(cvxshear.identify(paper.experiment))
 
 
 def test_variation_has_the_bound_beside_it(study):
@@ -245,10 +214,6 @@ def test_labels_are_spread_and_stay_between_the_ends():
     assert spread(np.array([4.8, 4.9, 5.0]), 1.0, 0.0, 5.0) == pytest.approx([3.0, 4.0, 5.0])
 
 
-def test_powers_of_ten_are_written_so():
-    assert [power_of_ten(value) for value in (1e-12, 1.0, 1000.0, 2.0)] == ["10⁻¹²", "1", "1000", ""]
-
-
 def test_what_was_found_is_marked_at_its_place_with_its_probability(nine):
     """One of nine states has an undeclared mass: only this state's drawing marks its floor."""
     (effect,) = nine.effects
@@ -271,28 +236,19 @@ def test_what_was_found_is_marked_at_its_place_with_its_probability(nine):
 def test_a_figure_shows_itself(paper):
     figure = paper.figure("mac")
     assert figure._repr_png_().startswith(b"\x89PNG")
-    assert "<svg" in figure._repr_svg_()
     assert paper.figure().axes[0].get_title(loc="left") == "every state"
     with pytest.raises(InputError, match="there is no figure 'pie' of this result; there are findings, frame"):
         paper.figure("pie")
-    with pytest.raises(InputError, match="the figure 'convergence' needs a method that iterates"):
-        cvxshear.identify(paper.experiment).figure("convergence")
 
 
 def test_figures_drawn_in_threads_are_those_drawn_alone(paper, eight):
     """The user also draws in the meantime; all settings stay."""
     settings = {key: value for key, value in mpl.rcParams.items() if key != "backend"}
     wanted = {result: inline_svg(figures.residual(result), "a") for result in (paper, eight)}
-    narrow = {}
-    with for_narrow_page():
-        narrow |= {result: inline_svg(figures.residual(result), "a") for result in (paper, eight)}
 
     def drawn(place):
         result = (paper, eight)[place % 2]
-        if place % 3:
-            return inline_svg(figures.residual(result), "a") == wanted[result]
-        with for_narrow_page():
-            return inline_svg(figures.residual(result), "a") == narrow[result]
+        return inline_svg(figures.residual(result), "a") == wanted[result]
 
     with ThreadPoolExecutor(6) as pool:
         assert all(pool.map(drawn, range(12)))

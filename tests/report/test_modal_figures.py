@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 
 import numpy as np
 import pytest
-from matplotlib import pyplot
-from matplotlib.backend_bases import MouseEvent
 
 import cvxshear
 from cvxshear import close_loop
-from cvxshear.io.record_file import write_pick
 from cvxshear.records import ModalResult, from_arrays, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, base_record, hammer_record, shaker_record
 from cvxshear.report import figures
-from cvxshear.report.figures.drawn_shapes import mode_shapes
-from cvxshear.report.figures.frequency_figures import PolePicker
+from cvxshear.report.figures.mode_figures import mode_shapes
 from cvxshear.util.errors import InputError
 from tests.frames import chain
 from tests.report.test_figures import assert_readable
 
-OF_RECORDS = (figures.stabilization, figures.functions, figures.coherence, figures.modal_shapes, figures.modal_mac)
+OF_RECORDS = (figures.stabilization, figures.functions, figures.modal_shapes)
 MASSES = np.array([10.0, 7.5, 5.0])
 STIFFNESSES = np.array([36e3, 24e3, 12e3])
 
@@ -64,7 +59,7 @@ def test_no_text_overlaps_or_is_cut_off(draw, hammer, shaker):
     assert_readable(draw(shaker))
 
 
-@pytest.mark.parametrize("draw", [figures.stabilization, figures.modal_shapes, figures.modal_mac])
+@pytest.mark.parametrize("draw", [figures.stabilization, figures.modal_shapes])
 def test_nor_with_twenty_modes(draw, twenty):
     assert_readable(draw(twenty))
 
@@ -88,21 +83,9 @@ def test_a_mode_faces_one_way_in_every_record(hammer):
 
 def test_each_record_begins_a_row(hammer, shaker):
     """A record with two modes or floors stands between records with three; rows are not shared."""
-    for draw in (figures.modal_shapes, figures.functions, figures.coherence):
+    for draw in (figures.modal_shapes, figures.functions):
         rows = [axes.get_subplotspec().rowspan.start for axes in draw(hammer, shaker, hammer).axes]
         assert rows == [0, 0, 0, 1, 1, 2, 2, 2], draw.__name__
-
-
-def test_a_driving_point_looks_alike_in_every_record(hammer, shaker):
-    figure = figures.coherence(hammer, shaker)
-    (legend,) = figure.legends
-    named = {text.get_text(): line for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)}
-    assert list(named) == ["force at floor 1", "force at floor 2", "force at floor 3"]
-    looks = {label: (line.get_color(), line.get_linestyle()) for label, line in named.items()}
-    assert len(set(looks.values())) == 3
-    by_hammer, by_shaker = figure.axes[0].lines[:3], figure.axes[3].lines[0]
-    assert [(line.get_color(), line.get_linestyle()) for line in by_hammer] == list(looks.values())
-    assert (by_shaker.get_color(), by_shaker.get_linestyle()) == looks["force at floor 2"]
 
 
 def test_functions_of_other_units_are_labelled_at_each_record(hammer, base):
@@ -122,12 +105,8 @@ def test_what_is_lacking_is_said():
     given = from_arrays([3.0, 9.0], [[0.5, 1.0], [1.0, -0.6]], name="given")
     with pytest.raises(InputError, match="'stabilization' needs an order sweep"):
         figures.stabilization(given)
-    for draw in (figures.functions, figures.coherence):
-        with pytest.raises(InputError, match="needs"):
-            draw(given)
-    single = identify_modes(hammer_record(PAPER_FRAME, 0, noise=0.01, hits=1), functions=True)
-    with pytest.raises(InputError, match="'coherence' needs two hits or more at each floor"):
-        figures.coherence(single)
+    with pytest.raises(InputError, match="needs"):
+        figures.functions(given)
 
 
 def test_the_same_mode_of_two_configurations_faces_one_way():
@@ -153,76 +132,4 @@ def test_the_same_mode_of_two_configurations_faces_one_way():
 
 def test_the_first_figure_of_a_record_is_its_stabilization_diagram():
     """A file without a named kind gets this figure; a report has the others in this order."""
-    assert list(figures.figures_of(ModalResult)) == ["stabilization", "functions", "coherence", "shapes", "mac"]
-
-
-RECORD = """# a test
-added_mass = [0.0, 0.0, 1.0]  # kg
-[record]  # of hits
-input = "force"
-file = "hits.csv"
-{pick}
-[[channel]]  # the roof
-column = "roof"
-floor = 3
-"""
-
-
-@pytest.fixture(scope="module")
-def picked():
-    return identify_modes(hammer_record(PAPER_FRAME, 1, noise=0.005, hits=2))
-
-
-def click(picker, frequency):
-    """Click on the diagram at a frequency, Hz."""
-    axes = picker.figure.axes[0]
-    x, y = axes.transData.transform((frequency, 10.0))
-    canvas = picker.figure.canvas
-    canvas.callbacks.process("button_press_event", MouseEvent("button_press_event", canvas, x, y, button=1))
-
-
-def test_clicks_choose_and_give_up_and_are_written(picked, tmp_path):
-    file = tmp_path / "record.toml"
-    file.write_text(RECORD.format(pick=""))
-    picker = PolePicker(picked, file)
-    assert picker.frequencies == pytest.approx(PAPER_FRAME.modes()[0], rel=1e-3)
-    click(picker, picked.frequencies[1])
-    click(picker, 0.5 * picked.frequencies[0])  # no pole there: the choice stays
-    expected = PAPER_FRAME.modes()[0][[0, 2]]
-    assert picker.frequencies == pytest.approx(expected, rel=1e-3)
-    assert tomllib.loads(file.read_text())["record"]["pick"] == pytest.approx(expected, rel=1e-3)
-    click(picker, picked.frequencies[1])
-    assert len(tomllib.loads(file.read_text())["record"]["pick"]) == 3
-
-
-@pytest.mark.parametrize("pick", ["", "pick = [1.0]  # by eye", "pick = [\n  1.0,\n  2.0,\n]"])
-def test_the_rest_of_the_record_file_stays(tmp_path, pick):
-    file = tmp_path / "record.toml"
-    file.write_text(RECORD.format(pick=pick))
-    before = tomllib.loads(file.read_text())
-    write_pick(file, [3.6812, 11.1])
-    after = tomllib.loads(file.read_text())
-    assert after["record"].pop("pick") == [3.6812, 11.1]
-    before["record"].pop("pick", None)
-    assert after == before
-    assert all(comment in file.read_text() for comment in ("# a test", "# kg", "# of hits", "# the roof"))
-
-
-def test_a_record_file_without_a_header_is_left_alone(tmp_path):
-    file = tmp_path / "record.toml"
-    file.write_text('record = { file = "hits.csv" }\n')
-    with pytest.raises(InputError, match=r"has no table \[record\] .* write there: pick = \[1\.5\]"):
-        write_pick(file, [1.5])
-    assert file.read_text() == 'record = { file = "hits.csv" }\n'
-
-
-def test_a_backend_without_windows_says_what_to_do(picked):
-    """The tests draw into files, like a server."""
-    pyplot.switch_backend("agg")
-    with pytest.raises(InputError, match=r"%matplotlib widget .* cvxshear modes RECORD --pick list"):
-        picked.pick()
-
-
-def test_modes_that_were_given_have_no_poles_to_choose_from():
-    with pytest.raises(InputError, match="needs an order sweep"):
-        PolePicker(from_arrays([1.0, 3.0], [[0.5, 1.0], [1.0, -0.5]]))
+    assert list(figures.figures_of(ModalResult)) == ["stabilization", "functions", "shapes"]

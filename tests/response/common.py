@@ -19,6 +19,16 @@ def damped_frame(stories, seed=0, *, ratio=0.08):
     return mass, stiffness, 2 * ratio / last * stiffness * rng.uniform(0.6, 1.4, stories)
 
 
+def state_space(M, C, K):
+    """Return A, B, C, D for inputs of base acceleration and floor forces, and outputs of total accelerations."""
+    n = len(M)
+    inverse, none = np.linalg.inv(M), np.zeros((n, n))
+    rows = -inverse @ np.hstack([K, C])
+    A = np.block([[none, np.eye(n)], [rows]])
+    B = np.block([[np.zeros((n, 1)), none], [-np.ones((n, 1)), inverse]])
+    return A, B, rows, np.hstack([np.zeros((n, 1)), inverse])
+
+
 def matrices(mass, stiffness, dashpots):
     M, K = chain(mass, stiffness)
     return M, chain(mass, dashpots)[1], K

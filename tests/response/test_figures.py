@@ -11,8 +11,8 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report import figures
-from cvxshear.report.describe import describe
-from cvxshear.report.figures.style import figures_of, for_narrow_page
+from cvxshear.report.blocks import describe
+from cvxshear.report.figures.style import figures_of
 from cvxshear.response import (
     DampedModel,
     Fitted,
@@ -24,11 +24,10 @@ from cvxshear.response import (
     reconstruct,
     response,
 )
-from cvxshear.util.errors import InputError
 from tests.report.test_figures import assert_readable
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
-DRAWN = [figures.response_histories, figures.response_peaks, figures.transfer_functions]
+DRAWN = [figures.response_histories, figures.response_peaks]
 
 
 @pytest.fixture(scope="module", params=[2, 20])
@@ -51,20 +50,13 @@ def prediction(request):
 @pytest.mark.parametrize("draw", DRAWN, ids=lambda draw: draw.__name__)
 def test_figures_are_readable(prediction, draw):
     assert_readable(draw(prediction))
-    with for_narrow_page():
-        drawn = draw(prediction)
-    assert drawn.get_figwidth() <= 3.7
-    assert_readable(drawn)
 
 
 def test_figures_without_measured_floors(prediction):
     bare = DrivenRecord((DrivenRun(prediction.motion.runs[0].excitation),), 100.0)
     found = predict(Models(None, prediction.after.fitted), bare)
     for draw in DRAWN:
-        if draw is not figures.transfer_functions:
-            assert_readable(draw(found))
-    with pytest.raises(InputError, match="needs measured accelerations of floors"):
-        figures.transfer_functions(found)
+        assert_readable(draw(found))
 
 
 def test_peaks_are_drawn_where_they_are(prediction):
@@ -83,14 +75,12 @@ def test_the_floor_of_the_largest_peak_is_drawn_and_those_left_out_are_counted(p
     peak = np.where(np.arange(1, count + 1) == min(largest, count), 9.0, 1.0)
     peaks = Peaks({**prediction.peaks.values, "floor_acceleration": peak}, prediction.peaks.std)
     found = dataclasses.replace(prediction, peaks=peaks)
-    for draw in (figures.response_histories, figures.transfer_functions):
-        shown = panel_numbers(draw(found))
-        assert min(largest, count) in shown
-        assert shown == sorted(shown, reverse=True)
-    for name in ("history", "transfer"):
-        caption = figures_of(RecordPrediction)[name].caption_of(found)
-        assert ("not drawn" in caption) == (count > 4)
-        assert count <= 4 or f"16 of {count}" in caption
+    shown = panel_numbers(figures.response_histories(found))
+    assert min(largest, count) in shown
+    assert shown == sorted(shown, reverse=True)
+    caption = figures_of(RecordPrediction)["history"].caption_of(found)
+    assert ("not drawn" in caption) == (count > 4)
+    assert count <= 4 or f"16 of {count}" in caption
 
 
 def test_the_story_that_the_headline_names_is_drawn():
@@ -107,10 +97,6 @@ def test_the_story_that_the_headline_names_is_drawn():
     assert describe(found).headline.startswith("Story 3 drifted most: ")
     assert "base motion" in describe(found)["findings"].parts[0].text
     assert panel_numbers(figures.reconstructed_histories(found)) == [5, 4, 3, 1]
-    with for_narrow_page():
-        narrow = [entry.draw(found) for entry in figures_of(Reconstruction).values()]
-    assert len(narrow) == 2
-    for drawn in narrow:
-        assert drawn.get_figwidth() <= 3.7
-        assert_readable(drawn)
+    for entry in figures_of(Reconstruction).values():
+        assert_readable(entry.draw(found))
     assert "1 of 5 stories is not drawn" in figures_of(Reconstruction)["histories"].caption_of(found)

@@ -5,11 +5,10 @@ import pytest
 from scipy import signal
 
 from cvxshear.records.motion import band_limited
-from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, DrivenRecord, DrivenRun, Response, response
 from cvxshear.response.peaks import peaks_of
 from cvxshear.util.errors import InputError
-from tests.response.common import damped_frame, integrated, matrices, shaking
+from tests.response.common import damped_frame, integrated, matrices, shaking, state_space
 
 STEP = 0.01
 
@@ -107,7 +106,7 @@ def test_forces_are_in_equilibrium():
 
 def test_the_state_space_form_is_the_same_frame():
     of, excitation = model_of(5), shaking(200, STEP)
-    A, B, C, D = state_space(of).values()
+    A, B, C, D = state_space(of.M, of.C, of.K)
     time = STEP * np.arange(len(excitation))
     for floor in (0, 3):
         inputs = np.zeros((len(time), 6))

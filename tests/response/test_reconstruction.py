@@ -15,7 +15,7 @@ from cvxshear.measurement.declaration import Limits
 from cvxshear.programs import LeastSquares
 from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
-from cvxshear.report.describe import describe
+from cvxshear.report.blocks import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.frame_motion import FrameMotion, readings_of
 from cvxshear.response.frame_prior import VariedFrame

@@ -6,12 +6,6 @@ import copy
 
 import numpy as np
 
-MISTAKES = (
-    "missing_mode", "transposed", "swapped_sensors", "sensor_sign", "entry_sign", "floors_from_top", "mode_order",
-    "mode_number", "sensor_floors", "sensor_unit", "drifts", "frequency_unit",
-    "periods",
-)  # fmt: skip
-
 WHOLE = ("transposed", "mode_number", "sensor_floors", "drifts")
 """Mistakes that need a file of all modes at all floors."""
 
@@ -169,17 +163,10 @@ def periods(tables, rng, stories):
 
 
 MAKE = {
-    "missing_mode": missing_mode,
-    "transposed": transposed,
-    "swapped_sensors": swapped_sensors,
-    "sensor_sign": sensor_sign,
-    "entry_sign": entry_sign,
-    "floors_from_top": floors_from_top,
-    "mode_order": mode_order,
-    "mode_number": mode_number,
-    "sensor_floors": sensor_floors,
-    "sensor_unit": sensor_unit,
-    "drifts": drifts,
-    "frequency_unit": frequency_unit,
-    "periods": periods,
-}
+    make.__name__: make
+    for make in (
+        missing_mode, transposed, swapped_sensors, sensor_sign, entry_sign, floors_from_top, mode_order, mode_number,
+        sensor_floors, sensor_unit, drifts, frequency_unit, periods,
+    )
+}  # fmt: skip
+MISTAKES = tuple(MAKE)

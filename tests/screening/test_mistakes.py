@@ -39,7 +39,7 @@ def test_each_mistake_is_named_with_what_to_change(mistake, stories, effect):
 
 
 def test_the_names_of_the_mistakes_are_those_that_accept_takes():
-    assert set(MISTAKES) == set(NAMES) - {"signs", "masses_from_top", "frequency"}
+    assert set(MISTAKES) == set(NAMES) - {"signs"}
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

@@ -31,19 +31,11 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "beam of six sets": ("loop.search", {"BEAM": 3}),
     "sets within a thousandth of the best are followed": ("loop.search", {"WITHIN": 4.0}),
     "two equal sets are both expanded": ("loop.search", {"TIE": 0.0}),
-    "three effects are no simple explanation": ("loop.search", {"A_PILE": 99}),
     "at most 300 sets": ("loop.search", {"MOST_SETS": 100}),
     "at most twelve starts of motions and frames": ("loop.search", {"MOST_STARTS": 4}),
     "at most ten further effects": ("loop.search", {"MOST_FURTHER": 5}),
     "effects on accuracy": ("loop.search", {"RESCALING": 0}),
-    "at most twelve effects in one sequence": ("loop.linear", {"MOST_TAKEN": 3}),
-    "first predictions with a wide prior": ("loop.linear", {"WIDE": 1.0}),
-    "numberings are probed": ("loop.close", {"PROBED": 1}),
-    "numberings behind the best are searched": ("loop.close", {"REACH": 7.0}),
-    "numberings far behind are given up": ("loop.close", {"FAR_BEHIND": np.inf}),
-    "pairs of changes at few floors": ("loop.close", {"MOST_PAIRED": 0}),
     "a second mode is no peak": ("fit.gaussian", {"SECOND_MODE": np.inf}),
-    "noise is widened": ("loop.close", {"MOST_WIDENINGS": 0}),
 }
 """Name of a rule, the module that holds it, and the neutral values of its constants."""
 

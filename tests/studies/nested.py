@@ -20,7 +20,7 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import fitted
 from cvxshear.fit.gauss_newton import Accuracy
 from cvxshear.fit.misfit import Misfit
-from cvxshear.loop.evidence import log_evidence
+from cvxshear.loop.fitter import log_evidence
 
 FLOOR_MASS, STORY_STIFFNESS, HEIGHT, GRAVITY = 10.0, 22e3, 0.4, 9.81
 """Typical floor mass (kg), story stiffness (N/m), story height (m) and gravity (m/s2)."""

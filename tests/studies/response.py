@@ -11,10 +11,9 @@ from cvxshear import Experiment, backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.model import modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
-from cvxshear.report.handover import state_space
 from cvxshear.response import DampedModel, Fitted, Models, reconstruct, response
 from cvxshear.response.uncertain import modal_matrix
-from tests.response.common import damped_frame, declared, matrices
+from tests.response.common import damped_frame, declared, matrices, state_space
 from tests.studies.timing import fastest, shown, table
 
 STORIES, RATE, SECONDS = 20, 100.0, 60.0
@@ -45,7 +44,7 @@ def newmark(M, C, K, excitation, step):
 
 
 def by_lsim(M, C, K, excitation, step):
-    A, B, rows, D = state_space(DampedModel(M, C, K, np.ones(len(M)))).values()
+    A, B, rows, D = state_space(M, C, K)
     time = step * np.arange(len(excitation))
     _, found, _ = signal.lsim((A, B[:, :1], rows, D[:, :1]), excitation, time)
     return np.abs(found).max(axis=0)

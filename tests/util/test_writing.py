@@ -148,7 +148,7 @@ def test_a_device_has_no_ending_to_go_by(tmp_path, terminal):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
 def test_what_does_not_fit_on_a_device_is_told_after_the_result(run):
-    for option in ("-o", "--figure"):
+    for option in ("-o", "--csv"):
         status, out, err = run("plan", "paper", "--fresh", option, "/dev/full")
         assert status == 2
         assert out.startswith("Measure every floor")
@@ -206,7 +206,7 @@ def test_what_the_content_was_made_from_is_kept(tmp_path):
 
 
 def test_no_other_module_writes():
-    """Only the module `writing` contains calls that write a file; `handover` fills streams in memory."""
+    """Only the module `writing` contains calls that write a file; `responses` fills streams in memory."""
     found = set()
     for path in PACKAGE.rglob("*.py"):
         calls = (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
@@ -222,7 +222,7 @@ def test_no_other_module_writes():
                 found.add((path.relative_to(PACKAGE).as_posix(), name))
     # A closed standard stream is replaced by the null device.
     own = {("util/writing.py", "fdopen"), ("util/writing.py", "replace"), ("cli/output.py", "open")}
-    assert {each for each in found if each[0] != "report/handover.py"} == own
+    assert {each for each in found if each[0] != "report/responses.py"} == own
 
 
 KILLED = """
@@ -304,16 +304,14 @@ REFUSED = {
         ["predict", "paper", "--out", "sound.csv", "--record", "r.toml"], "--out: sound.csv would be written over",
     ),
     "the model that predicts": (
-        ["predict", "s.json", "--record", "r.toml", "--export", "s.json"], "--export: s.json would be written over",
+        ["predict", "s.json", "--record", "r.toml", "--json", "s.json"], "--json: s.json would be written over",
     ),
     "a record of which the measurement is made": (
         ["predict", "r.toml", "--record", "r.toml", "--report", "raw.html"], "--report: raw.html would be written over",
     ),
-    "a model and its drawing": (
-        ["predict", "paper", "--record", "r.toml", "--export", "b.json", "--json", "b.json"], "--export and --json",
-    ),
-    "the record that validates": (
-        ["loop", "paper", "--csv", "sound.csv", "--validate", "r.toml"], "--csv: sound.csv would be written over",
+    "time series and peaks": (
+        ["predict", "paper", "--record", "r.toml", "--out", "b.csv", "--csv", "b.csv"],
+        "--csv and --out name the same file, b.csv",
     ),
     "what is compared": (["backends", "m.toml", "--json", "link.json"], "--json: link.json would be written over m.to"),
 }  # fmt: skip
@@ -350,7 +348,7 @@ def test_a_bad_output_is_refused_before_the_run(kind, run, tmp_path, monkeypatch
     ("arguments", "options", "printed"),
     [
         (("identify", "paper", "--method", "two-stage"), {"--json": ".json"}, "13.045"),
-        (("plan", "paper", "--fresh"), {"-o": ".toml", "--figure": ".svg"}, "Measure every floor in 1 test"),
+        (("plan", "paper", "--fresh"), {"-o": ".toml", "--csv": ".csv"}, "Measure every floor in 1 test"),
     ],
 )
 def test_the_result_is_printed_where_its_files_cannot_be_written(

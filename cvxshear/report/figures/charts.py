@@ -1,6 +1,5 @@
-"""Draw charts: residuals, planned tests, scatter under noise, the mass iteration."""
+"""Draw charts: residuals, and scatter under noise."""
 
-import textwrap
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Any
@@ -8,17 +7,15 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from cvxshear.data import Deviation
-from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import by_part
 from cvxshear.paper.scatter import NoiseStudy, Scatter
-from cvxshear.planning.planner import Plan, accuracy_curve
 from cvxshear.report.figures import style
-from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
+from cvxshear.report.figures.style import LINE, figure
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
@@ -38,7 +35,6 @@ Pair = tuple[Deviation, Deviation]
     alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
     "effects; the numbers are in the tables above.",
     section="residual",
-    narrow=True,
 )
 def residual(result: LoopResult) -> Figure:
     """How far the model is from each part of the measurement, in standard deviations, before and after.
@@ -53,26 +49,20 @@ def residual(result: LoopResult) -> Figure:
     pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
     kinds = list(dict.fromkeys(after.noise for _, after in pairs))
     of_kind = {kind: [pair for pair in pairs if pair[1].noise == kind] for kind in kinds}
-    # A telephone shows the kinds of data below one another, each with its own rows.
-    listed = [of_kind[kind] for kind in kinds] if style.narrow_page() else [pairs]
-    rows = [list(dict.fromkeys((after.configuration, after.place) for _, after in each)) for each in listed]
-    heights = [LINE * (len(each) + 8) for each in rows]
-    figure = style.new_figure(style.page_width(), sum(heights))
-    columns = 1 if style.narrow_page() else len(kinds)
-    drawn = figure.subplots(len(rows), columns, sharey="row", squeeze=False, height_ratios=heights)
-    for at, (axes, kind) in enumerate(zip(drawn.ravel(), kinds, strict=True)):
-        _residual_panel(axes, rows[at // columns], of_kind[kind])
-    for axes, own in zip(drawn[:, 0], rows, strict=True):
-        axes.set_yticks(range(len(own)), [_row_label(name, place) for name, place in own])
-        axes.set_ylim(len(own) - 0.4, -0.6)
-    style.legend(figure, drawn[0, 0], 2)
+    rows = list(dict.fromkeys((after.configuration, after.place) for _, after in pairs))
+    figure = style.new_figure(style.PAGE_WIDTH, LINE * (len(rows) + 8))
+    drawn = style.panels(figure, len(kinds), len(kinds), sharey=True)
+    for axes, kind in zip(drawn, kinds, strict=True):
+        _residual_panel(axes, rows, of_kind[kind])
+    drawn[0].set_yticks(range(len(rows)), [_row_label(name, place) for name, place in rows])
+    drawn[0].set_ylim(len(rows) - 0.4, -0.6)
+    style.legend(figure, drawn[0], 2)
     return figure
 
 
 def _row_label(configuration: str, place: str) -> str:
     """Name a part of the measurement, shortened to leave space for the panel; a prior has no configuration."""
-    name, statement = (12, 24) if style.narrow_page() else (20, 48)
-    return f"{style.letters(configuration, name)}, {place}" if configuration else style.letters(place, statement)
+    return f"{style.letters(configuration, 20)}, {place}" if configuration else style.letters(place, 48)
 
 
 def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence[Pair]) -> None:
@@ -83,8 +73,7 @@ def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence
     before, after = np.array([[before.deviations, after.deviations] for before, after in pairs]).T
     _dumbbells(axes, places, *((before, after) if signed else (np.abs(before), np.abs(after))))
     what = f"{pairs[0][1].noise.replace('_', ' ')}, {'model less measurement' if signed else 'root mean square'}"
-    wrapped = "\n".join(textwrap.wrap(f"{what}, standard deviations", 22))
-    axes.set_xlabel(wrapped if style.narrow_page() else f"{what},\nstandard deviations")
+    axes.set_xlabel(f"{what},\nstandard deviations")
     if signed:
         axes.axvline(0, color=style.GREY, lw=0.8)
     else:
@@ -106,77 +95,6 @@ def _dumbbells(axes: Axes, places: Floats, before: Floats, after: Floats) -> Non
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlim(-largest, largest)
-
-
-@figure(
-    "plan",
-    Plan,
-    title="The planned tests",
-    alternative="Sensors and added masses of each test, and accuracy over the number of sensors.",
-    section="tests",
-)
-def plan(result: Plan) -> Figure:
-    """Draw the frame of each test with its added masses and sensors, and accuracy against number of sensors.
-
-    Left: the frame of each test with its sensors and the masses to add. Right: the expected accuracy over the
-    number of sensors, with the bound below which no choice can be.
-    """
-    shown = min(len(result.tests), MOST_PANELS)
-    n = result.model.design.stories
-    figure = style.new_figure(style.PAGE_WIDTH, LINE * (1.4 * n + 10))
-    left, right = figure.subplots(1, 2)
-    _tests(left, result, shown)
-    _curve(right, result)
-    return figure
-
-
-def _tests(axes: Axes, result: Plan, shown: int) -> None:
-    n = result.model.design.stories
-    heaviest = max(*(float(test.max()) for test in result.tests), 1e-300)
-    for place, test in enumerate(result.tests[:shown]):
-        for floor in range(1, n + 1):
-            for side in (place - 0.3, place + 0.3):
-                axes.plot([side, side], [floor - 1, floor], color=style.GREY, lw=1.2)
-            axes.add_patch(
-                Rectangle((place - 0.33, floor - 0.06), 0.66, 0.12, fc=style.PALE, ec="black", lw=0.7, zorder=3)
-            )
-            mass = float(test[floor - 1])
-            if mass > 0:
-                tall = 0.5 * mass / heaviest
-                load = {"fc": style.BEFORE, "ec": "black", "lw": 0.6, "hatch": "//", "zorder": 3}
-                axes.add_patch(Rectangle((place - 0.16, floor + 0.06), 0.32, tall, **load))  # type: ignore[arg-type]
-            if floor in result.sensors:
-                axes.plot(place + 0.24, floor + 0.16, "o", color=style.AFTER, ms=4.5, zorder=4)
-        axes.plot([place - 0.4, place + 0.4], [0, 0], color="black", lw=1.2)
-    axes.plot([], [], "o", color=style.AFTER, label="sensor")
-    axes.add_patch(
-        Rectangle((0, 0), 0, 0, fc=style.BEFORE, ec="black", hatch="//", label=f"mass, at most {heaviest:.3g} kg")
-    )
-    axes.set_xticks(range(shown), [style.letters(name.removeprefix("planned "), 11) for name in result.names[:shown]])
-    step = 1 if n <= 20 else 5
-    axes.set_yticks([1, *range(step, n + 1, step)] if step > 1 else range(1, n + 1))
-    axes.set_ylabel("floor")
-    axes.set_xlim(-0.6, shown - 0.4)
-    axes.set_ylim(-0.1, n + 0.8)
-    axes.tick_params(axis="x", length=0)
-    axes.spines[["bottom", "left"]].set_visible(False)
-    handles, names = axes.get_legend_handles_labels()
-    kept = len(handles) if heaviest > 1e-300 else 1
-    axes.legend(handles[:kept], names[:kept], loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2)
-
-
-def _curve(axes: Axes, result: Plan) -> None:
-    curve = accuracy_curve(result)
-    counts = [count for count, _, _ in curve]
-    axes.plot(counts, [100 * value for _, value, _ in curve], "o-", color=style.AFTER, label="best found")
-    axes.plot(counts, [100 * bound for _, _, bound in curve], "--", color=style.GREY, label="no choice below")
-    axes.plot(len(result.sensors), 100 * result.objective, "s", color=style.BEFORE, ms=7, label="plan", zorder=4)
-    axes.set_xlabel("number of sensors")
-    axes.set_ylabel("\n".join(textwrap.wrap(f"{result.measure}, %", style.LONGEST_NAME)))
-    axes.set_ylim(0, 115 * max(value for _, value, _ in curve))
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.grid(visible=True)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
 
 
 BOX = 0.8
@@ -295,73 +213,3 @@ def _filling(place: int) -> dict[str, Any]:
     return {
         "facecolor": style.COLOURS[place % len(style.COLOURS)], "hatch": style.HATCHES[place % len(style.HATCHES)]
     }  # fmt: skip
-
-
-MOST_LINES = 6
-"""Largest number of floors with one line each; for more floors, the largest and the median are drawn."""
-
-
-@figure(
-    "convergence",
-    Identification,
-    title="The mass iteration",
-    applies=lambda *results: bool(_iterated(*results)),
-    needs="a method that iterates on the masses: two-stage",
-)
-def convergence(*results: Identification) -> Figure:
-    """Error of each floor mass over the iterations of the two-stage method (the paper's Fig. 4).
-
-    Difference of each floor mass from its last value over the iterations of the two-stage method.
-
-    Parameters
-    ----------
-    *results : Identification
-        Results of a method that iterates on the masses; one panel for each configuration.
-
-    Returns
-    -------
-    Figure
-
-    Raises
-    ------
-    InputError
-        If no result has an iteration.
-    """
-    parts = _iterated(*results)
-    rows, columns = style.grid_of(len(parts), 2 if len(parts) in (2, 4) else 3)
-    figure = style.new_figure(max(style.PAGE_WIDTH * columns / 3, 5.0), 2.6 * rows + 0.6)
-    drawn = style.panels(figure, len(parts), columns, sharey=True)
-    for place, (axes, part) in enumerate(zip(drawn, parts, strict=True)):
-        _iterations(axes, part)
-        title = style.letters(part.name, 20)
-        if sum(item.name == part.name for item in parts) > 1 and part.history is not None:
-            started = ", ".join(f"{mass:.3g}" for mass in part.history[0, :4])
-            title += f"\nfrom {started}{', …' if part.history.shape[1] > 4 else ''} kg"
-        axes.set_title(title, fontsize=8.5)
-        if place % columns == 0:
-            axes.set_ylabel("mass still to go, relative")
-    style.legend(figure, drawn[0], min(len(drawn[0].get_lines()), 6))
-    return figure
-
-
-def _iterated(*results: Identification) -> list[SingleIdentification]:
-    """List the parts with more than one step of the mass iteration."""
-    return [part for result in results for part in result.parts if part.history is not None and len(part.history) > 1]
-
-
-def _iterations(axes: Axes, part: SingleIdentification) -> None:
-    assert part.history is not None
-    errors = np.abs(part.history[:-1] / part.history[-1] - 1.0)
-    # A logarithmic axis cannot show an error of zero.
-    errors = np.where(errors > 0, errors, np.nan)
-    names = [f"floor {i + 1}" for i in range(errors.shape[1])]
-    if errors.shape[1] > MOST_LINES:
-        errors = np.column_stack([np.nanmax(errors, axis=1), np.nanmedian(errors, axis=1)])
-        names = ["largest of all floors", "median of all floors"]
-    for values, name, look in zip(errors.T, names, style.looks(len(names)), strict=True):
-        axes.plot(values, ms=3.5, lw=1.0, label=name, **look)
-    axes.set_yscale("log")
-    style.logarithmic(axes.yaxis)
-    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-    axes.set_xlabel("iteration")
-    axes.grid(axis="y")

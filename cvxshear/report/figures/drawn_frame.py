@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
@@ -16,10 +15,10 @@ from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
-from cvxshear.report.describe.headline import NAMED, verdict_of
-from cvxshear.report.describe.identified import in_one_unit
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
+from cvxshear.report.headline import NAMED, verdict_of
+from cvxshear.report.identified import in_one_unit
 from cvxshear.util.quantities import AUTOMATIC, chance, counted
 from cvxshear.util.typing import Floats
 
@@ -71,7 +70,7 @@ def _structure(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns) -> N
     axes.set(xlim=(0, 1), ylim=(-0.045 * total, total + float(slabs.max())), xticks=[])
     axes.spines["bottom"].set_visible(False)
     # Without heights the axis shows floor numbers, which are integers.
-    axes.yaxis.set_major_locator(MaxNLocator(style.MOST_TICKS, integer=bool(np.all(heights == 1.0))))
+    axes.locator_params("y", integer=bool(np.all(heights == 1.0)))
 
 
 def _leader(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
@@ -105,7 +104,6 @@ def _findings_caption(result: LoopResult) -> str:
         "they act. The sentences above and the table of effects say the same."
     ),
     section="verdict",
-    narrow=True,
 )
 def findings(result: LoopResult) -> Figure:
     """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
@@ -116,13 +114,11 @@ def findings(result: LoopResult) -> Figure:
     if not result.effects:
         return _numbered_frames(result, [("", result.averaged)], sensors=True)
     states = _shown_states(result)
-    narrow = style.narrow_page()
-    rows, columns = style.grid_of(len(states), 1 if narrow else 2)
+    rows, columns = style.grid_of(len(states), 2)
     marks = [_marks(result, state, first=not place) for place, state in enumerate(states)]
     lines = max(sum(mark.lines for mark in each) for each in marks)
     height = float(np.clip(max(result.experiment.stories * 0.36, lines * LINE), 1.9, 6.5))
-    width = style.page_width() if narrow or columns > 1 else 5.4
-    drawn = style.new_figure(width, rows * (height + 0.7))
+    drawn = style.new_figure(style.PAGE_WIDTH if columns > 1 else 5.4, rows * (height + 0.7))
     every = style.panels(drawn, len(states), columns, sharey=True)
     for place, (axes, state, each) in enumerate(zip(every, states, marks, strict=True)):
         _state(axes, result, state, each, height)
@@ -292,7 +288,6 @@ def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> No
     title="The identified frame",
     alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
-    narrow=True,
 )
 def frame(result: LoopResult | Identification) -> Figure:
     """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
@@ -316,9 +311,7 @@ def _numbered_frames(
     """Draw frames with their numbers and titles."""
     rows, columns = style.grid_of(len(frames), 2)
     height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
-    drawn = style.new_figure(
-        style.page_width() if style.narrow_page() else style.PAGE_WIDTH * columns, rows * (height + 0.75)
-    )
+    drawn = style.new_figure(style.PAGE_WIDTH * columns, rows * (height + 0.75))
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, result.experiment, found, title, height, sensors=sensors)
     return drawn
@@ -333,11 +326,7 @@ def _numbered(
     if sensors:
         _sensors(axes, experiment, None, z, at)
     _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
-    axes.set_ylabel("" if style.narrow_page() else label)
-    if style.narrow_page():
-        # The numbers need the space of the axis.
-        axes.set_yticks([])
-        axes.spines["left"].set_visible(False)
+    axes.set_ylabel(label)
     for x, text, std, align in (
         (at.left - LABEL_DISTANCE, "story stiffness", found.story_stiffness_std, "right"),
         (at.right + LABEL_DISTANCE, "floor mass", found.floor_mass_std, "left"),
@@ -354,10 +343,9 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
     stiffnesses, unit = in_one_unit(found.story_stiffness, found.story_stiffness_std, AUTOMATIC.of_stiffness)
     masses, mass_unit = in_one_unit(found.floor_mass, found.floor_mass_std, AUTOMATIC.of_mass)
     top, middle = float(z[-1]), z - np.diff(z, prepend=0.0) / 2
-    word, other = ("", "") if style.narrow_page() else ("story ", "floor ")
     for i, (level, shown) in enumerate(zip(middle, style.spread(middle, gap, 0.0, top), strict=True)):
         _leader(axes, (at.left, level), (at.left - LABEL_DISTANCE + 0.01, shown))
-        axes.text(at.left - LABEL_DISTANCE, shown, f"{word}{i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
+        axes.text(at.left - LABEL_DISTANCE, shown, f"story {i + 1}:  {stiffnesses[i]} {unit}", ha="right", va="center")
     for i, (level, shown) in enumerate(zip(z, style.spread(z, gap, 0.0, top), strict=True)):
         _leader(axes, (at.right + 0.02, level), (at.right + LABEL_DISTANCE - 0.01, shown))
-        axes.text(at.right + LABEL_DISTANCE, shown, f"{other}{i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
+        axes.text(at.right + LABEL_DISTANCE, shown, f"floor {i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")

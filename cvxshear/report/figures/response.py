@@ -8,17 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cvxshear.report.figures import style
-from cvxshear.report.figures.style import (
-    AFTER,
-    BEFORE,
-    GREY,
-    MEASURED,
-    MOST_PANELS,
-    figure,
-    new_figure,
-    page_width,
-    panels,
-)
+from cvxshear.report.figures.style import figure
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.peaks import RESPONSES
@@ -35,7 +25,7 @@ PROFILES = ("floor_acceleration", "story_drift", "story_shear")
 
 def _spread(places: Ints, largest: int) -> Ints:
     """Choose floors or stories to draw, the top first: spread over the height, and including the largest peak."""
-    chosen = places[np.unique(np.linspace(0, len(places) - 1, min(MOST_PANELS, len(places))).round().astype(int))]
+    chosen = places[np.unique(np.linspace(0, len(places) - 1, min(style.MOST_PANELS, len(places))).round().astype(int))]
     if largest not in chosen:
         nearest = int(np.argmin(np.abs(chosen - largest)))
         chosen = np.sort(np.concatenate([np.delete(chosen, nearest), [largest]]))
@@ -58,14 +48,6 @@ def _floors(result: RecordPrediction) -> Ints:
     return _spread(places, ranking.first_largest(peaks) + 1)
 
 
-def _compared_floors(result: RecordPrediction) -> Ints:
-    """Choose measured floors, including the one with the largest acceleration."""
-    measured = result.after.comparison
-    floors: Ints = np.zeros(0, dtype=np.int64) if measured is None else measured.floors
-    peaks = result.peaks.values["floor_acceleration"]
-    return _spread(floors, int(floors[ranking.first_largest(peaks[floors - 1])]))
-
-
 def _floors_left_out(result: RecordPrediction) -> str:
     total = len(result.peaks.values["floor_acceleration"])
     return _left_out(len(_floors(result)), total, "floors", "the table of peaks has all")
@@ -81,7 +63,6 @@ def _floors_left_out(result: RecordPrediction) -> str:
         f"where the record has them, measured.{_floors_left_out(result)}"
     ),
     section="peaks",
-    narrow=True,
 )
 def response_histories(result: RecordPrediction) -> Figure:
     """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured."""
@@ -91,12 +72,12 @@ def response_histories(result: RecordPrediction) -> Figure:
     run, window = _strongest(sizes, model.modes.frequencies[0], result.motion.sampling_rate)
     driven = result.motion.runs[run]
     time = result.after.responses[run].time[window]
-    figure = new_figure(page_width(), 1.35 * len(floors) + 0.9)
-    for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
+    figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(floors) + 0.9)
+    for axes, floor in zip(style.panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
         own = np.array([floor])
         if driven.responses is not None and floor in result.motion.floors:
             column = int(np.flatnonzero(result.motion.floors == floor)[0])
-            axes.plot(time, driven.responses[window, column], color=MEASURED, lw=1.8, label="measured")
+            axes.plot(time, driven.responses[window, column], color=style.MEASURED, lw=1.8, label="measured")
         after = seen(model, result.after.responses[run], own)[window, 0]
         band = NORMAL_95 * np.abs(model.gain[floor - 1]) * result.std[run]["floor_acceleration"][window, floor - 1]
         _band(axes, time, after, band, ls="--", label="predicted")
@@ -118,8 +99,8 @@ def _strongest(sizes: list[Floats], first_mode: float, rate: float) -> tuple[int
 def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) -> None:
     """Draw a history with its 95 % band, if known."""
     if np.isfinite(half).all():
-        axes.fill_between(time, value - half, value + half, color=AFTER, alpha=0.25, lw=0, label="95 % band")
-    axes.plot(time, value, color=AFTER, lw=1.0, **look)
+        axes.fill_between(time, value - half, value + half, color=style.AFTER, alpha=0.25, lw=0, label="95 % band")
+    axes.plot(time, value, color=style.AFTER, lw=1.0, **look)
     axes.grid(visible=True, axis="y")
 
 
@@ -130,15 +111,13 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     caption="Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
     alternative="Peaks over the height; the numbers are in the table above.",
     section="peaks",
-    narrow=True,
 )
 def response_peaks(result: RecordPrediction) -> Figure:
     """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars."""
     shown = [each for each in PROFILES if each in result.peaks.values]
     n = len(result.after.damped.model.M)
-    columns = 1 if style.narrow_page() else len(shown)
-    figure = new_figure(page_width(), min(1.6 + 0.32 * n, 6.0) * len(shown) / columns)
-    every = panels(figure, len(shown), columns, sharey=True)
+    figure = style.new_figure(style.PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
+    every = style.panels(figure, len(shown), len(shown), sharey=True)
     for axes, name in zip(every, shown, strict=True):
         values, std, unit = result.peaks.values[name], result.peaks.std[name], RESPONSES[name].unit
         factor, label = (1e-3, "mm") if unit == "m" else scaled(values.tolist(), unit)
@@ -148,8 +127,7 @@ def response_peaks(result: RecordPrediction) -> Figure:
         axes.set_xlabel(f"{RESPONSES[name].word}, {label}")
         axes.set_xlim(left=0)
         axes.grid(visible=True, axis="x")
-    for axes in every[::columns]:
-        axes.set_ylabel("floor / story")
+    every[0].set_ylabel("floor / story")
     every[0].yaxis.set_major_locator(MaxNLocator(min(n, 12), integer=True))
     every[0].set_ylim(0.5, n + 0.5)
     style.legend(figure, every[0], left=True)
@@ -160,8 +138,8 @@ def _profile(axes: Axes, values: Floats, std: Floats) -> None:
     floors = np.arange(1, len(values) + 1)
     known = np.isfinite(std).all()
     axes.errorbar(
-        values, floors, xerr=NORMAL_95 * std if known else None, color=AFTER, marker="s", ls="-", lw=1.0, capsize=2.5,
-        label="predicted, 95 %" if known else "predicted",
+        values, floors, xerr=NORMAL_95 * std if known else None, color=style.AFTER, marker="s", ls="-", lw=1.0,
+        capsize=2.5, label="predicted, 95 %" if known else "predicted",
     )  # fmt: skip
 
 
@@ -169,75 +147,7 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
     runs = [driven.responses for driven in result.motion.runs if driven.responses is not None]
     if runs:
         top = np.max([np.max(np.abs(each), axis=0) for each in runs], axis=0)
-        axes.plot(top, result.motion.floors, color=MEASURED, marker="o", mfc="white", ls="none", label="measured")
-
-
-@figure(
-    "transfer",
-    RecordPrediction,
-    title="Transfer functions",
-    caption=lambda result: (
-        "Size of each floor's transfer function: measured, of the shear model, and, where effects "
-        "were added, of the model with effects. All go through the same estimate."
-        + _left_out(
-            len(_compared_floors(result)),
-            len(result.after.comparison.floors),
-            "measured floors",
-            "the table above has the errors of all",
-        )
-    ),
-    section="errors",
-    applies=lambda result: result.after.comparison is not None,
-    needs="measured accelerations of floors",
-    narrow=True,
-)
-def transfer_functions(result: RecordPrediction) -> Figure:
-    """Sizes of the transfer functions from the excitation to the floors: measured and predicted.
-
-    Predicted before and after, where something was added to the shear model.
-
-    Parameters
-    ----------
-    result : RecordPrediction
-        With measured accelerations.
-
-    Returns
-    -------
-    Figure
-
-    Raises
-    ------
-    InputError
-        If the record has no accelerations of floors.
-    """
-    after = result.after.comparison
-    assert after is not None
-    floors = _compared_floors(result)
-    before = None if result.otherwise_before is None else result.otherwise_before.comparison
-    natural = result.after.damped.model.modes.frequencies
-    shown = (after.measured.frequencies > 0.3 * natural[0]) & (after.measured.frequencies < 1.4 * natural[-1])
-    lines = after.measured.frequencies[shown]
-    figure = new_figure(page_width(), 1.5 * len(floors) + 0.9)
-    for axes, floor in zip(panels(figure, len(floors), 1, sharex=True, sharey=True), floors, strict=True):
-        column = int(np.flatnonzero(after.floors == floor)[0])
-        curves = [(after.measured, MEASURED, "-", "measured"), (after.predicted, AFTER, "--", "predicted")]
-        if before is not None:
-            curves[1] = (after.predicted, AFTER, "--", "with effects")
-            curves.append((before.predicted, BEFORE, ":", "shear model"))
-        for curve, colour, dashes, label in curves:
-            axes.semilogy(lines, np.abs(curve.functions[shown, column]), color=colour, ls=dashes, lw=1.1, label=label)
-        style.logarithmic(axes.yaxis, 5)
-        axes.set_title(f"floor {floor}")
-        axes.grid(visible=True)
-    # The model falls by decades at frequencies without excitation. The measured values therefore set the scale.
-    least = np.min(np.abs(after.measured.functions[shown][:, np.isin(after.floors, floors)]))
-    if least > 0:
-        axes.set_ylim(bottom=0.3 * least)
-    axes.set_xlabel("frequency, Hz")
-    unit = "(m/s²)/(m/s²)" if result.motion.input == "base" else "(m/s²)/N"
-    figure.supylabel(f"acceleration over excitation, {unit}", fontsize="medium")
-    style.legend(figure, axes, left=True)
-    return figure
+        axes.plot(top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured")
 
 
 @figure(
@@ -252,7 +162,6 @@ def transfer_functions(result: RecordPrediction) -> Figure:
         f"Peak drift of each story over the height; {_changes(result)}. The numbers are in the table of the stories."
     ),
     section="findings",
-    narrow=True,
 )
 def story_drifts(result: Reconstruction) -> Figure:
     """Draw the peak drift of each story with 95 % bars, the prediction, the limits and the sensors."""
@@ -262,22 +171,28 @@ def story_drifts(result: Reconstruction) -> Figure:
     heights = result.model.heights if result.model.heights is not None else np.ones(len(peaks))
     levels = np.concatenate([[0.0], np.cumsum(heights)])
     middle = 0.5 * (levels[1:] + levels[:-1])
-    figure = new_figure(page_width(), style.LINE * (2 * min(len(peaks), 24) + 8))
+    figure = style.new_figure(style.PAGE_WIDTH, style.LINE * (2 * min(len(peaks), 24) + 8))
     axes = figure.subplots()
     for level in levels:
-        axes.axhline(level, color=GREY, lw=0.8, zorder=0)
-    axes.errorbar(peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=AFTER, ms=4, capsize=2, label="reconstructed")
+        axes.axhline(level, color=style.GREY, lw=0.8, zorder=0)
+    axes.errorbar(
+        peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed"
+    )
     if result.predicted_peaks is not None:
-        axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=BEFORE, ms=5, label="predicted")
+        axes.plot(
+            factor * result.predicted_peaks.values[name], middle, "x", color=style.BEFORE, ms=5, label="predicted"
+        )
     for story in result.changed:
         at = peaks[story - 1], middle[story - 1]
         axes.annotate(_change(result, story), at, (0, 4), textcoords="offset points", fontsize=7)
     sensors = levels[np.asarray(result.recording.floors)]
-    axes.plot(np.zeros(len(sensors)), sensors, ls="none", marker=">", color=MEASURED, clip_on=False, label="sensor")
+    axes.plot(
+        np.zeros(len(sensors)), sensors, ls="none", marker=">", color=style.MEASURED, clip_on=False, label="sensor"
+    )
     if result.limits is not None and result.passed is not None:
         for word, limit in zip(result.limits.names, result.limits.story_drift, strict=True):
             if 100 * limit < 2 * float(np.max(peaks + NORMAL_95 * std)):
-                axes.axvline(100 * limit, color=GREY, ls=":", lw=1)
+                axes.axvline(100 * limit, color=style.GREY, ls=":", lw=1)
                 axes.text(100 * limit, levels[-1], style.letters(word), rotation=90, va="top", ha="right", fontsize=7)
     axes.set_xlim(left=0)
     axes.set_xlabel(f"peak drift, {unit}")
@@ -297,7 +212,6 @@ def story_drifts(result: Reconstruction) -> Figure:
         )
     ),
     section="frame",
-    narrow=True,
 )
 def reconstructed_histories(result: Reconstruction) -> Figure:
     """Drifts of the stories over time around the strongest motion, with 95 % bands."""
@@ -305,8 +219,8 @@ def reconstructed_histories(result: Reconstruction) -> Figure:
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
     stories = _drawn_stories(result)
-    figure = new_figure(page_width(), 1.35 * len(stories) + 0.9)
-    for axes, story in zip(panels(figure, len(stories), 1, sharex=True), stories, strict=True):
+    figure = style.new_figure(style.PAGE_WIDTH, 1.35 * len(stories) + 0.9)
+    for axes, story in zip(style.panels(figure, len(stories), 1, sharex=True), stories, strict=True):
         drift, band = 1000 * moved.drift[window, story - 1], 1000 * NORMAL_95 * std[window, story - 1]
         _band(axes, moved.time[window], drift, band, label="reconstructed")
         axes.set(title=f"story {story}", ylabel="mm")

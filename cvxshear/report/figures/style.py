@@ -23,11 +23,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib import font_manager
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
-from matplotlib.ticker import AutoLocator, FuncFormatter, LogFormatter, LogLocator
+from matplotlib.ticker import AutoLocator, LogLocator
 
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
@@ -45,20 +44,17 @@ MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo")
 DASHES = ("-", "--", "-.", ":")
 
+MOST_TICKS = 5
+"""Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings."""
+
 PAGE_WIDTH = 7.2
 """Width of a figure on an A4 page between its margins, inch."""
-
-NARROW_WIDTH = 3.6
-"""Width of a figure on a telephone of 390 pixels, inch: the letters have the same size as on a wide page."""
 
 LINE = 0.18
 """Height of a line of text, inch."""
 
 MOST_PANELS = 4
 """Largest number of states, floors, stories or tests with their own panel; the tables list all."""
-
-MOST_TICKS = 5
-"""Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings."""
 
 SHAPES_A_ROW = 5
 """Number of panels of mode shapes in one row of a page."""
@@ -78,9 +74,6 @@ SETTINGS: dict[Any, Any] = dict(
 
 _SETTINGS_LOCK = RLock()
 """Lock for drawing and writing figures: matplotlib has one set of settings for all threads."""
-
-_narrow: list[bool] = []
-"""Flag, not empty while a figure is drawn for a telephone; only the thread with the lock changes this list."""
 
 
 def settings() -> dict[Any, Any]:
@@ -109,27 +102,6 @@ def house_settings() -> Iterator[None]:
         yield
 
 
-@contextmanager
-def for_narrow_page() -> Iterator[None]:
-    """Draw figures for a telephone, with panels below one another."""
-    with _SETTINGS_LOCK:
-        _narrow.append(True)
-        try:
-            yield
-        finally:
-            _narrow.pop()
-
-
-def narrow_page() -> bool:
-    """Return whether the current figure is for a telephone."""
-    return bool(_narrow)
-
-
-def page_width() -> float:
-    """Return the page width of the current figure, inch."""
-    return NARROW_WIDTH if narrow_page() else PAGE_WIDTH
-
-
 def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Figure]:
     """Draw a figure in the house style without a change of the user's settings."""
 
@@ -139,8 +111,11 @@ def styled(draw: Callable[PlotArguments, Figure]) -> Callable[PlotArguments, Fig
             figure = draw(*args, **kwargs)
             # The layout is computed once: later drawing under other settings does not move the parts.
             for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-                if isinstance(locator := axis.get_major_locator(), AutoLocator):
+                locator = axis.get_major_locator()
+                if isinstance(locator, AutoLocator):
                     locator.set_params(nbins=MOST_TICKS)
+                elif isinstance(locator, LogLocator):
+                    locator.set_params(numticks=MOST_TICKS)
             engine = figure.get_layout_engine()
             if engine is not None:
                 engine.execute(figure)
@@ -155,9 +130,6 @@ class ShownFigure(Figure):
 
     def _repr_png_(self) -> bytes:
         return encoded(self, "png")
-
-    def _repr_svg_(self) -> str:
-        return encoded(self, "svg").decode("utf-8")
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -202,7 +174,7 @@ def legend(figure: Figure, axes: Axes, columns: int | None = None, *, left: bool
     """Put the legend of one panel's lines on the whole figure, by default in one row."""
     handles, labels = axes.get_legend_handles_labels()
     place: Any = "outside upper left" if left else "outside upper center"
-    figure.legend(handles, labels, loc=place, ncols=columns or (2 if narrow_page() else max(len(labels), 1)))
+    figure.legend(handles, labels, loc=place, ncols=columns or max(len(labels), 1))
 
 
 def looks(count: int) -> list[dict[str, Any]]:
@@ -223,10 +195,10 @@ def even_columns(most: int, fitting: int) -> int:
 
 def shape_figure(counts: Sequence[int], stories: int) -> tuple[int, Figure]:
     """Make a figure for groups of mode-shape panels; return the number of columns and the figure."""
-    columns = even_columns(max(counts), 2 if narrow_page() else SHAPES_A_ROW)
+    columns = even_columns(max(counts), SHAPES_A_ROW)
     rows = sum(-(-count // columns) for count in counts)
     # A panel has its title of three lines, and a line for each story.
-    return columns, new_figure(page_width(), LINE * (rows * (float(np.clip(stories, 9, 17)) + 3.5) + 5))
+    return columns, new_figure(PAGE_WIDTH, LINE * (rows * (float(np.clip(stories, 9, 17)) + 3.5) + 5))
 
 
 def letters(text: str, longest: int = LONGEST_NAME) -> str:
@@ -235,25 +207,6 @@ def letters(text: str, longest: int = LONGEST_NAME) -> str:
     if len(line) > longest:
         line = line[: longest - 1].rstrip() + "…"
     return "".join(each if any(font.get_char_index(ord(each)) for font in _fonts()) else "□" for each in line)
-
-
-def power_of_ten(value: float, _: object = None) -> str:
-    """Write the tick label of a logarithmic axis, such as 10⁻³; empty between the powers."""
-    number = round(np.log10(value))
-    if abs(np.log10(value) - number) > 1e-6:
-        return ""
-    return (
-        f"{10**number}"
-        if 0 <= number <= 3
-        else f"10{str(number).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
-    )
-
-
-def logarithmic(axis: Axis, most: int = 7) -> None:
-    """Set labelled ticks at powers of ten; an axis of less than a decade has labels between them."""
-    axis.set_major_locator(LogLocator(numticks=most))
-    axis.set_major_formatter(FuncFormatter(power_of_ten))
-    axis.set_minor_formatter(LogFormatter())
 
 
 def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
@@ -357,8 +310,6 @@ class FigureEntry:
         Takes the results and returns whether they contain the data of the figure.
     needs : str
         Required data of the results, in words.
-    narrow : bool
-        Whether the drawing calls `narrow_page` and has a form for a telephone.
     """
 
     name: str
@@ -369,7 +320,6 @@ class FigureEntry:
     section: str
     applies: Callable[..., bool]
     needs: str
-    narrow: bool
 
     def caption_of(self, *results: Any) -> str:
         """Write the caption of the figure of these results."""
@@ -393,7 +343,6 @@ def figure(
     section: str = "",
     applies: Callable[..., bool] = lambda *results: True,
     needs: str = "",
-    narrow: bool = False,
 ) -> Callable[[Callable[..., Figure]], Callable[..., Figure]]:
     """Add a drawing function to the table of figures, for each type of result that the function draws.
 
@@ -402,7 +351,7 @@ def figure(
     name : str
     *results : type
         Types such as `LoopResult`. If the user names a file and no figure, the first figure of a type is drawn.
-    title, caption, alternative, section, applies, needs, narrow
+    title, caption, alternative, section, applies, needs
         As in `FigureEntry`. An empty alternative text becomes the first line of the function's docstring, and an empty
         caption becomes its second paragraph.
 
@@ -425,7 +374,7 @@ def figure(
         drawn.__doc__ = _documented(draw, results)
         said = [" ".join(part.split()) for part in (inspect.getdoc(draw) or "").split("\n\n")]
         words = caption or "".join(part for part in said[1:2] if "---" not in part), alternative or said[0]
-        entry = FigureEntry(name, drawn, title, *words, section, applies, needs, narrow)
+        entry = FigureEntry(name, drawn, title, *words, section, applies, needs)
         for result in results:
             FIGURE_TABLE.setdefault(result, {})[name] = entry
         return drawn

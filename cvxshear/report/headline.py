@@ -1,15 +1,14 @@
 """Write the verdict on a frame in one sentence, and describe the noise and the mode numbering."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import LoopResult
 from cvxshear.loop.hypotheses import Changes
 from cvxshear.loop.posterior import ADDED, MANY_CAUSES
-from cvxshear.loop.results import AddedEffect, by_part
-from cvxshear.loop.verdicts import VERDICTS, Verdict
-from cvxshear.report.describe import Section, table_of_rows
+from cvxshear.loop.results import VERDICTS, AddedEffect, Verdict, by_part
+from cvxshear.report.blocks import Section, table_of_rows
 from cvxshear.util import ranking
 from cvxshear.util.quantities import SURE, chance, listed, percent, percents, significant, with_std
 
@@ -89,6 +88,12 @@ def plural_of(noise: str) -> str:
 
 NAMED = 2
 """Largest number of effects that a sentence names; a table lists more."""
+
+
+def some(texts: Sequence[str], word: str = "and") -> str:
+    """List the first `NAMED` texts and count the others."""
+    more = [f"{len(texts) - NAMED} more"] if len(texts) > NAMED else []
+    return listed([*texts[:NAMED], *more], word)
 
 
 def verdict_of(result: LoopResult) -> Verdict:

@@ -15,19 +15,7 @@ from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.paper.setups import Setup
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.planner import ExpectedAccuracy, Plan
-from cvxshear.report.describe import (
-    Block,
-    Document,
-    Points,
-    Section,
-    Sentence,
-    Table,
-    describe,
-    exact,
-    places,
-    table,
-    table_of_rows,
-)
+from cvxshear.report import blocks
 from cvxshear.util.quantities import AUTOMATIC, Units, counted, exponential, percent, percents, significant
 from cvxshear.util.typing import Floats
 
@@ -35,29 +23,29 @@ PROVEN = 1e-9
 """Largest gap between the objective and its bound for a choice that counts as optimal."""
 
 
-@describe.register
-def _plan(result: Plan, units: Units = AUTOMATIC) -> Document:
+@blocks.describe.register
+def _plan(result: Plan, units: Units = AUTOMATIC) -> blocks.Document:
     design = result.model.design
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
-        Section("choice", "", (Sentence(typical(result)), Sentence(sure(result)), Sentence(noise))),
-        Section("tests", "The tests", (expected_modes(result), added_masses(result, units), *grid(result))),
+        blocks.section("choice", "", typical(result), sure(result), noise),
+        blocks.section("tests", "The tests", expected_modes(result), added_masses(result, units), *grid(result)),
+        blocks.section("accuracy", "What they will determine", accuracy(result, units), counts(result)),
     ]
-    sections.append(Section("accuracy", "What they will determine", (accuracy(result, units), counts(result))))
-    return Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
+    return blocks.Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
 
 
-def floors_data(result: Plan) -> Table:
+def floors_data(result: Plan) -> blocks.Table:
     """Tabulate design values, expected standard deviations and added masses of every floor, for programs."""
     design, std = result.model.design, result.chosen.std
-    numbers = places(design.stories, "floor", "floor")
+    numbers = blocks.places(design.stories, "floor", "floor")
     columns = [
         numbers,
-        exact("sensor", (floor in result.sensors for floor in numbers.values)),
-        *(exact(name, getattr(design, name), std[name], unit) for name, unit in UNITS_OF_FRAME.items()),
-        *(exact(f"added_mass_kg: {name}", mass) for name, mass in zip(result.names, result.tests, strict=True)),
+        blocks.exact("sensor", (floor in result.sensors for floor in numbers.values)),
+        *(blocks.exact(name, getattr(design, name), std[name], unit) for name, unit in UNITS_OF_FRAME.items()),
+        *(blocks.exact(f"added_mass_kg: {name}", mass) for name, mass in zip(result.names, result.tests, strict=True)),
     ]
-    return Table("floors", "Plan", tuple(columns))
+    return blocks.Table("floors", "Plan", tuple(columns))
 
 
 def plan_headline(result: Plan) -> str:
@@ -96,20 +84,19 @@ def sure(result: Plan) -> str:
     return f"{said}; no choice of as many floors is below {percent(result.bound)}{gap}"
 
 
-def grid(result: Plan) -> list[Sentence]:
+def grid(result: Plan) -> list[str]:
     """State the bound on tests from the grid of added masses, if the masses were chosen."""
     if result.of_grid is None:
         return []
     if result.of_grid.arbitrary:
-        return [Sentence("Every choice of added masses gives the same within 1 %: the masses named are arbitrary.")]
-    said = (
+        return ["Every choice of added masses gives the same within 1 %: the masses named are arbitrary."]
+    return [
         "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
         f"{_value(result.of_grid.bound)} at best."
-    )
-    return [Sentence(said)]
+    ]
 
 
-def expected_modes(result: Plan) -> Table:
+def expected_modes(result: Plan) -> blocks.Table:
     """Tabulate the modes of the first test, and their expected accuracy if it differs between modes."""
     modes = result.expected_modes
     given = {
@@ -120,10 +107,10 @@ def expected_modes(result: Plan) -> Table:
     }
     # The sentence about the noise gives every value that is equal for all modes.
     shown = {name: cells for name, cells in given.items() if name == "mode" or len(set(cells)) > 1}
-    return table("expected-modes", f"expected modes ({result.names[0]})", shown)
+    return blocks.table("expected-modes", f"expected modes ({result.names[0]})", shown)
 
 
-def added_masses(result: Plan, units: Units) -> Table:
+def added_masses(result: Plan, units: Units) -> blocks.Table:
     """Tabulate the added mass of each test, the top floor first."""
     # People place these masses by hand; the default unit is kg for every size.
     factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
@@ -131,10 +118,10 @@ def added_masses(result: Plan, units: Units) -> Table:
     for floor in range(result.model.design.stories, 0, -1):
         masses = (significant(float(test[floor - 1]) / factor) for test in result.tests)
         rows.append((str(floor), *masses, "x" if floor in result.sensors else ""))
-    return table_of_rows("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
+    return blocks.table_of_rows("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
 
 
-def accuracy(result: Plan, units: Units) -> Table:
+def accuracy(result: Plan, units: Units) -> blocks.Table:
     """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor fewer or more, all floors."""
     design = result.model.design
     words = ("as planned", "one less", "one more", "all floors")
@@ -152,7 +139,7 @@ def accuracy(result: Plan, units: Units) -> Table:
         sizes = significant(mass / mass_factor), significant(stiffness / factor)
         rows.append((str(i + 1), sizes[0], *of_mass, sizes[1], *of_stiffness))
     head = ("floor / story", f"mass, {mass_unit}", *names, f"stiffness, {unit}", *names)
-    return table_of_rows("accuracy-table", "expected standard deviations", head, rows)
+    return blocks.table_of_rows("accuracy-table", "expected standard deviations (of the shear model)", head, rows)
 
 
 def _std(std: Floats, at: int, value: float) -> str:
@@ -167,13 +154,13 @@ def _value(objective: float) -> str:
     return "open" if objective >= UNKNOWN_STD else percent(objective)
 
 
-def counts(result: Plan) -> Table:
+def counts(result: Plan) -> blocks.Table:
     """Tabulate the objective against the number of sensors."""
     options = (result.fewer, result.chosen, result.more, result.everywhere)
     by_count: dict[int, ExpectedAccuracy] = {len(each.floors): each for each in options if each is not None}
     shown = [by_count[count] for count in sorted(by_count)]
     everywhere = result.model.design.stories
-    return table("counts", f"{result.measure}, by number of sensors", {
+    return blocks.table("counts", f"{result.measure}, by number of sensors", {
         "sensors": [str(len(each.floors)) for each in shown],
         "floors": ["all" if len(each.floors) == everywhere else ", ".join(map(str, each.floors)) for each in shown],
         "value": [_value(each.choice.value) for each in shown],
@@ -187,17 +174,17 @@ MORE_DIGITS = 2
 Cells = tuple[str, ...]
 
 
-@describe.register
-def _reproduction(result: printed.Reproduction, units: Units = AUTOMATIC) -> Document:
+@blocks.describe.register
+def _reproduction(result: printed.Reproduction, units: Units = AUTOMATIC) -> blocks.Document:
     parts = tuple(
-        Section(f"section-{place}", section.title, (printed_beside_recomputed(section), *map(Sentence, section.notes)))
+        blocks.section(f"section-{place}", section.title, printed_beside_recomputed(section), *section.notes)
         for place, section in enumerate(result.sections, 1)
     )
-    summary = Section("summary", "", (Sentence(result.summary),))
-    return Document("the paper's figures", "The paper's figures beside recomputed ones.", (*parts, summary))
+    summary = blocks.section("summary", "", result.summary)
+    return blocks.Document("the paper's figures", "The paper's figures beside recomputed ones.", (*parts, summary))
 
 
-def printed_beside_recomputed(section: printed.PaperSection) -> Table:
+def printed_beside_recomputed(section: printed.PaperSection) -> blocks.Table:
     """Tabulate one section of the paper; each place in the paper is named once."""
     random = any(row.std_error is not None for row in section.rows)
     errors = ("its standard error",) if random else ()
@@ -206,7 +193,7 @@ def printed_beside_recomputed(section: printed.PaperSection) -> Table:
         (row.where if place == 0 or row.where != section.rows[place - 1].where else "", *_cells(row, random=random))
         for place, row in enumerate(section.rows)
     ]
-    return table_of_rows(section.title, "", head, rows, words=(0, 1, len(head) - 1))
+    return blocks.table_of_rows(section.title, "", head, rows, words=(0, 1, len(head) - 1))
 
 
 def _cells(row: printed.PaperRow, *, random: bool) -> Cells:
@@ -228,12 +215,28 @@ def _number(value: float, count: int, *, sign: bool = False) -> str:
     return f"{rounded:+.{count}f}" if sign and rounded else f"{rounded:.{count}f}"
 
 
-@describe.register
-def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> Document:
+@blocks.describe.register
+def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> blocks.Document:
     levels = [list(alike) for _, alike in groupby(result.scatters, key=lambda each: each.setup)]
     tables = tuple(noise_level(alike, place) for place, alike in enumerate(levels, 1))
-    levels_section = Section("levels", "Scatter", (*tables, Sentence(note(result))))
-    return Document("noise study", _study_headline(result), (levels_section,))
+    levels_section = blocks.section("levels", "Scatter", *tables, note(result))
+    return blocks.Document("noise study", _study_headline(result), (levels_section,), (scatter_data(result),))
+
+
+def scatter_data(result: NoiseStudy) -> blocks.Table:
+    """Tabulate the relative scatter of every mass and stiffness by setup and method, for programs."""
+    rows = [
+        (each.setup.name, each.method, f"{quantity} {number}")
+        for each in result.scatters
+        for quantity in UNITS_OF_FRAME
+        for number in range(1, each.setup.stories + 1)
+    ]
+    words = zip(*rows, strict=True)
+    columns = [blocks.exact(name, cells) for name, cells in zip(("setup", "method", "unknown"), words, strict=True)]
+    figures = ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio")
+    values = ([getattr(each, name) for each in result.scatters] for name in figures)
+    columns += map(blocks.exact, figures, map(np.concatenate, values))
+    return blocks.Table("scatter", "Scatter", tuple(columns))
 
 
 def _study_headline(result: NoiseStudy) -> str:
@@ -242,14 +245,14 @@ def _study_headline(result: NoiseStudy) -> str:
     return f"{setups}, {counted(result.samples, 'sample')} each, by {methods}"
 
 
-def noise_level(scatters: list[Scatter], place: int) -> Table:
+def noise_level(scatters: list[Scatter], place: int) -> blocks.Table:
     """Tabulate every method at one noise level, the Cramer-Rao bound first."""
     setup = scatters[0].setup
     numbers = range(1, setup.stories + 1)
     head = ("method", "figure", *(f"m{i}" for i in numbers), *(f"k{i}" for i in numbers))
     bound = ("least possible", "Cramér-Rao bound, %", *in_percent(scatters[0].relative_bound))
     rows = [bound, *(row for scatter in scatters for row in _lines(scatter))]
-    return table_of_rows(f"level-{place}", _title(setup), head, rows, words=(0, 1))
+    return blocks.table_of_rows(f"level-{place}", _title(setup), head, rows, words=(0, 1))
 
 
 def _title(setup: Setup) -> str:
@@ -285,14 +288,14 @@ def note(result: NoiseStudy) -> str:
     )
 
 
-@describe.register
-def _comparison(result: Comparison, units: Units = AUTOMATIC) -> Document:
-    tables: list[Block] = [part for kind in result.kinds for part in _kind(result, kind)]
-    if result.left_out:
-        tables.insert(0, Sentence(f"Without the paper's programs: {result.left_out}."))
+@blocks.describe.register
+def _comparison(result: Comparison, units: Units = AUTOMATIC) -> blocks.Document:
+    without = [f"Without the paper's programs: {result.left_out}."] if result.left_out else []
+    tables = (part for kind in result.kinds for part in _kind(result, kind))
+    programs_section = blocks.section("programs", "Programs", *without, *tables)
     headline = f"{result.experiment}: {_backends_headline(result)}"
-    every = Section("worst", "All programs", (worst(result),))
-    return Document(result.experiment, headline, (Section("programs", "Programs", tuple(tables)), every))
+    every = blocks.section("worst", "All programs", worst(result))
+    return blocks.Document(result.experiment, headline, (programs_section, every))
 
 
 def _backends_headline(result: Comparison) -> str:
@@ -300,16 +303,16 @@ def _backends_headline(result: Comparison) -> str:
     return f"{counted(backends, 'backend')} on {counted(len(result.kinds), 'kind')} of programs"
 
 
-def _kind(result: Comparison, kind: ProgramKind) -> Iterator[Block]:
+def _kind(result: Comparison, kind: ProgramKind) -> Iterator[blocks.Block]:
     rows = [row for row in result.rows if row.kind == kind.kind]
     name = kind.kind.replace(" ", "-")
     title = f"{programs(kind)}, against the {rows[0].reference}"
     figures = ("difference", "primal", "dual", "gap", "error", "iterations", "tolerance")
-    head = ("backend", *figures, "time, ms", "time / reference")
-    yield table_of_rows(f"kind-{name}", title, head, _rows([row for row in rows if not row.failure]))
+    head = ("backend", *figures, "time, ms", "time / kkt")
+    yield blocks.table_of_rows(f"kind-{name}", title, head, _rows([row for row in rows if not row.failure]))
     failures = tuple(f"{row.backend}: {short(row.failure)}" for row in rows if row.failure)
     if failures:
-        yield Points(f"failures-{name}", failures)
+        yield blocks.Points(f"failures-{name}", failures)
 
 
 def programs(kind: ProgramKind) -> str:
@@ -341,7 +344,7 @@ def _backend_cells(row: BackendResult) -> Iterator[str]:
     yield "–" if row.tolerance is None else exponential(row.tolerance, 1)
 
 
-def worst(result: Comparison) -> Table:
+def worst(result: Comparison) -> blocks.Table:
     """Tabulate the worst figures of each backend over all programs that the backend accepts."""
     names = dict.fromkeys(row.backend for row in result.rows)
     head = (
@@ -349,7 +352,9 @@ def worst(result: Comparison) -> Table:
         "largest certificate residual", "remark",
     )  # fmt: skip
     rows = (_worst(name, [row for row in result.rows if row.backend == name]) for name in names)
-    return table_of_rows("backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 7))
+    return blocks.table_of_rows(
+        "backends-table", "Worst figures of each backend over all programs", head, rows, words=(0, 7)
+    )
 
 
 def _worst(name: str, rows: list[BackendResult]) -> Cells:

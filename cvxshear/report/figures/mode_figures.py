@@ -1,4 +1,4 @@
-"""Draw mode shapes: measured and modelled ones as displaced frames, those of records, and their assurance criterion."""
+"""Draw modes: measured and modelled shapes and their assurance criterion; shapes, poles and functions of records."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,17 +11,19 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from cvxshear.data import Model, Shapes
-from cvxshear.data.kinds import mac as mac_of
+from cvxshear.data import Model, Shapes, kinds
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
-from cvxshear.records.picking import scaled_to_one
+from cvxshear.records.adapters import band_of, synthesized
+from cvxshear.records.picking import Sweep, scaled_to_one
+from cvxshear.records.prepare import Functions
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
+from cvxshear.report.from_records import method_in_words
 from cvxshear.util import ranking
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats, Ints
@@ -116,7 +118,7 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     for row, (shape, known) in enumerate(zip(configuration.mode_shapes, configuration.measured, strict=True)):
         if known.sum() >= 2:
             measured = shape[known] / np.max(np.abs(shape[known]))
-            table[row] = [mac_of(measured, each[known]) if each[known].any() else 0.0 for each in model]
+            table[row] = [kinds.mac(measured, each[known]) if each[known].any() else 0.0 for each in model]
     return table
 
 
@@ -133,7 +135,6 @@ HALF_WIDTH = 0.16
     title="Mode shapes",
     alternative="Measured mode shapes with error bars beside those of the shear model and of the final model.",
     section="shapes",
-    narrow=True,
 )
 def shapes(result: LoopResult) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
@@ -155,7 +156,7 @@ def shapes(result: LoopResult) -> Figure:
             axes.set_ylabel(label)
     figure.supxlabel("sway (largest measured entry = 1)", fontsize=8.5)
     handles = _legend(changed=len(result.steps) > 1)
-    figure.legend(handles=handles, loc="outside upper center", ncols=1 if style.narrow_page() else 3)
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
 
 
@@ -197,7 +198,6 @@ MOST_NUMBERED = 8
     section="shapes",
     applies=lambda result: any(each.measured.any() for each in result.experiment.configurations),
     needs="measured mode shapes",
-    narrow=True,
 )
 def mac(result: LoopResult | Identification) -> Figure:
     """Draw the MAC matrix of each configuration.
@@ -209,26 +209,20 @@ def mac(result: LoopResult | Identification) -> Figure:
     Each configuration has one panel; dark is 0, light is 1, also in black and white.
     """
     modes = {each.name: each.modes.tolist() for each in result.experiment.configurations}
-    every = list(range(1, result.experiment.stories + 1))
-    matrices = [(name, table, modes[name], every) for name, table in mac_tables(result)]
-    most = 1 if style.narrow_page() else 3 if len(every) <= 4 else 2
-    return _matrices(matrices, most, "measured mode", "mode of the model")
-
-
-def _matrices(matrices: Sequence[tuple[str, Floats, list[int], list[int]]], most: int, row: str, column: str) -> Figure:
-    """Draw MAC matrices with their titles and the mode numbers of rows and columns, at most `most` in a row."""
-    rows, columns = style.grid_of(len(matrices), most)
-    side = 2.6 if style.narrow_page() else style.PAGE_WIDTH / most
+    every, tables = list(range(1, result.experiment.stories + 1)), mac_tables(result)
+    most = 3 if len(every) <= 4 else 2
+    rows, columns = style.grid_of(len(tables), most)
+    side = style.PAGE_WIDTH / most
     figure = style.new_figure(side * columns + 0.9, rows * (side + 0.3))
-    drawn = style.panels(figure, len(matrices), columns)
-    for axes, (name, table, measured, modelled) in zip(drawn, matrices, strict=True):
-        image = draw_matrix(axes, table, measured, modelled)
-        axes.set(title=style.letters(name), xlabel=column, ylabel=row)
+    drawn = style.panels(figure, len(tables), columns)
+    for axes, (name, table) in zip(drawn, tables, strict=True):
+        image = _matrix(axes, table, modes[name], every)
+        axes.set(title=style.letters(name), xlabel="mode of the model", ylabel="measured mode")
     figure.colorbar(image, ax=drawn, label="MAC (1: the same shape)", shrink=0.8)
     return figure
 
 
-def draw_matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
+def _matrix(axes: Axes, table: Floats, rows: list[int], columns: list[int]) -> AxesImage:
     """Draw a MAC matrix with its mode numbers, and with its values if the cells are large enough."""
     image = axes.imshow(table, vmin=0, vmax=1, cmap="cividis", aspect="auto")
     step = 1 if len(columns) <= 10 else 2
@@ -251,13 +245,182 @@ def _numbers(axes: Axes, table: Floats) -> None:
             axes.text(column, row, f"{value:.{digits}f}", ha="center", va="center", color=colour, fontsize=6.5)
 
 
+LABEL_WIDTH = 0.14
+"""Width of a vertical label, inch."""
+BAND = 0.42
+"""Height of the labels above the orders, as a fraction of the orders' height."""
+HIGHEST = 1.3
+"""End of the axis of frequencies, as a multiple of the highest natural frequency."""
+POLES: dict[str, dict[str, Any]] = {
+    "pole": {"marker": ".", "color": "#B5B5B5", "ms": 3.0},
+    "stable": {"marker": "+", "color": style.BEFORE, "ms": 4.5, "mew": 0.8},
+    "of a mode": {"marker": "o", "color": style.AFTER, "ms": 3.4},
+}
+
+
 @figure(
-    "shapes",
+    "stabilization",
     ModalResult,
-    title="Mode shapes",
-    alternative="Mode shapes; the numbers are in the table above.",
-    narrow=True,
+    title="Stabilization diagram",
+    applies=lambda *results: all(result.sweep is not None for result in results),
+    needs="an order sweep: modes that were identified from a record here",
 )
+def stabilization(*results: ModalResult) -> Figure:
+    """Poles over model order: all of them, the stable ones, and those the modes rest on.
+
+    Poles of models of growing order. A pole that comes back from order to order is stable; the values of a mode are
+    medians over its poles.
+
+    Parameters
+    ----------
+    *results : ModalResult
+        Results of `identify_modes`, one panel each.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        If a result has no order sweep.
+    """
+    most = max(len(result.frequencies) for result in results)
+    figure = style.new_figure(max(style.PAGE_WIDTH, LABEL_WIDTH * most + 1.4), 3.4 * len(results) + 0.5)
+    for axes, result in zip(style.panels(figure, len(results), 1), results, strict=True):
+        assert result.sweep is not None
+        _poles(axes, result.sweep)
+        top = max(poles.order for poles in result.sweep.poles)
+        axes.set_xlim(0.0, HIGHEST * float(result.frequencies[-1]))
+        axes.set_ylim(0, (1 + BAND) * top)
+        axes.set_yticks(range(0, top + 1, max(2, top // 6 // 2 * 2)))
+        _labels(axes, result, top, figure.get_figwidth() - 1.0)
+        axes.set_xlabel("frequency, Hz")
+        axes.set_ylabel("model order (states)", y=0.5 / (1 + BAND))
+        axes.set_title(f"{style.letters(result.name)}: {method_in_words(result)}")
+    style.legend(figure, figure.axes[0])
+    return figure
+
+
+def _poles(axes: Axes, sweep: Sweep) -> None:
+    chosen = {place for item in sweep.chosen for place in item.members}
+    points: dict[str, list[tuple[float, int]]] = {label: [] for label in POLES}
+    for i, poles in enumerate(sweep.poles):
+        stable = set(sweep.stable[i])
+        for j, frequency in enumerate(poles.frequencies):
+            kind = "of a mode" if (i, j) in chosen else "stable" if j in stable else "pole"
+            points[kind].append((float(frequency), poles.order))
+    for label, look in POLES.items():
+        frequencies, orders = [x for x, _ in points[label]], [y for _, y in points[label]]
+        axes.plot(frequencies, orders, ls="none", label=label, **look)
+
+
+def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
+    """Write vertical labels of modes above the poles, without overlaps, each with a line to its pole."""
+    frequencies: Floats = result.frequencies
+    end = axes.get_xlim()[1]
+    gap = end * LABEL_WIDTH / inches
+    for mode, frequency, x in zip(
+        result.modes, frequencies, style.spread(frequencies, gap, gap / 2, end - gap / 2), strict=True
+    ):
+        axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=style.AFTER, lw=0.6, alpha=0.6)
+        axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
+
+
+FUNCTIONS = {
+    "acceleration": "accelerance, (m/s²)/N",
+    "velocity": "mobility, (m/s)/N",
+    "displacement": "receptance, m/N",
+}
+"""Axis labels of the ratio of each response to a force."""
+
+
+@figure(
+    "functions",
+    ModalResult,
+    title="Measured and synthesized functions",
+    applies=lambda *results: all(result.functions is not None for result in results),
+    needs="the functions of the record (identify_modes: functions=True)",
+)
+def functions(*results: ModalResult) -> Figure:
+    """Measured functions beside those that the identified modes make, floor by floor.
+
+    What was measured, and what the identified poles and shapes make of it, residual terms included. Where the
+    curves differ, a mode is missing or its shape is wrong. Grey lines: the natural frequencies.
+
+    Parameters
+    ----------
+    *results : ModalResult
+        Of `identify_modes` with `functions`.
+
+    Returns
+    -------
+    Figure
+        One panel for each record and floor. With several driving points, the panel shows the strongest response.
+
+    Raises
+    ------
+    InputError
+        If a result has no functions.
+    """
+    figure, groups = _panels_of(results)
+    for result, drawn in zip(results, groups, strict=True):
+        seen, made = _functions_of(result), synthesized(result)
+        drawn[0].set_ylabel(_named(seen), fontsize=7)
+        shown = band_of(seen.frequencies, result.frequencies)
+        strongest = np.argmax(np.sum(np.abs(seen.values[shown]) ** 2, axis=0), axis=1)
+        lines = seen.frequencies[shown]
+        for output, (axes, column) in enumerate(zip(drawn, strongest, strict=True)):
+            axes.plot(lines, np.abs(seen.values[shown, output, column]), color="black", lw=0.8, label="measured")
+            axes.plot(
+                lines, np.abs(made[shown, output, column]), color=style.BEFORE, ls="--", lw=1.1, label="of the modes"
+            )
+            axes.set_yscale("log")
+            _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
+    style.legend(figure, groups[0][0], 2)
+    return figure
+
+
+def _functions_of(result: ModalResult) -> Functions:
+    assert result.functions is not None
+    return result.functions
+
+
+def _panels_of(results: Sequence[ModalResult]) -> tuple[Figure, list[list[Axes]]]:
+    """Arrange the panels, one for each floor; each record begins a new row."""
+    counts = [len(_functions_of(result).floors) for result in results]
+    most = max(counts)
+    columns = style.even_columns(most, 4 if most > 9 else 3)
+    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * sum(-(-count // columns) for count in counts) + 0.7)
+    figure.supxlabel("frequency, Hz", fontsize=8.5)
+    return figure, style.panels_by_group(figure, counts, columns)
+
+
+def _dress(axes: Axes, result: ModalResult, title: str, *, several: bool) -> None:
+    for frequency in result.frequencies:
+        axes.axvline(float(frequency), color=style.GREY, lw=0.5, alpha=0.6, zorder=0)
+    axes.set_title(f"{style.letters(result.name, 20)}\n{title}" if several else title, fontsize=7.5)
+    axes.grid(axis="y")
+    axes.tick_params(labelsize=7)
+
+
+def _against(seen: Functions, column: int) -> str:
+    """Name the reference of a function; empty for the ground."""
+    floor = int(seen.inputs[column])
+    if not seen.driven:
+        return f"\nwith floor {floor}"
+    return f"\nforce at floor {floor}" if floor else ""
+
+
+def _named(seen: Functions) -> str:
+    if not seen.driven:
+        return "half-spectrum"
+    if not seen.inputs[0]:
+        return f"{seen.quantity} / base acceleration"
+    return FUNCTIONS[seen.quantity]
+
+
+@figure("shapes", ModalResult, title="Mode shapes", alternative="Mode shapes; the numbers are in the table above.")
 def modal_shapes(*results: ModalResult) -> Figure:
     """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
 
@@ -278,28 +441,6 @@ def modal_shapes(*results: ModalResult) -> Figure:
                 axes.set_ylabel("floor")
     figure.supxlabel("sway (largest entry = 1)", fontsize=8.5)
     return figure
-
-
-@figure(
-    "mac",
-    ModalResult,
-    title="Modal assurance criterion",
-    alternative="Matrix of the modal assurance criterion of every mode with every other.",
-    narrow=True,
-)
-def modal_mac(*results: ModalResult) -> Figure:
-    """Draw the modal assurance criterion of the modes of each record with one another.
-
-    The modes against one another: values beside the diagonal that are not small mean that the sensors hardly
-    distinguish two modes.
-
-    Each record has one panel; off-diagonal values near 0 mean that the sensors distinguish the modes.
-    """
-    matrices = []
-    for result in results:
-        table = np.array([[mac_of(one, other) for other in result.mode_shapes] for one in result.mode_shapes])
-        matrices.append((result.name, table, result.modes.tolist(), result.modes.tolist()))
-    return _matrices(matrices, 1 if style.narrow_page() else 3, "mode", "mode")
 
 
 def _facing(result: ModalResult, shape: Floats, facing: dict[int, tuple[ModalResult, Floats]], mode: int) -> Floats:

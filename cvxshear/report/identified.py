@@ -7,81 +7,50 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
-from cvxshear.fit.results import Identification, IdentifiedFrame, Prediction, Quality, SingleIdentification
+from cvxshear.fit import results
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs.certificate import ActiveConstraint
-from cvxshear.report.describe import (
-    PAGE_COLUMNS,
-    Block,
-    Column,
-    Document,
-    Facts,
-    Points,
-    Section,
-    Sentence,
-    Table,
-    describe,
-    exact,
-    line,
-    places,
-    table_of_rows,
-)
-from cvxshear.util.quantities import (
-    AUTOMATIC,
-    NEGLIGIBLE_STD,
-    UNKNOWN,
-    Units,
-    capital,
-    counted,
-    equals,
-    listed,
-    numbered,
-    percent,
-    percents,
-    ranged,
-    significant,
-    significants,
-    with_std,
-)
+from cvxshear.report import blocks
+from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
 
 
-@describe.register
-def _experiment(experiment: Experiment, units: Units = AUTOMATIC) -> Document:
-    sections = declared(experiment, units), measured_modes(experiment, units)
-    return Document(experiment.name, f"{experiment.name}: {_experiment_headline(experiment)}", sections)
+@blocks.describe.register
+def _experiment(experiment: Experiment, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+    headline = f"{experiment.name}: {_experiment_headline(experiment)}"
+    return blocks.Document(experiment.name, headline, (declared(experiment, units),))
 
 
-@line.register
+@blocks.line.register
 def _experiment_line(experiment: Experiment) -> str:
     return f"<Experiment {experiment.name}: {_experiment_headline(experiment)}>"
 
 
 def _experiment_headline(experiment: Experiment) -> str:
-    tests = [counted(len(experiment.configurations), "configuration")]
+    tests = [quantities.counted(len(experiment.configurations), "configuration")]
     if experiment.static:
-        tests.append(counted(len(experiment.static), "static test"))
-    return f"{counted(experiment.stories, 'story')}, {', '.join(tests)}"
+        tests.append(quantities.counted(len(experiment.static), "static test"))
+    return f"{quantities.counted(experiment.stories, 'story')}, {', '.join(tests)}"
 
 
-def units_for(experiment: Experiment, units: Units) -> Units:
+def units_for(experiment: Experiment, units: quantities.Units) -> quantities.Units:
     """Choose the units: relative units if the total mass is unknown."""
     return dataclasses.replace(units, relative=True) if experiment.frame.total_mass_placeholder else units
 
 
-def declared(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
+def declared(experiment: Experiment, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Section:
     """List the declarations of the frame, and each test in a line."""
-    facts = Facts(tuple(_facts(experiment, units)))
+    facts = blocks.Facts(tuple(_facts(experiment, units)))
     # All masses have one unit. A known mass of the frame determines this unit.
     sums = [float(each.added_mass.sum()) for each in experiment.configurations]
     mass = units.of_mass([*sums, experiment.frame.known_total or 0.0])
     head = ("configuration", "modes", "floors", "added mass", "noise")
     rows = (_test(each, mass) for each in experiment.configurations)
-    tests = table_of_rows("tests", "What was tested", head, rows, words=(0, 3, 4))
-    return Section("declared", "Measured and declared", (facts, tests), appendix=True)
+    tests = blocks.table_of_rows("tests", "What was tested", head, rows, words=(0, 3, 4))
+    return blocks.section("declared", "Measured and declared", facts, tests, appendix=True)
 
 
-def _facts(experiment: Experiment, units: Units) -> Iterator[tuple[str, str]]:
+def _facts(experiment: Experiment, units: quantities.Units) -> Iterator[tuple[str, str]]:
     frame = experiment.frame
     yield "test", experiment.name
     yield "stories", str(experiment.stories)
@@ -93,14 +62,14 @@ def _facts(experiment: Experiment, units: Units) -> Iterator[tuple[str, str]]:
     if frame.reference is not None:
         yield "reference state", frame.reference
     for each in experiment.static:
-        yield f'static test "{each.name}"', f"displacements of {counted(int(each.measured.sum()), 'floor')}"
+        yield f'static test "{each.name}"', f"displacements of {quantities.counted(int(each.measured.sum()), 'floor')}"
     for prior in experiment.priors:
         yield "known beforehand", prior.describe().replace("_", " ")
     for expected in experiment.expected:
         yield "expected beforehand", expected.name.replace("_", " ")
 
 
-def _total(experiment: Experiment, units: Units) -> str:
+def _total(experiment: Experiment, units: quantities.Units) -> str:
     total = experiment.frame.known_total
     assert total is not None
     factor, unit = units.of_mass([total])
@@ -126,46 +95,14 @@ def _added(mass: Floats, factor: float, unit: str) -> str:
     floors = [int(place) + 1 for place in np.flatnonzero(mass)]
     if not floors:
         return "none"
-    return f"{mass.sum() / factor:g} {unit} on {numbered('floor', floors)}"
+    return f"{mass.sum() / factor:g} {unit} on {quantities.numbered('floor', floors)}"
 
 
-def each_or_all(values: Floats, unit: str, factor: float = 1.0) -> str:
+def each_or_all(values: Floats, unit: str) -> str:
     """Write the values, or one value if all are equal."""
-    shown = [f"{value / factor:g}" for value in values]
+    shown = [f"{value:g}" for value in values]
     same = len(set(shown)) == 1 and len(shown) > 1
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
-
-
-def measured_modes(experiment: Experiment, units: Units = AUTOMATIC) -> Section:
-    """Tabulate the measured modes of every configuration."""
-    parts: list[Block] = []
-    for place, each in enumerate(experiment.configurations, 1):
-        parts += _modes(each, place, units)
-    return Section("modes", "Measured modes", tuple(parts), detail=True, below=True, appendix=True)
-
-
-def _modes(each: Configuration, place: int, units: Units) -> Iterator[Block]:
-    factor, unit = units.of_mass(each.added_mass.tolist())
-    # The masses are listed by floor unless only one floor has added mass.
-    single = np.count_nonzero(each.added_mass) < 2
-    added = _added(each.added_mass, factor, unit) if single else each_or_all(each.added_mass, unit, factor)
-    doubt = "" if _noise(each) == "stated" else " Standard deviations that are not stated are the default's."
-    yield Sentence(f"{each.name}. Added mass: {added}.{doubt}")
-    largest = np.max(np.abs(np.where(each.measured, each.mode_shapes, 0.0)), axis=1, keepdims=True, initial=0.0)
-    scale = np.where(largest > 0, largest, 1.0)
-    shape_std = percents(np.max(each.entry_std / scale, axis=1, initial=0.0).tolist())
-    frequency_std = percents([float(std) for std in each.log_frequency_std])
-    floors = [f"floor {floor}" for floor in each.measured_floors]
-    rows = []
-    for j, mode in enumerate(each.modes):
-        shape = ("–" if np.isnan(value) else f"{value:+.4f}" for value in each.mode_shapes[j] / scale[j])
-        of_shape = shape_std[j] if each.measured[j].any() else "–"
-        frequency = significant(float(each.frequencies[j]), 5)
-        rows.append((str(mode), frequency, frequency_std[j], *shape, of_shape))
-    head = ("mode", "frequency, Hz", "std", *floors, "std of the shape")
-    title = "Shapes are scaled to a largest entry of 1" if floors else "Frequencies alone"
-    # Entries without deviations take half the width.
-    yield from table_of_rows(f"modes-{place}", title, head, rows).folded(2 * PAGE_COLUMNS)
 
 
 PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
@@ -188,29 +125,28 @@ def in_words(names: Iterable[str]) -> str:
     said = []
     for kind, at in places.items():
         plain = (PLURALS[kind] if len(at) > 1 else kind).replace("_", " ")
-        said.append(f"{plain} {ranged(sorted(at))}" if at else plain)
-    return listed(said)
+        said.append(f"{plain} {quantities.ranged(sorted(at))}" if at else plain)
+    return quantities.listed(said)
 
 
 def frame_table(
-    frame: IdentifiedFrame,
+    frame: results.IdentifiedFrame,
     title: str,
-    units: Units,
-    *,
+    units: quantities.Units,
     key: str = "identified",
-    averaged: IdentifiedFrame | None = None,
-) -> Table:
+    averaged: results.IdentifiedFrame | None = None,
+) -> blocks.Table:
     """Tabulate floor masses, their sum and story stiffnesses, the top first, with optional averages over models."""
-    columns, foot = [places(len(frame.floor_mass), "floor / story", "floor")], ["sum"]
+    columns, foot = [blocks.places(len(frame.floor_mass), "floor / story", "floor")], ["sum"]
     for word, each in (("", frame), ("averaged ", averaged)):
         if each is not None:
             columns += _of_frame(each, units, word)
             factor, _ = units.of_mass(frame.floor_mass.tolist())
-            foot += [significant(float(each.floor_mass.sum()) / factor, 5), ""]
-    return Table(key, title, tuple(columns), foot=tuple(foot), top_first=True)
+            foot += [quantities.significant(float(each.floor_mass.sum()) / factor, 5), ""]
+    return blocks.Table(key, title, tuple(columns), foot=tuple(foot), top_first=True)
 
 
-def _of_frame(frame: IdentifiedFrame, units: Units, word: str) -> Iterator[Column]:
+def _of_frame(frame: results.IdentifiedFrame, units: quantities.Units, word: str) -> Iterator[blocks.Column]:
     """Write the masses and stiffnesses of a frame; values at a bound have no standard deviation."""
     for quantity, values, std, unit, unit_of in (
         ("floor_mass", frame.floor_mass, frame.floor_mass_std, "kg", units.of_mass),
@@ -219,25 +155,27 @@ def _of_frame(frame: IdentifiedFrame, units: Units, word: str) -> Iterator[Colum
         factor, shown = unit_of(values.tolist())
         at_bound = frame.stopped(quantity)
         texts = [
-            f"{significant(value / factor, 2)} (at a bound)" if stopped else text
+            f"{quantities.significant(value / factor, 2)} (at a bound)" if stopped else text
             for value, text, stopped in zip(values.tolist(), _column(values, std, factor), at_bound, strict=True)
         ]
         own = np.where(at_bound, np.nan, std)
         head, name = f"{word}{quantity.partition('_')[2]}, {shown}", f"{word.replace(' ', '_')}{quantity}"
-        yield Column(head, tuple(texts), name=name, values=tuple(values.tolist()), std=tuple(own.tolist()), unit=unit)
+        yield blocks.Column(
+            head, tuple(texts), name=name, values=tuple(values.tolist()), std=tuple(own.tolist()), unit=unit
+        )
 
 
-def frames_table(result: Identification) -> Table:
+def frames_table(result: results.Identification) -> blocks.Table:
     """Tabulate the frames of all parts for programs, each part by the name of its configuration."""
-    tables = [frame_table(part.frame, "", AUTOMATIC) for part in result.parts]
+    tables = [frame_table(part.frame, "", quantities.AUTOMATIC) for part in result.parts]
     names = [part.name for part in result.parts for _ in part.frame.floor_mass]
     columns = (
         []
         if len(result.parts) == 1
-        else [Column("configuration", tuple(names), name="configuration", values=tuple(names))]
+        else [blocks.Column("configuration", tuple(names), name="configuration", values=tuple(names))]
     )
     columns += [
-        Column(
+        blocks.Column(
             same[0].head,
             name=same[0].name,
             values=tuple(value for each in same for value in each.values),
@@ -246,23 +184,31 @@ def frames_table(result: Identification) -> Table:
         )
         for same in zip(*(each.columns for each in tables), strict=True)
     ]
-    return Table("frame", "Identified frame", tuple(columns))
+    return blocks.Table("frame", "Identified frame", tuple(columns))
 
 
-def frequencies_table(experiment: Experiment, predictions: Iterable[Prediction]) -> Table:
-    """Tabulate every measured frequency beside that of the model, for programs."""
+def frequencies_table(experiment: Experiment, predictions: Iterable[results.Prediction]) -> blocks.Table:
+    """Tabulate every measured frequency beside that of the model."""
     rows = []
     for item in predictions:
         configuration = next(each for each in experiment.configurations if each.name == item.configuration)
         for mode, measured in zip(configuration.modes.tolist(), configuration.frequencies.tolist(), strict=True):
             modelled = float(item.frequencies[mode - 1])
             rows.append((configuration.name, mode, measured, modelled, modelled / measured - 1))
-    names = ("configuration", "mode", "measured", "model", "relative_error")
-    units = ("", "", "Hz", "Hz", "")
+    names, modes, measured, model, errors = zip(*rows, strict=True)
     columns = (
-        exact(name, values, unit=unit) for name, unit, values in zip(names, units, zip(*rows, strict=True), strict=True)
+        blocks.Column("configuration", names, words=True, name="configuration", values=names),
+        blocks.Column("mode", tuple(map(str, modes)), name="mode", values=modes),
+        _in_hertz("measured", measured),
+        _in_hertz("model", model),
+        blocks.Column("error", tuple(quantities.percents(errors, sign=True)), name="relative_error", values=errors),
     )
-    return Table("modes", "Measured and modelled frequencies", tuple(columns))
+    return blocks.Table("modes", "Measured and modelled frequencies", columns)
+
+
+def _in_hertz(name: str, values: tuple[float, ...]) -> blocks.Column:
+    texts = tuple(quantities.significant(value, 5) for value in values)
+    return blocks.Column(f"{name}, Hz", texts, name=name, values=values, unit="Hz")
 
 
 def in_one_unit(
@@ -287,14 +233,18 @@ def in_one_unit(
 
 def _column(values: Floats, stds: Floats, factor: float) -> list[str]:
     if np.all(np.isnan(stds)):
-        written = significants((values / factor).tolist(), 5)
-        return [UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
-    fast = ~np.isnan(values) & ~(stds > NEGLIGIBLE_STD * np.abs(values))
+        written = quantities.significants((values / factor).tolist(), 5)
+        return [quantities.UNKNOWN if np.isnan(value) else text for value, text in zip(values, written, strict=True)]
+    fast = ~np.isnan(values) & ~(stds > quantities.NEGLIGIBLE_STD * np.abs(values))
     # A fixed value has no deviation; all fixed values have one format.
-    shown = _short(significants((values[fast] / factor).tolist(), 5))
+    shown = _short(quantities.significants((values[fast] / factor).tolist(), 5))
     fast_ones = dict(zip(np.flatnonzero(fast).tolist(), shown, strict=True))
     return [
-        UNKNOWN if np.isnan(value) else fast_ones[place] if place in fast_ones else with_std(value, std, factor=factor)
+        quantities.UNKNOWN
+        if np.isnan(value)
+        else fast_ones[place]
+        if place in fast_ones
+        else quantities.with_std(value, std, factor=factor)
         for place, (value, std) in enumerate(zip(values.tolist(), stds.tolist(), strict=True))
     ]
 
@@ -310,7 +260,7 @@ RULED_OUT = 1e-3
 """Smallest p-value of chi-square for a plausible model; 1 minus this value is the largest for a plausible noise."""
 
 
-def generous_noise(fit: Quality) -> Iterator[str]:
+def generous_noise(fit: results.Quality) -> Iterator[str]:
     """Warn if the residual is much smaller than the stated noise predicts.
 
     Parameters
@@ -319,82 +269,83 @@ def generous_noise(fit: Quality) -> Iterator[str]:
     """
     if fit.p_value is None or fit.p_value <= 1 - RULED_OUT:
         return
-    size = significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
+    size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
     yield (
-        f"the residual is {size} times smaller than the stated standard deviations let expect (chi-square "
-        f"{significant(fit.chi2)}, {counted(fit.dof, 'degree')} of freedom): these are too large, and so are those of "
-        "masses and stiffnesses. Deviations that 'modes' writes also hold errors that all data share"
+        f"the residual is {size} times smaller than the stated standard deviations let expect ({_chi_square(fit)}): "
+        "these are too large, and so are those of masses and stiffnesses. Deviations that 'modes' writes also hold "
+        "errors that all data share"
     )
 
 
-@describe.register
-def _identification(result: Identification, units: Units = AUTOMATIC) -> Document:
+def _chi_square(fit: results.Quality) -> str:
+    freedom = f"{quantities.counted(fit.dof, 'degree')} of freedom"
+    return f"chi-square {quantities.significant(fit.chi2)} on {freedom}"
+
+
+@blocks.describe.register
+def _identification(result: results.Identification, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
     units = units_for(result.experiment, units)
     sections = [declared(result.experiment, units)]
     sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
     if result.other_frames:
         sections.append(_other_frames(result, units))
     if result.undetermined:
-        open_ones = [Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
-        sections.append(Section("undetermined", "What these data cannot tell", tuple(open_ones)))
+        open_ones = [blocks.Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
+        sections.append(blocks.section("undetermined", "What these data cannot tell", *open_ones))
     predicted = [item for part in result.parts for item in part.predictions]
     data = frames_table(result), frequencies_table(result.experiment, predicted)
-    return Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
+    return blocks.Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
 
 
-def _other_frames(result: Identification, units: Units) -> Section:
+def _other_frames(result: results.Identification, units: quantities.Units) -> blocks.Section:
     """Tabulate the other frames that fit the data, the most probable first."""
     frames = result.other_frames
     mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
     factor, unit = units.of_stiffness(result.frame.story_stiffness.tolist())
-    warning = Sentence(
-        f"These data fit {counted(len(frames) + 1, 'frame')}; a standard deviation above describes the identified one "
-        "alone. Shapes at two floors or more, or a test with known added mass, tell them apart.",
-        "warning",
+    warning = (
+        f"These data fit {len(frames) + 1} frames; a standard deviation above describes the identified one alone. "
+        "Shapes at two floors or more, or a test with known added mass, tell them apart."
     )
-    head = (f"floor masses, {mass_unit}", f"story stiffnesses, {unit}", "chi-square", "probability")
-    rows = (
-        (
-            _all(each.floor_mass, mass_factor),
-            _all(each.story_stiffness, factor),
-            significant(each.chi2, 3),
-            percent(each.probability),
-        )
-        for each in frames
-    )
-    found = table_of_rows("other-frames", "From the lowest floor or story up", head, rows, words=(0, 1))
-    return Section("other-frames", "Other frames that fit as well", (warning, found))
+    found = blocks.table("other-frames", "From the lowest floor or story up", {
+        f"floor masses, {mass_unit}": [_all(each.floor_mass, mass_factor) for each in frames],
+        f"story stiffnesses, {unit}": [_all(each.story_stiffness, factor) for each in frames],
+        "chi-square": [quantities.significant(each.chi2, 3) for each in frames],
+        "probability": [quantities.percent(each.probability) for each in frames],
+    }, words=(0, 1))  # fmt: skip
+    title = "Other frames that fit as well"
+    return blocks.section("other-frames", title, blocks.Sentence(warning, "warning"), found)
 
 
 def _all(values: Floats, factor: float) -> str:
-    return ", ".join(significant(float(value) / factor, 4) for value in values)
+    return ", ".join(quantities.significant(float(value) / factor, 4) for value in values)
 
 
-@line.register
-def _identification_line(result: Identification) -> str:
-    worst = max(part.fit.max_frequency_error for part in result.parts)
+@blocks.line.register
+def _identification_line(result: results.Identification) -> str:
+    worst = quantities.percent(max(part.fit.max_frequency_error for part in result.parts))
+    stories = quantities.counted(result.experiment.stories, "story")
     ended = "" if result.converged else ", not converged"
-    return (
-        f"<Identification {result.experiment.name}: {result.method}, {counted(result.experiment.stories, 'story')}, "
-        f"largest frequency error {percent(worst)}{ended}>"
-    )
+    what = f"{result.method}, {stories}, largest frequency error {worst}{ended}"
+    return f"<Identification {result.experiment.name}: {what}>"
 
 
-def _identification_headline(result: Identification) -> str:
+def _identification_headline(result: results.Identification) -> str:
     """Name the frame and the method; put a warning first if the stated noise rules the model out."""
     how = f"method {result.method}, backend {result.backend}"
     fit = result.parts[0].fit
     if not result.joint or fit.p_value is None or fit.p_value >= RULED_OUT:
         return f"{result.experiment.name}: {how}"
     return (
-        f"RULED OUT: with the stated noise a shear frame would hardly give these data (chi-square "
-        f"{significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom, {equals(fit.p_value)}): the "
-        "masses and stiffnesses below are those of a wrong model, and their standard deviations too small. 'cvxshear "
-        f"loop' on the same file looks for what the model lacks. ({result.experiment.name}: {how})"
+        f"RULED OUT: with the stated noise a shear frame would hardly give these data ({_chi_square(fit)}, "
+        f"{quantities.equals(fit.p_value)}): the masses and stiffnesses below are those of a wrong model, and their "
+        "standard deviations too small. 'cvxshear loop' on the same file looks for what the model lacks. "
+        f"({result.experiment.name}: {how})"
     )
 
 
-def part_section(result: Identification, part: SingleIdentification, place: int, units: Units) -> Section:
+def part_section(
+    result: results.Identification, part: results.SingleIdentification, place: int, units: quantities.Units
+) -> blocks.Section:
     """Tabulate the frame that one or all configurations give, and its fit."""
     title = "All configurations together" if result.joint else part.name
     parts = [
@@ -403,75 +354,69 @@ def part_section(result: Identification, part: SingleIdentification, place: int,
         *_prices(part, place, units),
         *how_it_ended(part),
         *([] if part.mass_matrix is None else [_matrix(part.mass_matrix, place, units)]),
-        Sentence(_fit(part)),
-        *(Sentence(f"{capital(text)}.", "warning") for text in generous_noise(part.fit)),
+        _fit(part),
+        *(blocks.Sentence(f"{quantities.capital(text)}.", "warning") for text in generous_noise(part.fit)),
     ]
-    return Section(f"part-{place}", title, tuple(parts))
+    return blocks.section(f"part-{place}", title, *parts)
 
 
-def _bounds(part: SingleIdentification) -> Iterator[Sentence]:
+def _bounds(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
     """Warn of parameters that a bound holds."""
     at_bounds = part.frame.at_bounds
     if at_bounds:
         are, them = ("is", "it") if len(at_bounds) == 1 else ("are", "them")
-        yield Sentence(
-            f"{capital(in_words(at_bounds))} {are} at a bound, a declared one or the least that counts as positive; "
-            f"the data alone would have {them} beyond it. That is no measurement, and the other standard deviations "
-            "hold only as far as the bound is true.",
+        yield blocks.Sentence(
+            f"{quantities.capital(in_words(at_bounds))} {are} at a bound, a declared one or the least that counts as "
+            f"positive; the data alone would have {them} beyond it. That is no measurement, and the other standard "
+            "deviations hold only as far as the bound is true.",
             "warning",
         )
 
 
-def _prices(part: SingleIdentification, place: int, units: Units) -> Iterator[Block]:
+def _prices(part: results.SingleIdentification, place: int, units: quantities.Units) -> Iterator[blocks.Block]:
     """List the active bounds and exact priors, each with its dual value."""
     if part.active:
         misfit = "the objective of the program" if part.name else "chi-square with the noise of the fit"
-        yield Sentence(f"Active bounds and exact priors with their prices (the misfit is {misfit}):", "strong")
-        yield Points(f"active-{place}", tuple(_price(held, units) for held in part.active))
+        yield blocks.Sentence(f"Active bounds and exact priors with their prices (the misfit is {misfit}):", "strong")
+        yield blocks.Points(f"active-{place}", tuple(_price(held, units) for held in part.active))
 
 
-def _price(held: ActiveConstraint, units: Units) -> str:
+def _price(held: ActiveConstraint, units: quantities.Units) -> str:
     """State the change of the misfit for one more unit on the right side of a constraint."""
     about = f"{held.name} {held.source}"
-    quantities = {} if units.relative else {"floor_mass": "kg", "story_stiffness": "N/m"}
-    unit = next((unit for quantity, unit in quantities.items() if quantity in about), "unit")
+    known = {} if units.relative else results.UNITS_OF_FRAME
+    unit = next((unit for quantity, unit in known.items() if quantity in about), "unit")
     at_bound = held.constraint in ("lower", "upper")
     where = f"the {held.constraint} bound of {in_words([held.name])}" if at_bound else "the right side"
-    change = "lower" if held.dual > 0 else "raise"
-    return (
-        f"{held.source or held.name}: one more {unit} on {where} would {change} the misfit by "
-        f"{significant(abs(held.dual), 3)}"
-    )
+    change = f"{'lower' if held.dual > 0 else 'raise'} the misfit by {quantities.significant(abs(held.dual), 3)}"
+    return f"{held.source or held.name}: one more {unit} on {where} would {change}"
 
 
-def how_it_ended(part: SingleIdentification) -> Iterator[Sentence]:
+def how_it_ended(part: results.SingleIdentification) -> Iterator[blocks.Sentence]:
     """State the number of iterations and the reason of their end; warn if the fit did not converge."""
-    said = f"{counted(part.iterations, 'iteration')}: {part.reason}."
-    yield (
-        Sentence(said)
-        if part.converged
-        else Sentence(f"NOT CONVERGED. {said} The numbers are where it stopped.", "warning")
-    )
+    said = f"{quantities.counted(part.iterations, 'iteration')}: {part.reason}."
+    stopped = f"NOT CONVERGED. {said} The numbers are where it stopped."
+    yield blocks.Sentence(said) if part.converged else blocks.Sentence(stopped, "warning")
 
 
-def _fit(part: SingleIdentification) -> str:
+def _fit(part: results.SingleIdentification) -> str:
     fit = part.fit
-    largest, rms = percents([fit.max_frequency_error, fit.rms_frequency_error])
+    largest, rms = quantities.percents([fit.max_frequency_error, fit.rms_frequency_error])
     said = [f"Frequency errors: largest {largest}, root mean square {rms}"]
     for figure in (each for kind in noise_kinds().values() for each in kind.figures if kind is not Frequencies.noise):
         error = fit.errors[figure.key]
         if error is not None:
-            said.append(f"{figure.label} {percent(error) if figure.relative else significant(error, 6)}")
-    test = "" if fit.p_value is None else f" ({equals(fit.p_value)})"
-    said.append(f"chi-square {significant(fit.chi2)} on {counted(fit.dof, 'degree')} of freedom{test}")
-    return f"{'; '.join(said)}."
+            value = quantities.percent(error) if figure.relative else quantities.significant(error, 6)
+            said.append(f"{figure.label} {value}")
+    test = "" if fit.p_value is None else f" ({quantities.equals(fit.p_value)})"
+    return f"{'; '.join([*said, _chi_square(fit)])}{test}."
 
 
-def _matrix(matrix: Floats, place: int, units: Units) -> Table:
+def _matrix(matrix: Floats, place: int, units: quantities.Units) -> blocks.Table:
     factor, unit = units.of_mass(np.diag(matrix).tolist())
     head = ("floor", *(str(i) for i in range(1, len(matrix) + 1)))
     largest = float(np.max(np.abs(matrix))) / factor
     # The largest entry is appended to give all rows one format, then removed.
-    written = [significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
+    written = [quantities.significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
     rows = ((str(i), *cells) for i, cells in enumerate(written, 1))
-    return table_of_rows(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)
+    return blocks.table_of_rows(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)

@@ -187,11 +187,11 @@ class Table:
 
 
 def table(
-    key: str, title: str, cells: Mapping[str, Iterable[str]], *, words: tuple[int, ...] = (0,), top_first: bool = False
+    key: str, title: str, cells: Mapping[str, Iterable[str]], *, words: tuple[int, ...] = (0,), **options: bool
 ) -> Table:
-    """Make a table for people from the texts of its columns by heading."""
+    """Make a table for people from the texts of its columns by heading; the options are those of `Table`."""
     columns = (Column(head, tuple(texts), place in words) for place, (head, texts) in enumerate(cells.items()))
-    return Table(key, title, tuple(columns), top_first=top_first)
+    return Table(key, title, tuple(columns), **options)  # type: ignore[arg-type]  # no option is the foot
 
 
 def table_of_rows(
@@ -251,6 +251,12 @@ class Section:
     appendix: bool = False
 
 
+def section(key: str, title: str, *parts: Block | str, **options: bool) -> Section:
+    """Make a section; a text stands for a sentence, and the options are those of `Section`."""
+    blocks = (Sentence(part) if isinstance(part, str) else part for part in parts)
+    return Section(key, title, tuple(blocks), **options)
+
+
 @dataclass(frozen=True)
 class Document:
     """The description of a result.
@@ -292,12 +298,12 @@ HOMES = {
     }.items()
     for kind in kinds.split()
 }
-"""Module of this package that describes each type of result."""
+"""Module of `report` that describes each type of result."""
 
 
 def _imported(result: object) -> bool:
     """Import the module that describes a result; return whether it was not imported before."""
-    home = f"{__name__}.{HOMES.get(type(result).__name__, '')}"
+    home = f"cvxshear.report.{HOMES.get(type(result).__name__, '')}"
     if type(result).__name__ not in HOMES or home in sys.modules:
         return False
     import_module(home)

@@ -1,0 +1,421 @@
+"""Describe the result of the loop: verdict, states, frame, probabilities, errors, open questions, next test."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+
+from cvxshear.data import Deviation, Frequencies, noise_kinds
+from cvxshear.effects import compose
+from cvxshear.effects.state import State
+from cvxshear.loop import LoopResult
+from cvxshear.loop.results import AddedEffect, EffectSet, by_part
+from cvxshear.report import blocks, headline, identified
+from cvxshear.util import quantities
+from cvxshear.util.typing import Floats
+
+
+@blocks.describe.register
+def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+    units = identified.units_for(result.experiment, units)
+    fits, programs = quantities.counted(result.fits, "fit"), quantities.counted(result.programs, "step program")
+    effort = f"Backend {result.backend}: {fits}, {programs}."
+    modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
+    sections = (
+        verdict_section(result),
+        limits_section(result),
+        states_section(result, units),
+        frame_section(result, units),
+        effects_section(result),
+        *headline.numbering_sections(result),
+        sets_section(result),
+        candidates_section(result),
+        *effect_sections(result),
+        before_after(result),
+        residual_section(result),
+        blocks.section("next", "What to test next", _next(result, units)),
+        identified.declared(result.experiment, units),
+        blocks.section("frequencies", "Measured and modelled frequencies", modes, below=True, appendix=True),
+        not_considered(result),
+        blocks.section("effort", "Effort", effort, below=True, appendix=True),
+    )
+    title, text = result.experiment.name, f"{result.verdict.upper()}: {headline.headline(result)}"
+    frame = identified.frame_table(result.frame, "Identified frame", quantities.AUTOMATIC, "frame", result.averaged)
+    return blocks.Document(title, text, sections, (frame, effects_table(result), errors_table(result), modes))
+
+
+@blocks.line.register
+def _line(result: LoopResult) -> str:
+    found = [f"{item.placed.label} ({quantities.chance(item.probability)})" for item in result.effects]
+    return f"<LoopResult {result.experiment.name}: {result.verdict}, {headline.some(found) or 'nothing added'}>"
+
+
+def verdict_section(result: LoopResult) -> blocks.Section:
+    """State the meaning of the verdict, its assumptions, and the data that decided it."""
+    verdict = headline.verdict_of(result)
+    meaning = verdict.sentence if result.effects or not verdict.plain else verdict.plain
+    noise, *granted = result.rests_on
+    said = [meaning, f"It rests on {noise}.", headline.evidence_in_words(result)]
+    if granted:
+        said.append(f"It takes for granted {'; '.join(text.rstrip('.') for text in granted)}.")
+    if result.assumed:
+        said.append(f"In the model from the start: {', '.join(placed.label for placed in result.assumed)}.")
+    return blocks.section("verdict", "Verdict", " ".join(each for each in said if each))
+
+
+def limits_section(result: LoopResult) -> blocks.Section:
+    """List the fits that did not converge, the remaining residuals, and the undetermined quantities."""
+    parts: list[blocks.Block] = []
+    for step in result.steps:
+        fit = step.estimate.fit
+        if not fit.converged:
+            said = f"NOT CONVERGED: {step.action} ({fit.reason}). Its numbers are where the fit stopped."
+            parts.append(blocks.Sentence(said, "warning"))
+    if result.remains:
+        parts += [blocks.Sentence("The residual sits in:", "warning"), blocks.Points("remains", result.remains)]
+    known = [f"Not determined: {identified.in_words(names)}" for names in result.estimate.uncertainty.null_directions]
+    known += [quantities.capital(text) for text in identified.generous_noise(result.estimate.quality)]
+    known += [quantities.capital(text) for text in result.information]
+    if known:
+        parts.append(blocks.Points("untold", tuple(f"{text}." for text in known)))
+    return blocks.section("limits", "What is left open", *parts)
+
+
+NOTHING = 1e-9
+"""Smallest relative change that is not rounding."""
+
+StateValues = tuple[Floats, Floats]
+"""A quantity of every story or floor, shape (N,), and its derivatives by every parameter, shape (P, N)."""
+
+
+def sway_stiffness(state: State) -> StateValues:
+    """Divide a force at the top by the drift of each story under it, N/m: the story stiffness of a shear frame."""
+    K, dK, n = state.system.K, state.system.dK, len(state.story_stiffness)
+    force = np.zeros(len(K))
+    force[n - 1] = 1.0
+    sway = np.linalg.solve(K, force)
+    by_parameters = -np.linalg.solve(K, (dK @ sway).T).T
+    drift, d_drift = (np.diff(each[..., :n], prepend=0.0) for each in (sway, by_parameters))
+    return 1.0 / drift, -d_drift / drift**2
+
+
+def moving_mass(state: State) -> StateValues:
+    """Sum the mass that moves with each floor, kg, without the declared added mass."""
+    n = len(state.story_stiffness)
+    rows, by_parameters = (each[..., :n, :n].sum(axis=-1) for each in (state.system.M, state.system.dM))
+    return rows - state.tested.added_mass, by_parameters
+
+
+def states_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
+    """Tabulate every story and floor that an effect changes: frame alone or reference state, each state, the change."""
+    stories = _by_state(result, "stories", "Sway stiffness of each story", sway_stiffness, units.of_stiffness)
+    floors = _by_state(result, "floors", "Mass that moves with each floor", moving_mass, units.of_mass)
+    return blocks.section("states", "Every story and floor, before and after", *stories, *floors)
+
+
+def _by_state(
+    result: LoopResult,
+    key: str,
+    title: str,
+    quantity: Callable[[State], StateValues],
+    unit_of: Callable[[Iterable[float]], tuple[float, str]],
+) -> Iterator[blocks.Table]:
+    """Tabulate one quantity in all states in which it differs; yield nothing if no effect changes it."""
+    estimate, experiment = result.judged, result.experiment
+    tests = {each.state: each for each in reversed(experiment.configurations)}
+    first = experiment.frame.reference
+    states = sorted(experiment.states, key=lambda name: name != first)
+    found = [
+        (f'"{name}"', quantity(compose(experiment, tests[name], estimate.effects, estimate.theta))) for name in states
+    ]
+    if first is None:
+        found.insert(0, ("shear frame", quantity(compose(experiment, tests[states[0]], (), estimate.theta))))
+    groups: list[tuple[list[str], StateValues]] = []
+    for name, values in found:
+        same = next((names for names, each in groups if np.allclose(each[0], values[0], rtol=NOTHING, atol=0.0)), None)
+        if same is None:
+            groups.append(([name], values))
+        else:
+            same.append(name)
+    if len(groups) == 1:
+        return
+    (_, before), *_ = groups
+    factor, unit = unit_of(before[0].tolist())
+    covariance = estimate.uncertainty.covariance()
+    columns = [blocks.places(len(before[0]), "story" if key == "stories" else "floor")]
+    for names, after in groups:
+        texts = quantities.significants((after[0] / factor).tolist(), 5)
+        change = after[0] / before[0] - 1.0
+        by_parameters = (after[1] - (1.0 + change) * before[1]) / before[0]
+        std = np.sqrt(np.einsum("pi,pq,qi->i", by_parameters, covariance, by_parameters))
+        pairs = zip(change.tolist(), std.tolist(), strict=True)
+        written = [f" ({quantities.with_std(*each, '%', factor=0.01)})" for each in pairs]
+        changes = [text if abs(value) > NOTHING else "" for text, value in zip(written, change, strict=True)]
+        columns.append(
+            blocks.Column(f"{headline.some(names)}, {unit}", tuple(map("".join, zip(texts, changes, strict=True))))
+        )
+    # A value with its change takes half as much again of the width.
+    yield from blocks.Table(key, title, tuple(columns), top_first=True).folded(2 * blocks.PAGE_COLUMNS // 3)
+
+
+def frame_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
+    """Tabulate the frame of the verdict's set and the average frame over all sets."""
+    title = "Masses without added mass; averaged: over all sets of effects, each as probable as it is"
+    table = identified.frame_table(result.frame, title, units, averaged=result.averaged)
+    return blocks.section("frame", "The identified frame", table)
+
+
+def effects_section(result: LoopResult) -> blocks.Section:
+    """List the added effects, the most probable first, each with its rivals."""
+    if not result.effects:
+        return blocks.section("effects", "Effects added", "None was added to the model.")
+    title = "The effect found" if len(result.effects) == 1 else "Effects found"
+    caption = "Effects that were added to the shear model"
+    parts: list[blocks.Block] = []
+    if headline.verdict_of(result).provisional:
+        title, caption = "Provisional effects", "Effects that survive while a residual is left"
+        among = "the probabilities are among causes that were tried, none of which explains the data"
+        said = f"None of them counts as found, as long as a residual is left: {among}."
+        parts.append(blocks.Sentence(said, "warning"))
+    rows = (row for item in result.effects for row in _with_rivals(item))
+    parts.append(blocks.table_of_rows("effects-table", caption, ("effect", "probability"), rows))
+    if remarks := [f"{item.placed.label}: {remark}" for item in result.effects for remark in item.remarks]:
+        parts.append(blocks.Points("remarks", tuple(remarks)))
+    return blocks.section("effects", title, *parts)
+
+
+def _with_rivals(item: AddedEffect) -> Iterator[tuple[str, str]]:
+    yield item.size, quantities.chance(item.probability)
+    for rival in item.rivals:
+        words = "cannot be distinguished from" if rival.twin else "or in its place"
+        yield f"   {words}: {rival.placed.label}", quantities.chance(rival.probability)
+    if not item.rivals:
+        yield "   rivals: none", ""
+
+
+def effect_sections(result: LoopResult) -> Iterator[blocks.Section]:
+    """Describe each effect in full: its meaning, formula and parameters."""
+    for place, item in enumerate(result.effects, 1):
+        kind, facts = item.placed.effect, [("formula", item.placed.effect.formula)]
+        for name, unit in _parameters(result, item):
+            written = quantities.per_force if "N" in unit.partition("/")[2] else quantities.with_std
+            facts.append((name.replace("_", " "), written(item.parameters[name], item.std[name], unit)))
+        facts += [("probability", quantities.chance(item.probability)), ("source of the formula", kind.source)]
+        title, parts = quantities.capital(item.placed.label), (kind.summary, blocks.Facts(tuple(facts)))
+        yield blocks.section(f"effect-{place}", title, *parts, detail=True, below=True)
+
+
+def _parameters(result: LoopResult, item: AddedEffect) -> Iterator[tuple[str, str]]:
+    """Yield the names and units of the parameters of an effect."""
+    names = (parameter.name for parameter in item.placed.effect.parameters)
+    return zip(names, item.placed.units(result.experiment), strict=True)
+
+
+def effects_table(result: LoopResult) -> blocks.Table:
+    """Tabulate each parameter of each effect, for programs."""
+    rows = []
+    for item in result.effects:
+        place, effect = item.placed.place, item.placed.effect.name.replace("_", " ")
+        where = effect, place.floor, place.story, place.test or place.state
+        for name, unit in _parameters(result, item):
+            rows.append((*where, name.replace("_", " "), unit, item.parameters[name], item.std[name]))
+    names = ("effect", "floor", "story", "configuration", "parameter", "unit", "value", "std")
+    values = zip(*rows, strict=True) if rows else [()] * len(names)
+    return blocks.Table("effects", "Effects", tuple(map(blocks.exact, names, values)))
+
+
+def sets_section(result: LoopResult) -> blocks.Section:
+    """Tabulate the sets of effects with their probabilities."""
+    chi2 = quantities.significants([item.chi2 for item in result.models])
+    pairs = zip(result.models, chi2, strict=True)
+    rows = [(_label(item, result), quantities.chance(item.probability), shown) for item, shown in pairs]
+    head = ("set", "probability", "chi-square")
+    found = blocks.table_of_rows("models", "Sets of effects, the most probable first", head, rows, brief=True)
+    return blocks.section("sets", "Which effects together", *([found] if rows else []), below=True)
+
+
+def _label(item: EffectSet, result: LoopResult) -> str:
+    """Name the effects of a set, and its mode numbers if they differ from the verdict's."""
+    label = _set_label(item, result.models[0])
+    if item.changes == result.numberings[0].changes:
+        return label
+    return f"{label}, {headline.numbers_in_words(item.changes) if item.changes else 'the modes as given'}"
+
+
+def _set_label(effects: EffectSet, first: EffectSet) -> str:
+    """Name the effects of a set by its differences from the first set, which is the most probable one."""
+    if not effects.effects:
+        return "the shear model alone"
+    if effects is first or not first.effects:
+        return " + ".join(placed.label for placed in effects.effects)
+    come = quantities.listed([placed.label for placed in effects.effects if placed not in first.effects])
+    gone = quantities.listed([placed.label for placed in first.effects if placed not in effects.effects])
+    if come and gone:
+        return f"the first, with {come} in place of {gone}"
+    if gone:
+        return f"the first, without {gone}"
+    return f"the first, and {come}" if come else "the first"
+
+
+def candidates_section(result: LoopResult) -> blocks.Section:
+    """Tabulate all candidates with their prior and posterior probabilities."""
+    found = result.candidates
+    if not found:
+        return blocks.section("candidates", "What was looked for", below=True)
+    tried = f"counting that {len(found)} were tried"
+    title = f"The most probable first (p: of such a gain in chi-square by chance, {tried})"
+    table = blocks.table("candidates-table", title, {
+        "effect": [item.placed.label for item in found],
+        "before": [quantities.chance(item.prior) for item in found],
+        "with the data": [quantities.chance(item.probability) for item in found],
+        # The chi-square that a linearized model predicts may be negative.
+        "chi-square": quantities.significants([max(item.chi2, 0.0) for item in found]),
+        "dof": [str(item.dof) for item in found],
+        "p of gain": [quantities.probability(item.p_value) for item in found],
+    }, brief=True)  # fmt: skip
+    alike = [
+        f"{quantities.capital(item.placed.label)} cannot be distinguished from {identified.in_words(names)}."
+        for item in found
+        if (names := item.confounded_with)
+    ]
+    points = [blocks.Points("confounded", tuple(alike))] if alike else []
+    return blocks.section("candidates", "What was looked for, and how probable it is", table, *points, below=True)
+
+
+Writer = Callable[[Sequence[float | None]], list[str]]
+
+
+def _each(written: Callable[[float | None], str]) -> Writer:
+    return lambda values: [written(value) for value in values]
+
+
+def _six_digits(value: float | None) -> str:
+    return quantities.significant(value, 6)
+
+
+def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
+    """Yield the JSON key, the label and the format of each compared error.
+
+    Parameters
+    ----------
+    held_out : str
+        Text that explains the prediction of the held-out frequencies.
+    """
+    for kind in noise_kinds().values():
+        for figure in kind.figures:
+            yield figure.key, figure.label, quantities.percents if figure.relative else _each(_six_digits)
+        if kind is Frequencies.noise:
+            yield "held_out_frequency_error", f"largest frequency error, {held_out}", quantities.percents
+    yield "chi2", "chi-square of the residual", quantities.significants
+    yield "dof", "its degrees of freedom", _each(lambda value: f"{value:.0f}" if value is not None else "–")
+    yield "p_value", "p: such a residual by chance", _each(quantities.probability)
+
+
+def before_after(result: LoopResult) -> blocks.Section:
+    """Compare the first and the final model of the loop."""
+    first = quantities.capital(result.before.action)
+    same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
+    which = f"{first} beside the final model, in the same noise.{same}"
+    noise = blocks.Facts(tuple(headline.noise_facts(result)))
+    title = "The shear model and the model with effects"
+    return blocks.section("before-after", title, which, errors_table(result), noise)
+
+
+def errors_table(result: LoopResult) -> blocks.Table:
+    """Tabulate all errors of both models."""
+    before, after = result.before.to_dict(), result.after.to_dict()
+    several = len(result.experiment.configurations) > 1
+    held_out = "each test predicted from the others" if several else "each mode predicted from the others"
+    known = [each for each in compared_errors(held_out) if (before[each[0]], after[each[0]]) != (None, None)]
+    labels = tuple(label for _, label, _ in known)
+    texts = [written([before[key], after[key]]) for key, _, written in known]
+    columns = [blocks.Column("error", labels, words=True, name="error", values=labels)]
+    for name, side, cells in zip(headline.MODELS, (before, after), zip(*texts, strict=True), strict=True):
+        values = tuple(side[key] for key, _, _ in known)
+        columns.append(blocks.Column(name, cells, name=name.replace(" ", "_"), values=values))
+    return blocks.Table("errors", "Errors of the model against the measurement", tuple(columns))
+
+
+def residual_section(result: LoopResult) -> blocks.Section:
+    """Tabulate the residual of every part of the measurement, one table for each kind of data."""
+    before, after = by_part(result.before.estimate), by_part(result.estimate)
+    pairs = list(zip(before, after, strict=True))
+    kinds = dict.fromkeys(item.noise for item in after)
+    tables = (_residuals(kind, [pair for pair in pairs if pair[1].noise == kind]) for kind in kinds)
+    return blocks.section("residual", "Where the residual sits", *tables, below=True)
+
+
+def _residuals(kind: str, pairs: list[tuple[Deviation, Deviation]]) -> blocks.Table:
+    signed = all(item.entries == 1 for pair in pairs for item in pair)
+    errors = quantities.percents([item.error for pair in pairs for item in pair], sign=signed)
+    rows = (
+        (after.configuration, after.place, *errors[2 * at : 2 * at + 2], *(_std(item) for item in (before, after)))
+        for at, (before, after) in enumerate(pairs)
+    )
+    name = quantities.capital(kind.replace("_", " "))
+    title = f"{name}: model less measurement, in percent and in standard deviations (std)"
+    head = ("configuration", "part", *headline.MODELS, *(f"std, {model}" for model in headline.MODELS))
+    return blocks.table_of_rows(f"residual-{kind.replace('_', '-')}", title, head, rows, words=(0, 1))
+
+
+def _std(item: Deviation) -> str:
+    return quantities.signed(item.deviations, 1) if item.entries == 1 else f"{item.deviations:.1f}"
+
+
+def not_considered(result: LoopResult) -> blocks.Section:
+    """List the effects that the data cannot tell, and what would tell them."""
+    texts = tuple(
+        f"{quantities.capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
+        for name, lacking in result.not_considered.items()
+    )
+    points = [blocks.Points("not-looked-for", texts)] if texts else []
+    return blocks.section("not-considered", "What was not looked for", *points, below=True, appendix=True)
+
+
+def _next(result: LoopResult, units: quantities.Units) -> str:
+    """Describe the test that would distinguish the rivals, or give the reason why no test is proposed."""
+    test = result.next_test
+    if test is not None:
+        factor, unit = units.of_mass([test.added_mass])
+        mass = f"{quantities.significant(test.added_mass / factor, 3)} {unit}"
+        return (
+            f'Put {mass} more on floor {test.floor} of "{test.state}" and '
+            "measure again: the rivals would then differ by "
+            f"{test.standard_deviations:.1f} standard deviations"
+            f"{'' if test.tells_all else ', but for those that no added mass tells'}.{_reference(result)}"
+        )
+    verdict = headline.verdict_of(result)
+    if verdict.certain:
+        nothing = f"Nothing: no rival is left that another test would have to rule out. {verdict.advice}"
+        return _besides(result) or nothing
+    if any(item.rivals for item in result.effects):
+        return f"No added mass up to that of a floor would distinguish the rivals.{_reference(result)} {verdict.advice}"
+    if headline.in_doubt(result):
+        return (
+            "Sensors at more floors: the changes of sign of a shape that is known at every floor show which mode it is."
+        )
+    return verdict.advice
+
+
+def _reference(result: LoopResult) -> str:
+    """Advise to declare the sound state if causes in several states are rivals."""
+    experiment = result.estimate.experiment
+    states = {rival.placed.place.state for item in result.effects for rival in item.rivals}
+    states |= {item.placed.place.state for item in result.effects}
+    if experiment.frame.reference is not None or len(states - {None}) < 2:
+        return ""
+    return (
+        f' If the frame was sound in one state, say so ([frame] reference = "{experiment.states[0]}"): what differs is '
+        "then looked for in the others."
+    )
+
+
+def _besides(result: LoopResult) -> str:
+    """Name the candidates that remain possible beside a certain verdict; empty if no candidate remains."""
+    added = {item.placed for item in result.effects}
+    left = [item for item in result.candidates if item.placed not in added and item.probability > headline.DOUBT]
+    if not left:
+        return ""
+    named = headline.some([f"{item.placed.label} ({quantities.chance(item.probability)})" for item in left], "or")
+    first = "No rival is left in the place of what was found" if added else "Nothing has to be added"
+    averaged = "The averaged masses and stiffnesses allow for that; use those."
+    return f"{first}, but something may be there besides: {named}. {averaged}"
