@@ -314,8 +314,6 @@ class Observation:
 
     def shown(self, motion: Floats, floors: slice | Ints = ALL) -> Floats:
         """Return readings on some of the floors, shape (..., f), of motions of shape (..., n)."""
-        if self._plain:
-            return motion[..., floors]
         return np.asarray(motion @ self.matrix[floors].T)
 
     def shown_slopes(self, motion: Floats, slopes: Floats, which: slice, floors: slice | Ints = ALL) -> Floats:
@@ -332,21 +330,15 @@ class Observation:
         """
         found = self.shown(slopes, floors)
         rows = {parameter: row for row, parameter in enumerate(range(max(self.slopes, default=-1) + 1)[which])}
-        moved = [(rows[parameter], slope) for parameter, slope in self.slopes.items() if parameter in rows]
-        if moved:
-            found = found.copy()
-        for row, slope in moved:
-            found[row] += motion @ slope[floors].T
+        for parameter, slope in self.slopes.items():
+            if parameter in rows:
+                found[rows[parameter]] += motion @ slope[floors].T
         return found
 
     @property
     def gain(self) -> Floats:
         """Gain of the sensor on each floor for the motion of this floor, shape (N,)."""
-        return np.ones(len(self.matrix)) if self._plain else np.diagonal(self.matrix).copy()
-
-    @property
-    def _plain(self) -> bool:
-        return False
+        return np.diagonal(self.matrix).copy()
 
     def scaled(self, floor: int, factor: float, own: int) -> Observation:
         """Multiply the readings of one floor, counted from 0, by a factor that grows by one with parameter `own`."""
@@ -366,32 +358,3 @@ class Observation:
             np.hstack([self.matrix, none]),
             {parameter: np.hstack([slope, none]) for parameter, slope in self.slopes.items()},
         )
-
-
-class FloorObservation(Observation):
-    """The identity, which is never multiplied by: a frame of 2,000 stories would pay for it.
-
-    Parameters
-    ----------
-    floors : int
-        N.
-    """
-
-    def __init__(self, floors: int) -> None:
-        object.__setattr__(self, "_floors", floors)
-        object.__setattr__(self, "slopes", {})
-
-    _floors: int
-
-    @property
-    def matrix(self) -> Floats:
-        """As of `Observation`."""
-        return np.eye(self._floors)
-
-    @property
-    def _plain(self) -> bool:
-        return True
-
-    @property
-    def gain(self) -> Floats:
-        return np.ones(self._floors)

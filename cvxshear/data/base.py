@@ -295,7 +295,7 @@ class Datum(ABC):
     def residual(self, model: Model) -> Residual:
         """Model less measurement, in the declared or the default standard deviations."""
 
-    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+    def inflated_residual(self, model: Model, factor: Floats) -> Residual:
         """`residual` with each standard deviation times a factor, shape (d,)."""
         found = self.residual(model)
         return Residual(found.r / factor, found.J / factor[:, None] if model.derivatives else found.J)
@@ -308,13 +308,29 @@ class Datum(ABC):
         """Leave out some of the modes of its configuration, where it speaks of modes."""
         return self
 
+    @property
+    def parts(self) -> Sequence[str]:
+        """Names of the parts that `describe` lists, in the order of the residuals; by default all data together."""
+        return (self.label,)
+
     def describe(self, model: Model) -> list[Deviation]:
-        """Describe its parts, each with its error and deviation; by default one part, with the first, largest error."""
-        r = self.residual(model).r
-        deviation = float(np.sqrt(np.mean(r**2))) if r.size else 0.0
-        errors = next(iter(self.errors(model).values()), np.zeros(0))
-        error = float(errors[ranking.first_largest(np.abs(errors))]) if errors.size else None
-        return [Deviation(self.noise.name, self.tested.name, self.label, error, deviation, max(len(r), 1))]
+        """Describe its parts, each with its error and deviation.
+
+        The error of a part is its entry of the last errors, or the largest of the first errors if there is one part.
+        """
+        parts, errors = self.parts, list(self.errors(model).values())
+        z, known = (each.reshape(max(len(parts), 1), -1) for each in (self.residual(model).r, self.known))
+        found = []
+        for place, name in enumerate(parts):
+            own = z[place][known[place]]
+            deviation = float(own[0]) if z.shape[1] == 1 else float(np.sqrt(np.mean(own**2))) if own.size else 0.0
+            error = None
+            if errors and errors[-1].size == len(parts):
+                error = float(errors[-1][place])
+            elif errors and errors[0].size:
+                error = float(errors[0][ranking.first_largest(np.abs(errors[0]))])
+            found.append(Deviation(self.noise.name, self.tested.name, name, error, deviation, max(own.size, 1)))
+        return found
 
     def by_floor(self, model: Model) -> Mapping[int, Floats]:
         """Residuals in standard deviations by the floor they were measured at; none where they are of no floor."""

@@ -6,13 +6,15 @@ test has known forces and measured displacements.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy import linalg
 
-from cvxshear.data.base import Datum, Deviation, ErrorFigure, Model, NoiseKind, Residual, largest
+from cvxshear.data.base import Datum, ErrorFigure, Model, NoiseKind, Residual, largest
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.declaration import DEFAULT_DISPLACEMENT_STD
 from cvxshear.measurement.experiment import Configuration, Experiment, StaticTest
@@ -105,8 +107,8 @@ def shape_residual(
 
 
 @dataclass(frozen=True, eq=False)
-class Frequencies(Datum):
-    """r_j = (log f_j - log measured f_j) / std_j, with dlog f = dlambda / (2 lambda).
+class _OfModes(Datum):
+    """Data of the modes of a configuration.
 
     Parameters
     ----------
@@ -114,6 +116,23 @@ class Frequencies(Datum):
     used : ndarray of bool, shape (m,)
         Which of its modes count.
     """
+
+    tested: Configuration
+    used: Bools
+
+    def without(self, left_out: Bools) -> Self:
+        """Leave out these modes."""
+        return dataclasses.replace(self, used=self.used & ~left_out)
+
+    @property
+    def parts(self) -> list[str]:
+        """The modes."""
+        return [f"mode {mode}" for mode in self.tested.modes[self.used]]
+
+
+@dataclass(frozen=True, eq=False)
+class Frequencies(_OfModes):
+    """r_j = (log f_j - log measured f_j) / std_j, with dlog f = dlambda / (2 lambda)."""
 
     noise = NoiseKind(
         "frequency", "frequencies", DEFAULT_FREQUENCY_STD, 0.03,
@@ -127,8 +146,6 @@ class Frequencies(Datum):
         ),
         negligible=1e-5,
     )  # fmt: skip
-    tested: Configuration
-    used: Bools
 
     @classmethod
     def of(cls, experiment: Experiment) -> Sequence[Frequencies]:
@@ -151,30 +168,10 @@ class Frequencies(Datum):
         modelled = model.modes.frequencies[model.paired][self.used]
         return {"frequency_error": modelled / self.tested.frequencies[self.used] - 1.0}
 
-    def without(self, left_out: Bools) -> Frequencies:
-        """Leave out these modes."""
-        return Frequencies(self.tested, self.used & ~left_out)
-
-    def describe(self, model: Model) -> list[Deviation]:
-        """Describe each mode."""
-        errors, r = self.errors(model)["frequency_error"], self.residual(model).r
-        modes = self.tested.modes[self.used]
-        return [
-            Deviation(self.noise.name, self.tested.name, f"mode {mode}", float(error), float(z))
-            for mode, error, z in zip(modes, errors, r, strict=True)
-        ]
-
 
 @dataclass(frozen=True, eq=False)
-class Shapes(Datum):
-    """r = W (c phi - measured phi), the scale c of each mode eliminated (`shape_residual`).
-
-    Parameters
-    ----------
-    tested : Configuration
-    used : ndarray of bool, shape (m,)
-        Which of its modes count.
-    """
+class Shapes(_OfModes):
+    """r = W (c phi - measured phi), the scale c of each mode eliminated (`shape_residual`)."""
 
     noise = NoiseKind(
         "mode_shape", "mode shapes", DEFAULT_MODE_SHAPE_STD, 0.15,
@@ -185,8 +182,6 @@ class Shapes(Datum):
         ),
         negligible=1e-4,
     )  # fmt: skip
-    tested: Configuration
-    used: Bools
 
     @classmethod
     def of(cls, experiment: Experiment) -> Sequence[Shapes]:
@@ -228,9 +223,9 @@ class Shapes(Datum):
 
     def residual(self, model: Model) -> Residual:
         """Differences of entries over their standard deviations; zero for missing entries."""
-        return self.widened_residual(model, np.ones(len(self.floors)))
+        return self.inflated_residual(model, np.ones(len(self.floors)))
 
-    def widened_residual(self, model: Model, factor: Floats) -> Residual:
+    def inflated_residual(self, model: Model, factor: Floats) -> Residual:
         """Compute `residual`, the scale of each shape following the entries that have become less certain."""
         measured = self.tested.known_shapes[self.used]
         weights = self.tested.entry_weights[self.used] / factor.reshape(measured.shape)
@@ -253,27 +248,6 @@ class Shapes(Datum):
     def _known_entries(self, model: Model) -> tuple[Floats, Floats]:
         """Measured and modelled shapes, zero for missing entries."""
         return self.tested.known_shapes[self.used], np.where(self.tested.measured[self.used], self.seen(model), 0.0)
-
-    def without(self, left_out: Bools) -> Shapes:
-        """Leave out these modes."""
-        return Shapes(self.tested, self.used & ~left_out)
-
-    def describe(self, model: Model) -> list[Deviation]:
-        """Describe each mode."""
-        z = self.residual(model).r.reshape(int(self.used.sum()), -1)
-        known = self.tested.measured[self.used]
-        errors = shape_errors(*self._known_entries(model))
-        return [
-            Deviation(
-                self.noise.name,
-                self.tested.name,
-                f"mode {mode}",
-                float(error),
-                float(np.sqrt(np.mean(row[there] ** 2))),
-                int(there.sum()),
-            )
-            for mode, row, error, there in zip(self.tested.modes[self.used], z, errors, known, strict=True)
-        ]
 
 
 def shape_errors(measured: Floats, modelled: Floats) -> Floats:
@@ -338,13 +312,10 @@ class Static(Datum):
         u = _moved(model.state.system.K, test.force)[: len(test.force)]
         return {"displacement_error": (u - test.displacement)[known] / np.max(np.abs(test.displacement[known]))}
 
-    def describe(self, model: Model) -> list[Deviation]:
-        """Describe each measured floor."""
-        errors, r = self.errors(model)["displacement_error"], self.residual(model).r
-        return [
-            Deviation(self.noise.name, self.tested.name, f"floor {floor}", float(error), float(z))
-            for floor, error, z in zip(self.floors, errors, r, strict=True)
-        ]
+    @property
+    def parts(self) -> list[str]:
+        """The measured floors."""
+        return [f"floor {floor}" for floor in self.floors]
 
 
 def _moved(K: Floats, force: Floats) -> Floats:

@@ -34,7 +34,7 @@ __all__ = [
     "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",
     "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling", "Parameter", "Place", "Scale",
     "SensorGain", "Spring", "State", "StateMass", "StateStiffness", "StoryChange", "TotalMass", "Wall", "catalogue",
-    "compose", "named", "open_classes", "refuse_faulty", "refuse_repeated", "register",
+    "compose", "heights_of", "named", "open_classes", "refuse_faulty", "refuse_repeated", "register",
 ]  # fmt: skip
 
 _catalogue: dict[str, Effect] = {

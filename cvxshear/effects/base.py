@@ -160,7 +160,7 @@ class Effect(ABC):
     rescales : bool
         Whether the effect leaves the accuracy of some data open (`rescaled`). Such an effect has no parameters of its
         own; its common size is the factor on the standard deviations of these data.
-    granted : str
+    assumption_text : str
         Assumption of a verdict without this effect, reported if the data hardly test the effect: a clause such as
         "that the floors of {state} weigh what they did", or one with {prior}. Empty if there is no such assumption.
     releases : tuple of str
@@ -196,7 +196,7 @@ class Effect(ABC):
     common_size: ClassVar[bool] = False
     size_width: ClassVar[float] = 1.0
     rescales: ClassVar[bool] = False
-    granted: ClassVar[str] = ""
+    assumption_text: ClassVar[str] = ""
     releases: ClassVar[tuple[str, ...]] = ()
     adds_motion: ClassVar[bool] = False
     uses_heights: ClassVar[bool] = False

@@ -1,24 +1,14 @@
 """Composition of the frame in one tested state with its effects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from cvxshear.effects.base import LocatedEffect
-from cvxshear.effects.state import OF_THE_FRAME, STAGES, State, summed
+from cvxshear.effects.state import STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model import (
-    FloorObservation,
-    ShearSystem,
-    System,
-    mass_matrix,
-    shear_system,
-    stiffness_matrix,
-    transformation,
-)
+from cvxshear.model import Observation, ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -86,9 +76,9 @@ def composed(
         joint_flexibility=np.zeros(n + 1),
         d_joint_flexibility=np.zeros((size, n + 1)),
         system=system,
-        observation=FloorObservation(n),
+        observation=Observation(np.eye(n)),
     )
-    frame = [item for item in acting if item[0].effect.stage in OF_THE_FRAME]
+    frame = [item for item in acting if STAGES.index(item[0].effect.stage) < STAGES.index("flexibility")]
     for placed, own in frame:
         state = _applied(placed, state, theta, own)
     if frame:

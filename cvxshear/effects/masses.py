@@ -1,7 +1,5 @@
 """Masses that differ from the model or the declaration, the inertia of the columns, and masses on springs."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from abc import abstractmethod
@@ -116,7 +114,7 @@ class StateMass(Effect):
     sits_at = ("state",)
     needs = ("several states",)
     probability = 0.03
-    granted = "that the floors of {state} did not all become heavier or lighter by one factor"
+    assumption_text = "that the floors of {state} did not all become heavier or lighter by one factor"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return _all_heavier(state, float(values[0]), own)
@@ -210,7 +208,7 @@ class TotalMass(Effect):
     usual = 0.1
     probability = 0.02
     releases = ("total_mass",)
-    granted = "that the frame weighs what was declared"
+    assumption_text = "that the frame weighs what was declared"
 
     by_floor: bool = False
     """Whether every floor's mass is declared."""
@@ -307,7 +305,7 @@ class LoadScale(Effect):
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
     usual = 0.1
     probability = 0.02
-    granted = "that the added masses weigh what was declared"
+    assumption_text = "that the added masses weigh what was declared"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return state.plus_mass(values, np.diag(state.tested.added_mass)[None], own)

@@ -1,7 +1,5 @@
 """Open classes: violations of a statement of the shear model that the catalogue does not describe."""
 
-from __future__ import annotations
-
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence

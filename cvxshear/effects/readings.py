@@ -1,7 +1,5 @@
 """Errors of sensor readings and of declared statements."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Self
@@ -191,7 +189,7 @@ class WrongExactPrior(_Statement):
     usual = 0.1
     probability = 0.02
     releases = ("prior",)
-    granted = 'that "{prior}" holds, as declared'
+    assumption_text = 'that "{prior}" holds, as declared'
 
     def places(self, experiment: Experiment) -> list[Place]:
         stated = experiment.stated

@@ -17,10 +17,7 @@ STAGES = (
 """Order of the effects on a tested state, independent of the order of their names: the braces' part of the stories, the
 story stiffnesses, the joints between columns and beams, the differences of the beams between floors, added flexibility
 of the frame, added springs, masses, the weight of these masses, the coupling of masses, attached masses, and the
-sensors' readings of the shapes."""
-
-OF_THE_FRAME = STAGES[:4]
-"""Stages with effects on the members of the elastic frame; the stiffness matrix is assembled after them."""
+sensors' readings of the shapes. The stiffness matrix is assembled before the flexibility."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """Stories, their braces and their joints."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Self
@@ -101,7 +99,7 @@ class StateStiffness(Effect):
     needs = ("several states",)
     probability = 0.05
     usual = 0.1
-    granted = "that the stories of {state} did not all soften or stiffen by one factor"
+    assumption_text = "that the stories of {state} did not all soften or stiffen by one factor"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         factor = 1.0 + values[0]
@@ -223,7 +221,7 @@ class SoftFeet(Effect):
     usual = 0.5
     probability = 0.3
     beside = "joint_rotation"
-    granted = "that the feet of the columns are clamped"
+    assumption_text = "that the feet of the columns are clamped"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         return state.with_softer_joints(slice(0, 1), values[0], own.start)

@@ -1,7 +1,5 @@
 """The frame as a whole and what stands beside it: weight, axial strain of columns, base, wall, springs."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import lru_cache

@@ -16,31 +16,27 @@ end of it. The interval then counts as a prior with the standard deviation of a 
 (upper - lower) / sqrt(12), and the end is not held.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg
 
-from cvxshear.effects import LocatedEffect, Scale
+from cvxshear.effects import LocatedEffect, Scale, heights_of
 from cvxshear.effects.composition import slices
-from cvxshear.effects.state import heights_of
 from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import NamedConstraints, constrained, exact_frame, statements
+from cvxshear.programs.formulations import LEAST_POSITIVE
 from cvxshear.util import ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
-SMALLEST_VALUE = 1e-3
-"""Smallest positive mass or stiffness, relative to the mean declared floor mass or to the median at the start."""
-
 PART_OF_START = 0.1
-"""The same relative to the smallest value at the start, if that is below half of it: stiffnesses can differ by 1e6."""
+"""Smallest positive mass or stiffness, relative to the smallest value at the start, if that is below twice the usual
+smallest one (`LEAST_POSITIVE`): stiffnesses can differ by 1e6."""
 
 FARTHEST = 1e5
 """Largest mass or stiffness relative to its start. A less determined value is practically infinite, and larger values
@@ -138,7 +134,7 @@ def domain_of(experiment: Experiment, effects: Sequence[LocatedEffect], theta: F
 
 def _least(start: Floats, typical: float) -> float:
     """Return the least mass, or the least stiffness, that counts as positive."""
-    least, smallest = SMALLEST_VALUE * typical, float(start.min())
+    least, smallest = LEAST_POSITIVE * typical, float(start.min())
     return PART_OF_START * smallest if smallest < 0.5 * least else least
 
 
@@ -269,32 +265,30 @@ class Uncertainty:
     names: tuple[str, ...]
 
     @cached_property
-    def _divided(self) -> tuple[Floats, tuple[tuple[Floats, Floats], Floats]]:
-        """Units of the parameters, and the free directions of the equalities as `_split` divides them.
+    def _open(self) -> Floats:
+        """Directions that no datum and no equality determines, shape (P, o), in units of each parameter.
 
         A parameter with an interval is determined by it, without any data.
         """
         known = _with_intervals(self.J, self.interval_std)
         unit = _units(known, self.least_units)
-        return unit, _split(known * unit, _null_space(self.equalities * unit))
+        return _split(known * unit, _null_space(self.equalities * unit))[1]
 
     @property
     def determined(self) -> Bools:
         """Mask of the determined parameters, shape (P,)."""
-        return np.asarray(np.linalg.norm(self._divided[1][1], axis=1) < 1e-4)
+        return np.asarray(np.linalg.norm(self._open, axis=1) < 1e-4)
 
     @property
     def null_directions(self) -> tuple[tuple[str, ...], ...]:
         """For each direction that is left open, the parameters that take part in it, largest share first."""
-        return tuple(_words(column, self.names) for column in self._divided[1][1].T)
+        return tuple(_words(column, self.names) for column in self._open.T)
 
     @property
     def free(self) -> int:
         """Number of free directions that the data determine, those held only by an active bound included."""
-        unit, ((basis, _), _) = self._divided
-        if np.any(np.isfinite(self.interval_std)):
-            (basis, _), _ = _split(self.J * unit, _null_space(self.equalities * unit))
-        return int(basis.shape[1])
+        unit = _units(self.J, self.least_units)
+        return len(_split(self.J * unit, _null_space(self.equalities * unit))[0][1])
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -308,7 +302,7 @@ class Uncertainty:
 
         Shape (P, f); J root has orthonormal columns.
         """
-        return self.root_of(self.J) if np.any(np.isfinite(self.interval_std)) else self.reach
+        return self.root_of(self.J)
 
     @cached_property
     def reach(self) -> Floats:
@@ -316,11 +310,7 @@ class Uncertainty:
 
         Parameters at an end of their interval may then move off it, and each interval acts as a prior.
         """
-        if len(self.touching):
-            known = _with_intervals(self.J, self.interval_std)
-            return self._unit_directions(known, self.equalities, self.touching)
-        unit, ((basis, values), _) = self._divided
-        return unit[:, None] * (basis / values)
+        return self._unit_directions(_with_intervals(self.J, self.interval_std), self.equalities, self.touching)
 
     def root_of(self, J: Floats) -> Floats:
         """Directions that the constraints leave free, of unit effect on other residuals than these, shape (P, f)."""

@@ -1,7 +1,5 @@
 """The efficient estimator: one fit to all configurations together, weighted by their noise."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,22 +10,13 @@ from scipy import special
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.data import NoiseFactors
-from cvxshear.effects import LocatedEffect, Scale
+from cvxshear.effects import LocatedEffect, Scale, heights_of
 from cvxshear.effects.composition import MEMORY, slices
-from cvxshear.effects.state import heights_of
+from cvxshear.fit import results
 from cvxshear.fit.domain import Domain, Uncertainty, domain_of, uncertainty
 from cvxshear.fit.gauss_newton import FLAT, FULL, HOPELESS, LEAST_DAMPING, ROUGH, Accuracy, Fit, gauss_newton
 from cvxshear.fit.misfit import Evaluation, Misfit, NoiseEstimate, estimated_noise
 from cvxshear.fit.optimality import local_conditions
-from cvxshear.fit.results import (
-    IdentifiedFrame,
-    Prediction,
-    Quality,
-    SingleIdentification,
-    predictions,
-    priced,
-    quality,
-)
 from cvxshear.fit.start import nearest_first
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import ActiveConstraint
@@ -162,15 +151,15 @@ class Estimate:
         return float(special.chdtrc(self.dof, squares.sum()))
 
     @cached_property
-    def quality(self) -> Quality:
+    def quality(self) -> results.Quality:
         """Errors and chi-square."""
         declared = not self.misfit.open_noises
-        return quality(self.misfit.data, self.fit.at.models, self.chi2, self.dof, declared=declared)
+        return results.quality(self.misfit.data, self.fit.at.models, self.chi2, self.dof, declared=declared)
 
     @property
-    def predictions(self) -> tuple[Prediction, ...]:
+    def predictions(self) -> tuple[results.Prediction, ...]:
         """All modes at all floors, one prediction a configuration."""
-        return predictions(self.fit.at.models)
+        return results.predictions(self.fit.at.models)
 
     @property
     def scale(self) -> Scale:
@@ -179,49 +168,37 @@ class Estimate:
         return Scale(float(self.theta[:n].mean()), float(self.theta[n : 2 * n].mean()), heights_of(self.experiment))
 
     @property
-    def frame(self) -> IdentifiedFrame:
+    def frame(self) -> results.IdentifiedFrame:
         """The frame, nan where the data do not determine a value."""
-        n = self.experiment.stories
-        values = np.where(self.uncertainty.determined, self.theta, np.nan)
-        std = self.std
-        at_bounds = self._held_by_bounds(std)
-        mass, mass_std = self._corrected(values[:n], std)
-        return IdentifiedFrame(mass, values[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
+        return self._frame(np.where(self.uncertainty.determined, self.theta, np.nan), self.std)
 
     def own(self, placed: LocatedEffect) -> slice:
         """Return the places of an effect's parameters in theta."""
         return next(at for item, at in slices(self.effects, 2 * self.experiment.stories) if item is placed)
 
     @property
-    def expected_frame(self) -> IdentifiedFrame:
+    def expected_frame(self) -> results.IdentifiedFrame:
         """The frame with its own prior, so that every value is determined."""
         names = parameter_names(self.experiment, self.effects)
-        n = self.experiment.stories
-        std = uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std()
-        at_bounds = self._held_by_bounds(std)
-        mass, mass_std = self._corrected(self.theta[:n], std)
-        return IdentifiedFrame(mass, self.theta[n : 2 * n], mass_std, std[n : 2 * n], at_bounds)
+        return self._frame(self.theta, uncertainty(self.fit.at.triangle[0], self.theta, self.domain, names).std())
 
-    def _corrected(self, mass: Floats, std: Floats) -> tuple[Floats, Floats]:
-        """Floor masses and their standard deviations with what effects put right of declared ones."""
-        variance = std[: len(mass)] ** 2
-        for placed, own in slices(self.effects, 2 * len(mass)):
-            unit = placed.effect.corrects(placed.place, self.theta[: len(mass)])
-            if unit.any():
-                mass, variance = mass + unit @ self.theta[own], variance + unit**2 @ std[own] ** 2
-        return mass, np.sqrt(variance)
+    def _frame(self, values: Floats, std: Floats) -> results.IdentifiedFrame:
+        """Return the frame with its standard deviations, and with what effects put right of declared masses.
 
-    def _held_by_bounds(self, std: Floats) -> tuple[str, ...]:
-        """List the masses and stiffnesses on a bound of their own.
-
-        A value in an active constraint on several of them, such as a ratio, still has a deviation and is not listed.
+        A value on a bound of its own is listed. One in an active constraint on several values, such as a ratio, still
+        has a deviation and is not listed.
         """
         n = self.experiment.stories
         names = parameter_names(self.experiment, self.effects)[: 2 * n]
-        active = set(self.uncertainty.active)
         # A value on a bound has a standard deviation of rounding size.
-        none_left = std[: 2 * n] <= 1e-9 * np.abs(self.theta[: 2 * n])
-        return tuple(name for name, at_bounds in zip(names, none_left, strict=True) if at_bounds and name in active)
+        none_left = dict(zip(names, std[: 2 * n] <= 1e-9 * np.abs(self.theta[: 2 * n]), strict=True))
+        at_bounds = tuple(name for name in names if none_left[name] and name in self.uncertainty.active)
+        mass, variance = values[:n], std[:n] ** 2
+        for placed, own in slices(self.effects, 2 * n):
+            unit = placed.effect.corrects(placed.place, self.theta[:n])
+            if unit.any():
+                mass, variance = mass + unit @ self.theta[own], variance + unit**2 @ std[own] ** 2
+        return results.IdentifiedFrame(mass, values[n : 2 * n], np.sqrt(variance), std[n : 2 * n], at_bounds)
 
     @property
     def free_directions(self) -> Floats:
@@ -229,9 +206,9 @@ class Estimate:
         return self.uncertainty.root_of(self.fit.at.triangle[0])
 
     @property
-    def part(self) -> SingleIdentification:
+    def part(self) -> results.SingleIdentification:
         """The estimate in the form that every method returns."""
-        return SingleIdentification(
+        return results.SingleIdentification(
             name="",
             iterations=self.fit.steps,
             frame=self.frame,
@@ -245,7 +222,9 @@ class Estimate:
     def active(self) -> tuple[ActiveConstraint, ...]:
         """The exact priors and bounds that hold with equality at the fit, with the price of each in chi-square."""
         here = local_conditions(self.theta, self.fit.at, self.domain, LEAST_DAMPING)
-        return priced(here.program.replace(names=parameter_names(self.experiment, self.effects)).active_at(here.point))
+        return results.priced(
+            here.program.replace(names=parameter_names(self.experiment, self.effects)).active_at(here.point)
+        )
 
 
 def parameter_names(experiment: Experiment, effects: Sequence[LocatedEffect]) -> tuple[str, ...]:

@@ -6,8 +6,6 @@ relative to its sensitivity. Their weight rises after a step that failed and fal
 (Nielsen 1999).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
@@ -27,8 +25,8 @@ from cvxshear.fit.optimality import (
     optimality,
     sensitivities,
 )  # fmt: skip
-from cvxshear.programs import LeastSquares
-from cvxshear.programs.constraints import constrained
+from cvxshear.programs import LeastSquares, constrained
+from cvxshear.programs.constraints import REMAINDER_ROUNDING
 from cvxshear.util.checks import DERIVATIVE_ERROR
 from cvxshear.util.errors import NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
@@ -36,9 +34,6 @@ from cvxshear.util.typing import Floats
 RESIDUAL_ROUNDING = 4.0 * float(np.finfo(float).eps)
 """Rounding of a residual, relative to the sizes of its terms, |J| |theta|. In 64 bits a ratio that is declared to 1e-12
 is known to 1e-3 of its standard deviation."""
-
-CONSTRAINT_ROUNDING = 1e-13
-"""Rounding of a constraint, relative to its row."""
 
 FLAT = 0.1
 """Smallest decrease of chi-square that matters, for a mean chi-square of one per datum."""
@@ -123,8 +118,6 @@ class Fit(Generic[E]):
     reason : Ending
     steps : int
         Number of step programs handed to the backend.
-    evaluations : int
-        Number of evaluations of residuals and derivatives.
     optimality : Optimality or None
         Certificate of the final point; None for a rough fit, and for one that did not converge.
     """
@@ -133,7 +126,6 @@ class Fit(Generic[E]):
     at: E
     reason: Ending
     steps: int
-    evaluations: int = 0
     optimality: Optimality | None = None
 
     @property
@@ -234,7 +226,7 @@ def _descended(
     """Follow the steps to their end; return the last failure of the backend on an undamped program, too."""
     feasible = made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else problem.evaluate(feasible)
-    theta, evaluations = feasible, 1
+    theta = feasible
     damping, flat, failures = StepDamping(accuracy), 0, 0
     refused: NoSolutionError | None = None
     for step in range(1, accuracy.most_steps + 1):
@@ -254,13 +246,12 @@ def _descended(
         rms = np.sqrt(float(at.r @ at.r) / max(len(at.r), 1))
         least = accuracy.step * max(1.0, rms) + RESIDUAL_ROUNDING * (np.abs(at.J) @ np.abs(theta))
         if not damping.active and np.all(np.abs(at.J @ d) < least):
-            return Fit(theta, at, Ending.STATIONARY, step, evaluations), refused
-        taken, trials = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
-        evaluations += trials
+            return Fit(theta, at, Ending.STATIONARY, step), refused
+        taken = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
         promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
         if taken is None:
             if damping.exhausted or (damping.active and promised < accuracy.no_gain * at.objective):
-                return Fit(theta, at, Ending.NO_BETTER_STEP, step, evaluations), refused
+                return Fit(theta, at, Ending.NO_BETTER_STEP, step), refused
             damping.heavier()
             continue
         gain, before = at.objective - taken[1].objective, at
@@ -268,10 +259,10 @@ def _descended(
         given_up = rms**2 > HOPELESS and gain < accuracy.least_gain * before.objective
         flat = flat + 1 if given_up or (damping.active and gain < FLAT * max(1.0, rms**2)) else 0
         if flat == accuracy.flat_steps:
-            return Fit(theta, at, Ending.FLAT, step, evaluations), refused
+            return Fit(theta, at, Ending.FLAT, step), refused
         if damping.active:
             damping.lighter(gain / promised if promised > 0 else 0.0)
-    return Fit(theta, at, Ending.STEP_LIMIT, accuracy.most_steps, evaluations), refused
+    return Fit(theta, at, Ending.STEP_LIMIT, accuracy.most_steps), refused
 
 
 def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> Optimality:
@@ -294,7 +285,7 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
     if found.step > 10.0 * FULL.step * rms * np.sqrt(len(fit.at.r)):
         # The model is not linear along directions that the data hardly determine, so the step is tried.
         d, _ = best_step(fit.theta, fit.at, domain, LEAST_DAMPING)
-        trial, _ = halved(problem, fit.theta, d, fit.at, domain, FULL.halvings)
+        trial = halved(problem, fit.theta, d, fit.at, domain, FULL.halvings)
         if trial is not None and fit.at.objective - trial[1].objective > FLAT * rms**2:
             raise NoSolutionError(name, "the fit ended where a step of another solver lowers the misfit further")
     return found
@@ -302,14 +293,12 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
 
 def halved(
     problem: Problem[E], theta: Floats, d: Floats, at: Residuals, domain: Domain, halvings: int
-) -> tuple[tuple[Floats, E] | None, int]:
-    """Try theta + d, theta + d/2, ...: return the first point that lowers the misfit, or None, and the evaluations."""
-    evaluations = 0
+) -> tuple[Floats, E] | None:
+    """Try theta + d, theta + d/2, ...: return the first point that lowers the misfit, or None."""
     for power in range(halvings + 1):
         trial = theta + 0.5**power * d
         if domain.farthest is not None and np.any(trial > domain.farthest):
             continue
-        evaluations += 1
         try:
             # With derivatives, since the first trial is nearly always accepted.
             found = problem.evaluate(trial)
@@ -317,8 +306,8 @@ def halved(
             # The step is too long: a mass is not positive, or the frame buckles.
             continue
         if found.objective < at.objective:
-            return (trial, found), evaluations
-    return None, evaluations
+            return trial, found
+    return None
 
 
 def made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
@@ -333,6 +322,6 @@ def satisfied(program: LeastSquares, scale: Floats) -> bool:
     G, h = program.inequalities
     A, b = program.equalities
     return bool(
-        np.all(h >= -CONSTRAINT_ROUNDING * np.linalg.norm(G * scale, axis=1))
-        and np.all(np.abs(b) <= CONSTRAINT_ROUNDING * np.linalg.norm(A * scale, axis=1))
+        np.all(h >= -REMAINDER_ROUNDING * np.linalg.norm(G * scale, axis=1))
+        and np.all(np.abs(b) <= REMAINDER_ROUNDING * np.linalg.norm(A * scale, axis=1))
     )

@@ -8,20 +8,20 @@ probability of a frame is the prior density of its logarithms (`fit/domain.py:Ef
 relative to the sum over all frames that were found.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from scipy import linalg, special
 
 from cvxshear import backends
-from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder, SolvedProgram
-from cvxshear.effects.state import Scale, heights_of
+from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder
+from cvxshear.effects import Scale, heights_of
 from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior, domain_of
 from cvxshear.fit.efficient import Estimate, efficient, parameter_names
-from cvxshear.fit.gauss_newton import Fit, gauss_newton, step_program
-from cvxshear.fit.misfit import Evaluation, Misfit
+from cvxshear.fit.gauss_newton import gauss_newton, step_program
+from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.fit.results import Identification, OtherFrame, SingleIdentification
 from cvxshear.fit.start import uniform
@@ -83,8 +83,7 @@ def identify(
     """
     checks.choice(method, METHODS, "method")
     experiment = opened(experiment).with_priors(tuple(priors))
-    recorder = Recorder(backends.get(backend)) if keep_programs else None
-    solver = backends.get(backend) if recorder is None else recorder
+    solver = Recorder(backends.get(backend)) if keep_programs else backends.get(backend)
     checks.number(tolerance, "tolerance", above=0.0)
     start = None
     if initial_mass is not None:
@@ -93,7 +92,7 @@ def identify(
         start = checks.vector(np.asarray(initial_mass), "initial mass", length=experiment.stories, above=0.0)
     if method == "efficient":
         estimate = efficient(experiment, solver)
-        return Identification(
+        found = Identification(
             experiment,
             method,
             solver.name,
@@ -102,26 +101,18 @@ def identify(
             correlation=estimate.correlation,
             parameter_names=parameter_names(experiment, ()),
             undetermined=estimate.uncertainty.null_directions,
-            programs=_kept(recorder),
             other_frames=other_frames(estimate, backends.get("auto")),
         )
-    tests = [complete_test(experiment, each, f"method {method}") for each in experiment.configurations]
-    parts = tuple(_part(method, test, solver, start, tolerance) for test in tests)
-    return Identification(experiment, method, solver.name, parts, programs=_kept(recorder))
-
-
-def _kept(recorder: Recorder | None) -> tuple[SolvedProgram, ...]:
-    return () if recorder is None else tuple(recorder.solved)
-
-
-def _part(
-    method: str, test: CompleteTest, solver: Backend, start: Floats | None, tolerance: float
-) -> SingleIdentification:
-    if method == "one-shot":
-        return one_shot(test, solver)
-    if method == "two-stage":
-        return two_stage(test, solver, start, tolerance)
-    return {"berman": berman, "qi": qi}[method](test, solver, start)
+    else:
+        methods: dict[str, Callable[[CompleteTest, Backend], SingleIdentification]] = {
+            "two-stage": partial(two_stage, initial_mass=start, tolerance=tolerance),
+            "one-shot": one_shot,
+            "berman": partial(berman, initial_mass=start),
+            "qi": partial(qi, initial_mass=start),
+        }
+        tests = [complete_test(experiment, each, f"method {method}") for each in experiment.configurations]
+        found = Identification(experiment, method, solver.name, tuple(methods[method](test, solver) for test in tests))
+    return dataclasses.replace(found, programs=tuple(solver.solved)) if isinstance(solver, Recorder) else found
 
 
 TIGHTER = 0.95
@@ -268,13 +259,15 @@ def other_frames(estimate: Estimate, backend: Backend, unsuccessful: int = 20) -
             fit = gauss_newton(estimate.misfit, start, domain, backend)
         except CvxshearError:
             continue
-        if fit.at.chi2 < worst and all(_apart(fit, other) > INSEPARABLE for other in found):
+        apart = [np.max(np.abs(np.log(fit.theta / other.theta))) for other in found]
+        if fit.at.chi2 < worst and min(apart) > INSEPARABLE:
             found.append(fit)
             since = 0
     n = estimate.experiment.stories
     mass, stiffness = (float(np.median(part)) for part in np.split(estimate.theta, 2))
     prior = EffectPrior(Scale(mass, stiffness, heights_of(estimate.experiment)))
-    shares = special.softmax([_log_probability(each, prior) for each in found])
+    logs = [-0.5 * (each.at.chi2 + np.sum(prior.residuals(each.theta, (), {})[2][0] ** 2)) for each in found]
+    shares = special.softmax(logs)
     others = [
         OtherFrame(each.theta[:n], each.theta[n:], each.at.chi2, float(share))
         for each, share in zip(found[1:], shares[1:], strict=True)
@@ -283,29 +276,14 @@ def other_frames(estimate: Estimate, backend: Backend, unsuccessful: int = 20) -
     return tuple(sorted(others, key=lambda each: -each.probability))
 
 
-def _free(estimate: Estimate) -> Floats:
-    """Return an orthonormal basis of the changes of the logarithms that the exact priors leave free, shape (2N, f)."""
-    basis: Floats = linalg.null_space(estimate.uncertainty.equalities * estimate.theta)
-    return basis
-
-
 def _starts(estimate: Estimate) -> Iterator[Floats]:
     """Draw starting points from the prior of the frame, about the estimate, with its own level of the stiffness."""
     rng = np.random.default_rng(1)
-    n, free = estimate.experiment.stories, _free(estimate)
+    n = estimate.experiment.stories
+    # The changes of the logarithms that the exact priors leave free.
+    free = linalg.null_space(estimate.uncertainty.equalities * estimate.theta)
     width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], n)
     while True:
         drawn = width * rng.standard_normal(2 * n)
         drawn[n:] -= drawn[n:].mean()
         yield estimate.theta * np.exp(free @ (free.T @ drawn))
-
-
-def _apart(one: Fit[Evaluation], other: Fit[Evaluation]) -> float:
-    """Return the largest relative difference of a mass or a stiffness."""
-    return float(np.max(np.abs(np.log(one.theta / other.theta))))
-
-
-def _log_probability(fit: Fit[Evaluation], prior: EffectPrior) -> float:
-    """Return the logarithm of prior density and likelihood, up to a constant."""
-    r, _ = prior.residuals(fit.theta, (), {})[2]
-    return -0.5 * (fit.at.chi2 + float(r @ r))

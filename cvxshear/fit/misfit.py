@@ -24,7 +24,7 @@ from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
-from cvxshear.fit.optimality import triangular
+from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
@@ -36,7 +36,7 @@ between half and twice the default, nineteen in twenty between a quarter and fou
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class Evaluation(PlainResiduals):
     """Residuals at one point.
 
     Parameters
@@ -56,8 +56,6 @@ class Evaluation:
         For each row with an estimated standard deviation its place in `Misfit.unknown`, -1 for the others.
     """
 
-    r: Floats
-    J: Floats
     models: tuple[data.Model, ...]
     measured: int
     known: int
@@ -65,22 +63,9 @@ class Evaluation:
     unknown: Ints
 
     @property
-    def objective(self) -> float:
-        """Sum of squares of all residuals."""
-        return float(self.r @ self.r)
-
-    @property
     def chi2(self) -> float:
         """Sum of squares of the residuals of data and soft priors."""
         return float(self.r[: self.measured] @ self.r[: self.measured])
-
-    @cached_property
-    def triangle(self) -> tuple[Floats, Floats]:
-        """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x: J = Q U, c = Q' r, at most P rows.
-
-        A step and its uncertainty need no more of J; there are many more data than parameters.
-        """
-        return triangular(self.J, self.r)
 
     @cached_property
     def known_triangle(self) -> Floats:
@@ -101,7 +86,7 @@ class Misfit:
         Factors on the default standard deviations of undeclared noise.
     expectation : EffectPrior, optional
         Priors of the effects and of the frame. Default: none.
-    widened : float, optional
+    noise_inflation : float, optional
         Factor on all standard deviations of the data, declared ones too, for a residual without explanation.
     """
 
@@ -112,14 +97,14 @@ class Misfit:
         leave_out: dict[str, Bools] | None = None,
         noise: data.NoiseFactors | None = None,
         expectation: EffectPrior | None = None,
-        widened: float = 1.0,
+        noise_inflation: float = 1.0,
     ) -> None:
         self.experiment = experiment
         self.effects = tuple(effects)
         self.leave_out = leave_out or {}
         self.noise = noise or data.NoiseFactors()
         self.expectation = expectation or EffectPrior()
-        self.widened = widened
+        self.noise_inflation = noise_inflation
         self.data = [
             datum.without(self.leave_out[datum.tested.name]) if datum.tested.name in self.leave_out else datum
             for datum in data.data_of(experiment)
@@ -129,7 +114,7 @@ class Misfit:
         self,
         effects: Sequence[LocatedEffect] | None = None,
         noise: data.NoiseFactors | None = None,
-        widened: float | None = None,
+        noise_inflation: float | None = None,
     ) -> Misfit:
         """Return the same data with other effects, another noise, or another noise inflation."""
         return Misfit(
@@ -138,7 +123,7 @@ class Misfit:
             self.leave_out,
             noise or self.noise,
             self.expectation,
-            self.widened if widened is None else widened,
+            self.noise_inflation if noise_inflation is None else noise_inflation,
         )
 
     @property
@@ -239,7 +224,7 @@ class Misfit:
         places, of_data, factors = self._deviations
         parts, rows = [np.zeros(0)], []
         for datum, factor in zip(self.data, factors, strict=True):
-            found = datum.widened_residual(models[id(datum.tested)], factor)
+            found = datum.inflated_residual(models[id(datum.tested)], factor)
             parts.append(found.r)
             rows.append(found.J)
         soft = self._soft(theta)
@@ -265,7 +250,9 @@ class Misfit:
         places = {item.key: place for place, item in enumerate(self.unknown)}
         # Shapes of a single sensor have neither a declared deviation nor information about it.
         unknown = [np.array([places.get(key, -1) for key in keys])[which] for keys, which in self._keys]
-        factors = [np.array([self.widened * self.noise.of(key) for key in keys])[which] for keys, which in self._keys]
+        factors = [
+            np.array([self.noise_inflation * self.noise.of(key) for key in keys])[which] for keys, which in self._keys
+        ]
         return places, unknown, factors
 
     @cached_property

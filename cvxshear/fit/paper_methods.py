@@ -6,6 +6,7 @@ modes normalized by the current masses. So it does not use the Gauss-Newton driv
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -24,10 +25,7 @@ TOLERANCE = 1e-6
 """Tolerance e of Eq. 15."""
 
 MOST_ITERATIONS = 1000
-"""Largest number of mass iterations; the paper's frames take 14 to 16."""
-
-MOST_ROUNDS = 50
-"""Largest number of linearizations of the soft priors."""
+"""Largest number of mass iterations, of which the paper's frames take 14 to 16, and of linearizations of priors."""
 
 UNCHANGED = 1e-10
 """Largest relative change of masses or stiffnesses that needs no further linearization of the soft priors."""
@@ -71,7 +69,7 @@ def one_shot(test: CompleteTest, backend: Backend) -> SingleIdentification:
     backend : Backend
     """
     solution, rounds = _solved(test, test.one_shot_masses, "floor_mass", backend)
-    reason = Ending.SOLVED if rounds <= MOST_ROUNDS else Ending.ITERATION_LIMIT
+    reason = Ending.SOLVED if rounds <= MOST_ITERATIONS else Ending.ITERATION_LIMIT
     return _finished(test, solution.x + test.configuration.added_mass, backend, rounds, reason, solution)
 
 
@@ -144,11 +142,7 @@ def identified_stiffness(test: CompleteTest, mass: Floats, backend: Backend) -> 
     Solution
         Its x is the story stiffnesses, N/m.
     """
-
-    def program(at: Floats | None = None) -> LeastSquares:
-        return test.story_stiffnesses(mass, at)
-
-    return _solved(test, program, "story_stiffness", backend)[0]
+    return _solved(test, partial(test.story_stiffnesses, mass), "story_stiffness", backend)[0]
 
 
 def _solved(
@@ -169,14 +163,14 @@ def _solved(
     -------
     solution : Solution
     rounds : int
-        Programs solved; more than `MOST_ROUNDS` if the soft priors did not settle.
+        Programs solved; more than `MOST_ITERATIONS` if the soft priors did not settle.
     """
     solution = backend.solve(program())
     soft = any(len(prior.residual(solution.x)[0]) for prior in test.experiment.priors if prior.quantity == quantity)
     if not soft:
         return solution, 1
     rounds, settled = 1, False
-    while not settled and rounds <= MOST_ROUNDS:
+    while not settled and rounds <= MOST_ITERATIONS:
         before, rounds = solution.x, rounds + 1
         solution = backend.solve(program(at=before))
         settled = bool(np.max(np.abs(solution.x - before)) <= UNCHANGED * np.max(np.abs(solution.x)))

@@ -20,8 +20,6 @@ fitted to the first mode, then to twice the number of modes with one more degree
 at the result of the previous one. Gauss-Newton then starts near the right minimum.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -59,7 +59,7 @@ def search_for_effects(
     if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
         return result
     # The residual refutes the noise, so the evidence is invalid: judge the sets again under sufficient noise.
-    again = dataclasses.replace(searches, widened=excess).run(experiment)
+    again = dataclasses.replace(searches, noise_inflation=excess).run(experiment)
     numbered = [each.fitter.numbering.changes for each in found]
     # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
     new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
@@ -128,7 +128,7 @@ class Searches:
     expectation : EffectPrior
     start : Estimate
         The shear model with the modes as given.
-    widened : float
+    noise_inflation : float
         Factor on the standard deviations of the data.
     """
 
@@ -137,7 +137,7 @@ class Searches:
     looked_for: Sequence[hypotheses.Hypothesis]
     expectation: domain.EffectPrior
     start: Estimate
-    widened: float = 1.0
+    noise_inflation: float = 1.0
 
     def run(self, experiment: Experiment) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
@@ -180,7 +180,7 @@ class Searches:
     def _search(self, numbering: hypotheses.Numbering, theta: Floats, accuracy: gauss_newton.Accuracy) -> Search:
         fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation)
         noise = self.start.misfit.noise
-        misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.widened)
+        misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.noise_inflation)
         try:
             found = fitter.fit(misfit, theta, accuracy)
         except errors.NoSolutionError:
@@ -253,7 +253,9 @@ class Searches:
                 for each in experiment.configurations
                 if each.state != state
             }
-            misfit = Misfit(experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.widened)
+            misfit = Misfit(
+                experiment, self.assumed, left_out, base.misfit.noise, self.expectation, self.noise_inflation
+            )
             frame = search.fitter.fit(misfit, base.theta, gauss_newton.ROUGH).theta[: 2 * n]
             frames += [frame, hypotheses.dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]

@@ -86,8 +86,8 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
     judged = model.estimate
     assert judged is not None, "a set without a fit has no probability"
     final = judged
-    if judged.misfit.widened != 1.0:
-        final = fitter.fit(judged.misfit.replaced(widened=1.0), judged.theta)
+    if judged.misfit.noise_inflation != 1.0:
+        final = fitter.fit(judged.misfit.replaced(noise_inflation=1.0), judged.theta)
     effects = [placed for placed in judged.effects if placed not in fitter.assumed]
     steps = _steps(final, posterior.ranked(effects), fitter, as_given)
     chi2_without = {
@@ -131,7 +131,7 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     fitter.fits += 1
     for start, accuracy in (*((each, FULL) for each in starts), (base, ROUGH)):
         proposal = fitter.proposal(start, wanted)
-        misfit = proposal.misfit.replaced(noise=final.misfit.noise, widened=final.misfit.widened)
+        misfit = proposal.misfit.replaced(noise=final.misfit.noise, noise_inflation=final.misfit.noise_inflation)
         by = partial(fitted_with, misfit, proposal.starts[0], accuracy=accuracy)
         try:
             return with_stand_in(fitter.backend, by)[0]

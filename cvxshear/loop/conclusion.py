@@ -245,7 +245,7 @@ def _rests_on(final: Estimate) -> Iterator[str]:
 def _granted(search: Search, found: ModelClass) -> Iterator[str]:
     """Yield the assumptions of the verdict that the data hardly test: sentences of effects that are not in the set."""
     states = {placed.place.state for placed in found.effects} | {None}
-    said = [each for each in search.candidates(found) if each.effect.granted and each.place.state in states]
+    said = [each for each in search.candidates(found) if each.effect.assumption_text and each.place.state in states]
     if not said:
         return
     linear = search.linearised(found)
@@ -255,7 +255,7 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
         # their sum is the effect itself.
         alike = [other for other in said if other.place.state == placed.place.state]
         if linear.undetermined(placed, alike):
-            said_of = placed.effect.granted.replace("{prior}", str(placed.place.prior))
+            said_of = placed.effect.assumption_text.replace("{prior}", str(placed.place.prior))
             untold[said_of].append(str(placed.place.state))
     for statement, names in untold.items():
         yield statement.format(state=_quoted(names))
@@ -268,7 +268,7 @@ def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
         return
     loaded = any(np.any(each.added_mass) for each in experiment.configurations)
     if loaded and not any(placed.effect.name == masses.LoadScale.name for placed in found.effects):
-        yield masses.LoadScale.granted
+        yield masses.LoadScale.assumption_text
     if any(each.mass_normalized and each.measured.any() for each in experiment.configurations):
         yield "that forces and motions were measured in right proportion, which is that of all masses"
 

@@ -1,7 +1,5 @@
 """Convert exact and soft prior knowledge of a quantity to constraints and rows of a program."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,33 +87,28 @@ def constrained(program: LeastSquares, parts: Sequence[NamedConstraints], origin
     origin : ndarray, shape (n,)
     """
     n = program.unknowns
-    A, b = ([each] for each in program.equalities)
-    G, h = [np.zeros((0, n))], [np.zeros(0)]
-    lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
+    A, b = program.equalities
+    rows = {"A": [A], "G": [np.zeros((0, n))]}
+    sides = {"A": [b], "G": [np.zeros(0)]}
+    bounds = {"lower": np.full(n, -np.inf), "upper": np.full(n, np.inf)}
     sources: dict[str, list[str]] = {
-        "A": list(program.sources.get("A", ("",) * len(b[0]))), "G": [], "lower": [""] * n, "upper": [""] * n,
+        "A": list(program.sources.get("A", ("",) * len(b))), "G": [], "lower": [""] * n, "upper": [""] * n,
     }  # fmt: skip
     for part in parts:
         stated = part.constraints
-        if stated.G is not None and stated.h is not None:
-            G.append(stated.G)
-            h.append(remaining(stated.h, stated.G, origin))
-            sources["G"] += [part.name] * len(stated.h)
-        if stated.A is not None and stated.b is not None:
-            A.append(stated.A)
-            b.append(remaining(stated.b, stated.A, origin))
-            sources["A"] += [part.name] * len(stated.b)
-        if stated.lower is not None:
-            for place in np.flatnonzero(stated.lower - origin > lower):
-                sources["lower"][place] = part.name
-            lower = np.maximum(lower, stated.lower - origin)
-        if stated.upper is not None:
-            for place in np.flatnonzero(stated.upper - origin < upper):
-                sources["upper"][place] = part.name
-            upper = np.minimum(upper, stated.upper - origin)
+        for key, matrix, side in (("A", stated.A, stated.b), ("G", stated.G, stated.h)):
+            if matrix is not None and side is not None:
+                rows[key].append(matrix)
+                sides[key].append(remaining(side, matrix, origin))
+                sources[key] += [part.name] * len(side)
+        for key, bound, tighter in (("lower", stated.lower, np.greater), ("upper", stated.upper, np.less)):
+            if bound is not None:
+                for place in np.flatnonzero(tighter(bound - origin, bounds[key])):
+                    bounds[key][place] = bound[place] - origin[place]
+                    sources[key][place] = part.name
     return program.replace(
-        G=np.concatenate(G), h=np.concatenate(h), A=np.concatenate(A), b=np.concatenate(b), lower=lower, upper=upper,
-        sources={name: tuple(each) for name, each in sources.items()},
+        A=np.concatenate(rows["A"]), b=np.concatenate(sides["A"]), G=np.concatenate(rows["G"]),
+        h=np.concatenate(sides["G"]), **bounds, sources={name: tuple(each) for name, each in sources.items()},
     )  # fmt: skip
 
 

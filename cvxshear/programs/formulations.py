@@ -4,8 +4,6 @@ Each configuration has its own programs, which need all modes at all floors and 
 masses and exact priors are constraints. Soft priors are further rows, linearized at given values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -172,16 +170,6 @@ class CompleteTest:
     of_stiffnesses: list[NamedConstraints]
     shape_std: float
 
-    @property
-    def mass_row_std(self) -> float:
-        """Row standard deviation of the one-shot program, kg: mean floor mass times shape standard deviation."""
-        return self.shape_std * self.total / self.experiment.stories
-
-    @property
-    def stiffness_row_std(self) -> float:
-        """Row standard deviation of the stiffness program: largest eigenvalue times shape standard deviation."""
-        return self.shape_std * float(self.eigenvalues.max())
-
     def start_mass(self, given: Sequence[float] | Floats | None = None) -> Floats:
         """Return floor masses without added mass, kg: those given, once checked, else the total spread evenly."""
         n = self.experiment.stories
@@ -215,7 +203,9 @@ class CompleteTest:
         plain = one_shot_rows(self.shapes, self.total, at=self.configuration.added_mass).replace(A=None, b=None)
         program = plain
         if at is not None:
-            program = softened(plain, self.experiment.priors, "floor_mass", at, self.mass_row_std, step=False)
+            # A row is off by about a floor's mass times the error of a shape.
+            row_std = self.shape_std * self.total / self.experiment.stories
+            program = softened(plain, self.experiment.priors, "floor_mass", at, row_std, step=False)
         return constrained(program, self.of_masses, np.zeros(len(self.shapes))).replace(
             title=self._title("one-shot masses")
         )
@@ -232,7 +222,9 @@ class CompleteTest:
         plain = stiffness_rows(normalized(self.shapes, mass), self.eigenvalues)
         program = plain
         if at is not None:
-            program = softened(plain, self.experiment.priors, "story_stiffness", at, self.stiffness_row_std, step=False)
+            # A row is off by about the largest eigenvalue times the error of a shape.
+            row_std = self.shape_std * float(self.eigenvalues.max())
+            program = softened(plain, self.experiment.priors, "story_stiffness", at, row_std, step=False)
         return constrained(program, self.of_stiffnesses, np.zeros(len(self.shapes))).replace(
             title=self._title("story stiffnesses")
         )

@@ -127,17 +127,24 @@ class LeastSquares:
         R, s = self.weighted
         return float(np.sum((R @ x - s) ** 2))
 
+    @property
+    def _labels(self) -> list[tuple[str, int]]:
+        """Kind and index of each row of `inequalities`: the row of G, or the unknown of a bound."""
+        bounds = {"lower": self.lower, "upper": self.upper}
+        rows = [("G", row) for row in range(0 if self.G is None else len(self.G))]
+        return rows + [
+            (kind, unknown)
+            for kind, bound in bounds.items()
+            if bound is not None
+            for unknown in np.flatnonzero(np.isfinite(bound)).tolist()
+        ]
+
     def duals_at(self, point: Point) -> dict[str, Floats]:
         """Convert the multipliers of half the objective to multipliers of the objective, by name, see `Solution`."""
-        g = 0 if self.G is None else len(self.G)
-        duals = {"A": 2.0 * point.y, "G": 2.0 * point.w[:g]}
-        place = g
-        for name, bound, sign in (("lower", self.lower, -2.0), ("upper", self.upper, 2.0)):
-            duals[name] = np.zeros(self.unknowns)
-            if bound is not None:
-                finite = np.flatnonzero(np.isfinite(bound))
-                duals[name][finite] = sign * point.w[place : place + len(finite)]
-                place += len(finite)
+        n, g = self.unknowns, 0 if self.G is None else len(self.G)
+        duals = {"A": 2.0 * point.y, "G": np.zeros(g), "lower": np.zeros(n), "upper": np.zeros(n)}
+        for (kind, index), multiplier in zip(self._labels, point.w, strict=True):
+            duals[kind][index] = (-2.0 if kind == "lower" else 2.0) * multiplier
         return duals
 
     def active_at(self, point: Point) -> tuple[ActiveConstraint, ...]:
@@ -146,23 +153,16 @@ class LeastSquares:
         lengths = arrays.inequality_lengths
         held = point.w * lengths > np.maximum(arrays.h - arrays.G @ point.x, 0.0) / lengths
         found = [("A", row) for row in range(len(arrays.b))]
-        place = len(duals["G"])
-        found += [("G", int(row)) for row in np.flatnonzero(held[:place])]
-        for kind, bound in (("lower", self.lower), ("upper", self.upper)):
-            if bound is not None:
-                finite = np.flatnonzero(np.isfinite(bound))
-                found += [(kind, int(unknown)) for unknown in finite[held[place : place + len(finite)]]]
-                place += len(finite)
-        return tuple(self._active(kind, index, float(duals[kind][index])) for kind, index in found)
-
-    def _active(self, kind: str, index: int, dual: float) -> ActiveConstraint:
-        sources = self.sources.get(kind, ())
-        source = sources[index] if index < len(sources) else ""
-        if kind in ("lower", "upper"):
-            name = self.names[index] if self.names else f"unknown {index + 1}"
-        else:
+        found += [label for label, active in zip(self._labels, held, strict=True) if active]
+        listed = []
+        for kind, index in found:
+            sources = self.sources.get(kind, ())
+            source = sources[index] if index < len(sources) else ""
             name = source or f"row {index + 1} of {kind}"
-        return ActiveConstraint(kind, index, name, source, dual)
+            if kind in ("lower", "upper"):
+                name = self.names[index] if self.names else f"unknown {index + 1}"
+            listed.append(ActiveConstraint(kind, index, name, source, float(duals[kind][index])))
+        return tuple(listed)
 
     def replace(self, **changes: Any) -> LeastSquares:
         """Return a copy with some fields replaced."""

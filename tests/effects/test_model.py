@@ -5,7 +5,6 @@ import pytest
 from scipy import linalg
 
 from cvxshear.model import (
-    FloorObservation,
     Observation,
     ShearSystem,
     attached_share,
@@ -175,23 +174,6 @@ def test_slopes_of_readings_are_their_difference_quotients(floors, which):
     np.testing.assert_allclose(found, np.array(expected)[which], atol=1e-8)
     np.testing.assert_allclose(here.gain, [1.1 * 1.3, 1.0, 0.8])
     np.testing.assert_allclose(here.shown(motion, floors), (motion[:, :3] * here.gain)[:, floors])
-
-
-def test_sensors_that_show_the_floors_are_the_identity():
-    rng = np.random.default_rng(2)
-    motion, slopes = rng.standard_normal((2, 3)), rng.standard_normal((4, 2, 3))
-    plain, written_out = FloorObservation(3), Observation(np.eye(3))
-    for floors in (slice(None), np.array([2])):
-        np.testing.assert_array_equal(plain.shown(motion, floors), written_out.shown(motion, floors))
-        np.testing.assert_array_equal(
-            plain.shown_slopes(motion, slopes, slice(None), floors),
-            written_out.shown_slopes(motion, slopes, slice(None), floors),
-        )
-    for each in (plain, written_out):
-        np.testing.assert_array_equal(each.matrix, np.eye(3))
-        np.testing.assert_array_equal(each.gain, np.ones(3))
-        np.testing.assert_array_equal(each.extended().matrix, np.eye(3, 4))
-        np.testing.assert_array_equal(each.scaled(1, 2.0, 0).matrix, np.diag([1.0, 2.0, 1.0]))
 
 
 def test_derivatives_of_frequencies_scale_as_they_must():

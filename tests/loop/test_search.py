@@ -83,7 +83,7 @@ def fits(monkeypatch):
 
     def counting(fitter, proposals, accuracy=ROUGH):
         if accuracy == ROUGH:
-            counted.update((each.misfit.widened, frozenset(each.effects)) for each in proposals)
+            counted.update((each.misfit.noise_inflation, frozenset(each.effects)) for each in proposals)
         return plain(fitter, proposals, accuracy)
 
     monkeypatch.setattr(Fitter, "models", counting)
