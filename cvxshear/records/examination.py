@@ -7,7 +7,6 @@ center far beyond the sensors, U is their mean.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import scipy
@@ -133,19 +132,22 @@ def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
     others = np.flatnonzero(record.floors != names[0].floor)
     weights, placed = center_weights(record.channels, group)
-    center, turned, together, against = np.zeros(4)
-    shown = np.zeros(len(group))
+    count = len(group)
+    whole, common = np.zeros((2, count, count))
     for run in record.runs:
-        values, rest = run.responses[:, group], None
+        values = moving = run.responses[:, group]
         if isinstance(run, Run):
-            values = values - values.mean(axis=0)
-            rest = run.responses[:, others] - run.responses[:, others].mean(axis=0) if len(others) else None
-        center += _mean_square((values @ weights)[:, None])
-        turned += _mean_square(values - (values @ weights)[:, None])
-        middle = values.mean(axis=1, keepdims=True)
-        shown += np.mean(np.abs(_moving_with(rest, values)) ** 2, axis=0)
-        together += _mean_square(_moving_with(rest, middle))
-        against += _mean_square(_moving_with(rest, values - middle))
+            values = moving = values - values.mean(axis=0)
+            if len(others):
+                rest = run.responses[:, others] - run.responses[:, others].mean(axis=0)
+                moving = rest @ np.linalg.lstsq(rest, values, rcond=None)[0]
+        whole += (values.conj().T @ values).real / len(values)
+        common += (moving.conj().T @ moving).real / len(values)
+    shown, together = np.diag(common), float(common.mean())
+    # Mean squares of the sensors' differences from their mean, and from the center's motion.
+    against = float(np.trace(common)) - count * together
+    center = float(weights @ whole @ weights)
+    turned = float(np.trace(whole) - 2 * np.sum(whole @ weights)) + count * center
     what = "what moves with the other floors is" if len(others) else "the motion is"
     least, most = names[int(np.argmin(shown))], names[int(np.argmax(shown))]
     ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
@@ -169,19 +171,7 @@ def _rotation(record: Record, group: Ints) -> Finding:
     )
     called = [item.name for item in names]
     numbers = {"floor": names[0].floor, "channels": called, "share": share, "placed": placed}
-    return finding("rotation/sensors", numbers, count=len(names), names=", ".join(called), how=how, said=said)
-
-
-def _mean_square(values: Any) -> float:
-    """Sum over the samples of the mean square of the columns."""
-    return float(np.mean(np.sum(np.abs(values) ** 2, axis=0)))
-
-
-def _moving_with(others: Floats | None, values: Any) -> Any:
-    """Project each column on the other floors' motions; without other floors, return it unchanged."""
-    if others is None:
-        return values
-    return others @ np.linalg.lstsq(others, values, rcond=None)[0]
+    return finding("rotation/sensors", numbers, count=count, names=", ".join(called), how=how, said=said)
 
 
 QUIET = 0.5
