@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from cvxshear.util import ranking
-from cvxshear.util.errors import NoModesError
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats, Ints
 
 TALL = 40
@@ -195,9 +194,9 @@ def modes(M: Floats, K: Floats) -> Modes:
     try:
         eigenvalues, vectors = _chain_modes(M, K) if _is_chain(M, K) else _all_modes(M, K)
     except (linalg.LinAlgError, ValueError):
-        raise NoModesError("the mass matrix is not positive definite") from None
+        raise errors.NoModesError("the mass matrix is not positive definite") from None
     if not eigenvalues[0] > 0:
-        raise NoModesError(f"the frame is not stable: the lowest eigenvalue is {eigenvalues[0]:g} (rad/s)^2")
+        raise errors.NoModesError(f"the frame is not stable: the lowest eigenvalue is {eigenvalues[0]:g} (rad/s)^2")
     shapes = vectors.T
     largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
     return Modes(eigenvalues, shapes * np.sign(largest)[:, None])

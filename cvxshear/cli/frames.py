@@ -15,7 +15,6 @@ from cvxshear.cli.modes_and_check import DOUBT_STATUS, measured, records_in_json
 from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show
 from cvxshear.report import terminal
 from cvxshear.util.errors import NoScaleError, UnsuitableError
-from cvxshear.util.quantities import Units
 from cvxshear.util.results import as_json
 from cvxshear.util.writing import write_file
 
@@ -32,7 +31,6 @@ def identify(
     backend: options.BackendName = "auto",
     initial_mass: str | None = None,
     tolerance: float = 1e-6,
-    units: options.UnitsOption = None,
     *,
     outputs: options.ResultOptions,
 ) -> None:
@@ -52,20 +50,18 @@ def identify(
         At which relative correction the mass iteration stops.
     """
     # The solvers load slowly, and the help does not need them.
-    from cvxshear import response, screening
+    from cvxshear import screening
 
-    files_of, display = outputs.prepared(cvxshear.Identification), Units.parse(units)
+    files_of = outputs.prepared(cvxshear.Identification)
     experiment, start = cvxshear.load(file), numbers(initial_mass, "--initial-mass")
     doubts = screening.refuse_mistakes(experiment)
     named = method or ("efficient" if start is None else "two-stage")
     result = cvxshear.identify(experiment, method=named, backend=backend, initial_mass=start, tolerance=tolerance)
-    fitted = response.Fitted.of_identification(result)
-    damping = None if fitted is None else response.damping_of(experiment, fitted, backend)
-    said = {**result.to_dict(), "damping": as_json(damping), "warnings": as_json(doubts)}
+    said = {**result.to_dict(), "warnings": as_json(doubts)}
     deliver(
         said,
         outputs.out,
-        lambda: [*doubts_of(doubts), *terminal.shown(result, display), *_damped(damping)],
+        lambda: [*doubts_of(doubts), *terminal.shown(result)],
         *files_of(result),
         title=experiment.report.title or experiment.name,
     )
@@ -79,7 +75,6 @@ def loop(
     jobs: int = 1,
     report: options.ReportOut = None,
     strict: bool = False,
-    units: options.UnitsOption = None,
     *,
     outputs: options.ResultOptions,
 ) -> None:
@@ -108,7 +103,7 @@ def loop(
         rows = ((effect.name, effect.summary) for effect in known.catalogue())
         show([terminal.plain_table("Effects", "name", "what it is", words=(0, 1), rows=rows)])
         raise typer.Exit
-    files_of, display = outputs.prepared(cvxshear.LoopResult), Units.parse(units)
+    files_of = outputs.prepared(cvxshear.LoopResult)
     if report is not None:
         from cvxshear.report.html import render
     with progress("closing the loop", outputs.quiet) as advance:
@@ -136,17 +131,11 @@ def loop(
     }
     files = files_of(result)
     if report is not None:
-        files.append(lambda: write_file(report, render(result, as_typed(), units=display)))
+        files.append(lambda: write_file(report, render(result, as_typed())))
     deliver(
         said,
         outputs.out,
-        lambda: [
-            *tables_of(found),
-            *doubts_of(result.warnings),
-            *terminal.shown(result, display),
-            *_damped(damping),
-            *without,
-        ],
+        lambda: [*tables_of(found), *doubts_of(result.warnings), *terminal.shown(result), *_damped(damping), *without],
         *files,
         title=experiment.report.title or experiment.name,
     )
@@ -254,8 +243,7 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
     Parameters
     ----------
     record
-        A record file: floors that carry sensors, with gaps or not, and the base motion; input = "none" where nobody
-        measured that.
+        A record file: floors that carry sensors, with gaps or not, and the base motion.
     fit
         Fit the frame to the record; otherwise it stays as identified.
     leave_out

@@ -13,8 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from cvxshear.effects.state import State
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model import Modes, Observation, System, attached_share, frame_modes, mode_derivatives, modes
-from cvxshear.util import ranking
-from cvxshear.util.decorators import cached_property
+from cvxshear.util import decorators, ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
@@ -203,23 +202,23 @@ class Model:
     by: slice
     derivatives: bool
 
-    @cached_property
+    @decorators.cached_property
     def modes(self) -> Modes:
         """All modes."""
         return modes(self.state.system.M, self.state.system.K)
 
-    @cached_property
+    @decorators.cached_property
     def wanted(self) -> System:
         """The matrices, with the derivatives that are wanted."""
         return self.state.system.by(self.by)
 
-    @cached_property
+    @decorators.cached_property
     def paired(self) -> Ints:
         """Which mode of the model each measured one is, zero-based, shape (m,)."""
         assert isinstance(self.state.tested, Configuration)
         return paired(self.state.tested, self.modes, self.state.observation, self.state.system.M)
 
-    @cached_property
+    @decorators.cached_property
     def mode_derivatives(self) -> tuple[Floats, Floats]:
         """Derivatives of the paired eigenvalues, shape (P, m), and mass-normalized shapes, shape (P, m, N)."""
         return mode_derivatives(self.modes, self.wanted, self.paired)

@@ -13,9 +13,7 @@ import numpy as np
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
-from cvxshear.util import checks
-from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import with_std
+from cvxshear.util import checks, errors, quantities
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -320,7 +318,7 @@ class Effect(ABC):
             Units of the parameters.
         """
         sizes = ", ".join(
-            f"{item.name} = {with_std(float(value), float(error), unit)}"
+            f"{item.name} = {quantities.with_std(float(value), float(error), unit)}"
             for item, value, error, unit in zip(self.parameters, values, std, units, strict=True)
         )
         return f"{place.label(self.label)} is there ({sizes})"
@@ -339,7 +337,7 @@ class Effect(ABC):
         changed = copy.copy(self)
         if probability is not None:
             if not 0.0 < probability < 1.0:
-                raise InputError(f"the probability of {self.name} must lie between 0 and 1, not {probability:g}")
+                raise errors.InputError(f"the probability of {self.name} must lie between 0 and 1, not {probability:g}")
             changed.probability = probability
         if size is not None:
             changed.size = checks.number(size, f"the size of {self.name}", above=0.0)
@@ -413,7 +411,7 @@ class LocatedEffect(InJson):
 
 def in_percent(value: float, std: float) -> str:
     """Return the size of a ratio and its standard deviation, without the sign, such as "15.1 ± 0.4 %"."""
-    return with_std(100 * abs(float(value)), 100 * float(std), "%")
+    return quantities.with_std(100 * abs(float(value)), 100 * float(std), "%")
 
 
 def off_by(value: float, std: float, above: str, below: str) -> str:

@@ -35,28 +35,11 @@ def compose(
     -------
     State
     """
-    acting = acting_on(tested, effects, experiment.stories)
-    return composed(experiment, tested, acting, theta, derivatives=derivatives or bool(effects))
-
-
-def acting_on(tested: Tested, effects: Sequence[LocatedEffect], stories: int) -> list[tuple[LocatedEffect, slice]]:
-    """List the effects that act on a tested state, and the places of their parameters, in the order of their stages."""
-    acting = [(placed, own) for placed, own in slices(effects, 2 * stories) if placed.acts_on(tested)]
-    return sorted(acting, key=lambda item: STAGES.index(item[0].effect.stage))
-
-
-def composed(
-    experiment: Experiment,
-    tested: Tested,
-    acting: list[tuple[LocatedEffect, slice]],
-    theta: Floats,
-    *,
-    derivatives: bool,
-) -> State:
-    """Return the result of `compose` from the effects that act on this state (`acting_on`)."""
+    acting = [item for item in slices(effects, 2 * experiment.stories) if item[0].acts_on(tested)]
+    acting.sort(key=lambda item: STAGES.index(item[0].effect.stage))
     n, size = experiment.stories, len(theta)
     mass, stiffness = theta[:n], theta[n : 2 * n]
-    if not derivatives:
+    if not derivatives and not effects:
         size = 0
         none = np.zeros((0, n, n))
         system = System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none)

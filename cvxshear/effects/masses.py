@@ -1,7 +1,6 @@
 """Masses that differ from the model or the declaration, the inertia of the columns, and masses on springs."""
 
 import copy
-import dataclasses
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Sequence
@@ -480,7 +479,7 @@ def with_attached(state: State, floor: int, mass: float, by_mass: Floats, freque
     K += mass * square * unit
     dK += (by_mass * square)[:, None, None] * unit
     dK[own] += mass * 2 * square / frequency * unit
-    return dataclasses.replace(state, system=System(M, K, dM, dK), observation=state.observation.extended())
+    return state.having(system=System(M, K, dM, dK), observation=state.observation.extended())
 
 
 def _bordered(matrices: Floats) -> Floats:

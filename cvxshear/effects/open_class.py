@@ -1,6 +1,5 @@
 """Open classes: violations of a statement of the shear model that the catalogue does not describe."""
 
-import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, Self
@@ -15,8 +14,7 @@ from cvxshear.effects.whole_frame import unit_springs
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, Configuration
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
-from cvxshear.util import ranking
-from cvxshear.util.quantities import with_std
+from cvxshear.util import quantities, ranking
 from cvxshear.util.typing import Bools, Floats, Ints
 
 MOST_OPEN_STORIES = 40
@@ -71,7 +69,8 @@ class OpenClass(Effect):
         if values[named[0]] < 0 and self.never_negative:
             return f"{failed}; no single place stands out, as no {self.never_negative} is negative"
         entries = "; ".join(
-            f"{self.parameters[i].name}: {with_std(float(values[i]), float(std[i]), units[i])}" for i in named
+            f"{self.parameters[i].name}: {quantities.with_std(float(values[i]), float(std[i]), units[i])}"
+            for i in named
         )
         return f"{failed}: {self.place_in_words} {entries}"
 
@@ -187,9 +186,7 @@ class OtherBeams(OpenClass):
         factor = np.concatenate([[1.0], 1.0 + values])
         slopes = state.d_joint_flexibility * factor
         slopes[own, 1:] += np.diag(state.joint_flexibility[1:])
-        return dataclasses.replace(
-            state, joint_flexibility=state.joint_flexibility * factor, d_joint_flexibility=slopes
-        )
+        return state.having(joint_flexibility=state.joint_flexibility * factor, d_joint_flexibility=slopes)
 
 
 class OtherChanges(OpenClass):
@@ -293,7 +290,7 @@ class OtherGains(OpenClass):
         observation = state.observation
         for parameter, (floor, gain) in enumerate(zip(self.floors, values, strict=True), own.start):
             observation = observation.scaled(floor - 1, 1.0 + float(gain), parameter)
-        return dataclasses.replace(state, observation=observation)
+        return state.having(observation=observation)
 
 
 def _floors(experiment: Experiment) -> list[int]:

@@ -1,6 +1,5 @@
 """Errors of sensor readings and of declared statements."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Self
 
@@ -12,8 +11,7 @@ from cvxshear.measurement.declaration import StaticTest
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.priors import Constraints, Prior
 from cvxshear.priors.base import QUANTITY_UNITS
-from cvxshear.util import ranking
-from cvxshear.util.quantities import scaled, with_std
+from cvxshear.util import quantities, ranking
 from cvxshear.util.typing import Floats
 
 
@@ -48,8 +46,8 @@ class SensorGain(Effect):
         ]
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        scaled = state.observation.scaled(place.floor_index, 1.0 + values[0], own.start)
-        return dataclasses.replace(state, observation=scaled)
+        observation = state.observation.scaled(place.floor_index, 1.0 + values[0], own.start)
+        return state.having(observation=observation)
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = off_by(values[0], std[0], "too much", "too little")
@@ -86,7 +84,7 @@ class ShapeScale(Effect):
         if isinstance(tested, Configuration) and tested.mass_normalized:
             for floor in range(len(state.floor_mass)):
                 observation = observation.scaled(floor, 1.0 + values[0], own.start)
-        return dataclasses.replace(state, observation=observation)
+        return state.having(observation=observation)
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = off_by(values[0], std[0], "too large", "too small")
@@ -223,8 +221,8 @@ class WrongExactPrior(_Statement):
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         at = ranking.first_largest(np.abs(values))
-        factor, unit = scaled([float(values[at])], units[at])
-        size = with_std(abs(float(values[at])), float(std[at]), unit, factor)
+        factor, unit = quantities.scaled([float(values[at])], units[at])
+        size = quantities.with_std(abs(float(values[at])), float(std[at]), unit, factor)
         return f'the statement "{place.prior}", declared as exact, is off by {size}'
 
 

@@ -1,6 +1,5 @@
 """Stories, their braces and their joints."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Self
 
@@ -102,22 +101,14 @@ class StateStiffness(Effect):
     assumption_text = "that the stories of {state} did not all soften or stiffen by one factor"
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        factor = 1.0 + values[0]
-
-        def slopes(k: Floats, dk: Floats) -> Floats:
-            moved: Floats = factor * dk
-            moved[own] += k
-            return moved
-
+        changed = {}
         # The columns' stiffness is the reference for beams and joints, which soften with the columns.
-        return state.having(
-            story_stiffness=factor * state.story_stiffness,
-            d_story_stiffness=slopes(state.story_stiffness, state.d_story_stiffness),
-            brace_stiffness=factor * state.brace_stiffness,
-            d_brace_stiffness=slopes(state.brace_stiffness, state.d_brace_stiffness),
-            column_stiffness=factor * state.column_stiffness,
-            d_column_stiffness=slopes(state.column_stiffness, state.d_column_stiffness),
-        )
+        for name in ("story_stiffness", "brace_stiffness", "column_stiffness"):
+            stiffness = getattr(state, name)
+            changed[name] = (1.0 + values[0]) * stiffness
+            changed[f"d_{name}"] = (1.0 + values[0]) * getattr(state, f"d_{name}")
+            changed[f"d_{name}"][own] += stiffness
+        return state.having(**changed)
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         return "state_mass", place
@@ -286,7 +277,7 @@ class JointRelease(Effect):
             k[at] -= loss * columns
             dk[:, at] -= loss * d_columns
             dk[own.stop - 1, at] -= columns
-        return dataclasses.replace(state, story_stiffness=k, d_story_stiffness=dk)
+        return state.having(story_stiffness=k, d_story_stiffness=dk)
 
     def sizes(self, scale: Scale) -> Floats:
         return np.array([0.5, 0.05]) if len(self.parameters) == 2 else np.array([0.12])

@@ -30,8 +30,7 @@ from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import NamedConstraints, constrained, exact_frame, statements
 from cvxshear.programs.formulations import LEAST_POSITIVE
-from cvxshear.util import ranking
-from cvxshear.util.decorators import cached_property
+from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Bools, Floats, Ints
 
 PART_OF_START = 0.1
@@ -264,7 +263,7 @@ class Uncertainty:
     least_units: Floats
     names: tuple[str, ...]
 
-    @cached_property
+    @decorators.cached_property
     def _open(self) -> Floats:
         """Directions that no datum and no equality determines, shape (P, o), in units of each parameter.
 
@@ -296,7 +295,7 @@ class Uncertainty:
         on = np.any(np.concatenate([self.touching, self.ends]), axis=0)
         return tuple(name for name, here in zip(self.names, on, strict=True) if here)
 
-    @cached_property
+    @decorators.cached_property
     def root(self) -> Floats:
         """Directions that the constraints leave free, bounds that are touched held, each of unit effect on the data.
 
@@ -304,7 +303,7 @@ class Uncertainty:
         """
         return self.root_of(self.J)
 
-    @cached_property
+    @decorators.cached_property
     def reach(self) -> Floats:
         """Directions as in `root`, without the rows `ends`, shape (P, g).
 

@@ -21,8 +21,7 @@ from cvxshear.fit.start import nearest_first
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.programs import ActiveConstraint
 from cvxshear.programs.constraints import refuse_contradicting
-from cvxshear.util.decorators import cached_property
-from cvxshear.util.errors import CvxshearError, NoModesError, NoSolutionError, UnsuitableError
+from cvxshear.util import decorators, errors
 from cvxshear.util.typing import Floats
 
 RESIDUAL_LEVEL = 0.01
@@ -99,7 +98,7 @@ class Estimate:
         """Sum of squared residuals of data and priors, in units of the declared or estimated noise."""
         return self.fit.at.chi2
 
-    @cached_property
+    @decorators.cached_property
     def dof(self) -> int:
         """Number of data less number of parameters that they determine.
 
@@ -150,7 +149,7 @@ class Estimate:
                 squares[own] *= max(1.0, noise.of(item.key) * kind.default / kind.largest) ** 2
         return float(special.chdtrc(self.dof, squares.sum()))
 
-    @cached_property
+    @decorators.cached_property
     def quality(self) -> results.Quality:
         """Errors and chi-square."""
         declared = not self.misfit.open_noises
@@ -348,7 +347,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
     refuse_contradicting(experiment)
     own = np.array([value for placed in effects for value in placed.start])
     best: Estimate | None = None
-    failure: CvxshearError | None = None
+    failure: errors.CvxshearError | None = None
     missed = np.inf
     for start in nearest_first(misfit, own):
         theta = np.concatenate([start, own])
@@ -357,11 +356,11 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
             found = fitted(misfit, theta, backend, FULL if best is None else ROUGH)
             if best is not None and found.chi2 < best.chi2:
                 found = fitted(found.misfit, found.theta, backend)
-        except NoModesError as error:
+        except errors.NoModesError as error:
             # If a frequency is 1e12 times the others, rounding can make the lowest eigenvalue negative.
             failure = failure or error
             continue
-        except NoSolutionError as error:
+        except errors.NoSolutionError as error:
             failure = failure or error
             missed = min(missed, misfit.evaluate(theta, derivatives=False).chi2)
             continue
@@ -370,7 +369,7 @@ def efficient(experiment: Experiment, backend: Backend, effects: Sequence[Locate
         if best.chi2 <= 3.0 * max(best.dof, 1) and not misfit.open_noises:
             break
     if best is None:
-        raise failure if failure is not None else NoSolutionError(backend.name, "no starting point has modes")
+        raise failure if failure is not None else errors.NoSolutionError(backend.name, "no starting point has modes")
     if failure is not None and best.misfit.replaced(noise=misfit.noise).evaluate(best.theta).chi2 > missed:
         # The backend failed at a start that fits better than the result: the result is no minimum.
         raise failure
@@ -389,7 +388,7 @@ def _refuse_local_minimum(found: Estimate, backend: Backend, reference: Estimate
     """
     above = found.fit.at.objective - reference.fit.at.objective
     if above > FLAT * max(1.0, reference.fit.at.objective / max(len(reference.fit.at.r), 1)):
-        raise NoSolutionError(
+        raise errors.NoSolutionError(
             backend.name,
             f"its fit ended in a local minimum, {above:.3g} above another backend's: too ill-conditioned to tell",
         )
@@ -404,7 +403,7 @@ def _refuse_large(misfit: Misfit) -> None:
     rows, P = sum(datum.count for datum in misfit.data), misfit.parameters
     needed = 8.0 * (12 * rows * P + 25 * P**2)
     if needed > MEMORY:
-        raise UnsuitableError(
+        raise errors.UnsuitableError(
             f"a joint fit of {rows:,} data by {P:,} parameters would take about {needed / 1e9:.1f} GB, more than the "
             f"{MEMORY / 1e9:.0f} GB that are allowed; name the method one-shot or two-stage, or leave modes out"
         )

@@ -27,8 +27,7 @@ from cvxshear.fit.optimality import (
 )  # fmt: skip
 from cvxshear.programs import LeastSquares, constrained
 from cvxshear.programs.constraints import REMAINDER_ROUNDING
-from cvxshear.util.checks import DERIVATIVE_ERROR
-from cvxshear.util.errors import NoModesError, NoSolutionError
+from cvxshear.util import checks, errors
 from cvxshear.util.typing import Floats
 
 RESIDUAL_ROUNDING = 4.0 * float(np.finfo(float).eps)
@@ -222,17 +221,17 @@ def gauss_newton(
 
 def _descended(
     problem: Problem[E], theta: Floats, domain: Domain, backend: Backend, accuracy: Accuracy, start: E | None
-) -> tuple[Fit[E], NoSolutionError | None]:
+) -> tuple[Fit[E], errors.NoSolutionError | None]:
     """Follow the steps to their end; return the last failure of the backend on an undamped program, too."""
     feasible = made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else problem.evaluate(feasible)
     theta = feasible
     damping, flat, failures = StepDamping(accuracy), 0, 0
-    refused: NoSolutionError | None = None
+    refused: errors.NoSolutionError | None = None
     for step in range(1, accuracy.most_steps + 1):
         try:
             solution = backend.solve(step_program(at, theta, domain, damping.weight))
-        except NoSolutionError as error:
+        except errors.NoSolutionError as error:
             # Damping improves the condition of the program.
             failures += 1
             if damping.exhausted or failures > accuracy.most_refused:
@@ -276,9 +275,9 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
     found = optimality(problem, fit.theta, fit.at, domain, LEAST_DAMPING)
     rms = max(1.0, float(np.sqrt(fit.at.objective / max(len(fit.at.r), 1))))
     if found.violation > KEPT_TO:
-        raise NoSolutionError(name, f"the fit breaks an exact statement by {found.violation:.1e} of its size")
-    if found.derivative_error > DERIVATIVE_ERROR:
-        raise NoSolutionError(
+        raise errors.NoSolutionError(name, f"the fit breaks an exact statement by {found.violation:.1e} of its size")
+    if found.derivative_error > checks.DERIVATIVE_ERROR:
+        raise errors.NoSolutionError(
             name,
             f"derivatives of the misfit are off their difference quotients by {100 * found.derivative_error:.1g} %",
         )
@@ -287,7 +286,7 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
         d, _ = best_step(fit.theta, fit.at, domain, LEAST_DAMPING)
         trial = halved(problem, fit.theta, d, fit.at, domain, FULL.halvings)
         if trial is not None and fit.at.objective - trial[1].objective > FLAT * rms**2:
-            raise NoSolutionError(name, "the fit ended where a step of another solver lowers the misfit further")
+            raise errors.NoSolutionError(name, "the fit ended where a step of another solver lowers the misfit further")
     return found
 
 
@@ -302,7 +301,7 @@ def halved(
         try:
             # With derivatives, since the first trial is nearly always accepted.
             found = problem.evaluate(trial)
-        except NoModesError:
+        except errors.NoModesError:
             # The step is too long: a mass is not positive, or the frame buckles.
             continue
         if found.objective < at.objective:

@@ -30,15 +30,13 @@ from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
-from cvxshear.util import checks, ranking
-from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.errors import CvxshearError, UnsuitableError
+from cvxshear.util import checks, decorators, errors, ranking
 from cvxshear.util.typing import Floats
 
 METHODS = ("efficient", "two-stage", "one-shot", "berman", "qi")
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def identify(
     experiment: Measurement,
     method: str = "efficient",
@@ -88,7 +86,7 @@ def identify(
     start = None
     if initial_mass is not None:
         if method in ("efficient", "one-shot"):
-            raise UnsuitableError(f"method {method} takes no initial mass; two-stage, berman and qi do")
+            raise errors.UnsuitableError(f"method {method} takes no initial mass; two-stage, berman and qi do")
         start = checks.vector(np.asarray(initial_mass), "initial mass", length=experiment.stories, above=0.0)
     if method == "efficient":
         estimate = efficient(experiment, solver)
@@ -119,7 +117,7 @@ TIGHTER = 0.95
 """Upper bound of the largest unknown of the bounded programs, relative to its free value, so that a bound is active."""
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def compare_backends(
     experiment: Measurement, names: Sequence[str] | None = None, *, repeats: int = 3, tolerance: float | None = None
 ) -> Comparison:
@@ -174,7 +172,7 @@ def programs_of(experiment: Measurement) -> tuple[list[BenchmarkProgram], str]:
     try:
         for each in experiment.configurations:
             separate += _programs_of_one(complete_test(experiment, each, "method two-stage"))
-    except UnsuitableError as error:
+    except errors.UnsuitableError as error:
         separate, left_out = [], str(error)
     theta = uniform(experiment)
     step = step_program(Misfit(experiment).evaluate(theta), theta, domain_of(experiment, (), theta))
@@ -257,7 +255,7 @@ def other_frames(estimate: Estimate, backend: Backend, unsuccessful: int = 20) -
         try:
             domain = domain_of(estimate.experiment, (), start)
             fit = gauss_newton(estimate.misfit, start, domain, backend)
-        except CvxshearError:
+        except errors.CvxshearError:
             continue
         apart = [np.max(np.abs(np.log(fit.theta / other.theta))) for other in found]
         if fit.at.chi2 < worst and min(apart) > INSEPARABLE:

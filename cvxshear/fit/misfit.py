@@ -26,8 +26,7 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.util.decorators import cached_property
-from cvxshear.util.errors import NoModesError
+from cvxshear.util import decorators, errors
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 WIDTH = 0.7
@@ -67,7 +66,7 @@ class Evaluation(PlainResiduals):
         """Sum of squares of the residuals of data and soft priors."""
         return float(self.r[: self.measured] @ self.r[: self.measured])
 
-    @cached_property
+    @decorators.cached_property
     def known_triangle(self) -> Floats:
         """The triangular factor of J without the prior of the frame."""
         return np.asarray(np.linalg.qr(self.J[: self.known], mode="r"))
@@ -131,7 +130,7 @@ class Misfit:
         """Number P of parameters: floor masses, story stiffnesses and parameters of the effects."""
         return 2 * self.experiment.stories + sum(len(placed.effect.parameters) for placed in self.effects)
 
-    @cached_property
+    @decorators.cached_property
     def unknown(self) -> tuple[UnknownSize, ...]:
         """Every standard deviation that is estimated with the rest: of kinds of noise, then of effects."""
         counts = dict.fromkeys(data.noise_kinds(), 0.0)
@@ -176,7 +175,7 @@ class Misfit:
         """Return the rows of a datum whose standard deviation an effect leaves open."""
         return placed.effect.rescaled(datum.tested, datum.noise.name, datum.floors, placed.place)
 
-    @cached_property
+    @decorators.cached_property
     def _keys(self) -> list[tuple[list[str], Ints]]:
         """Keys of the factors on the standard deviations of each datum, and the key of each of its rows.
 
@@ -214,12 +213,10 @@ class Misfit:
         """
         n = self.experiment.stories
         if np.any(theta[: 2 * n] <= 0):
-            raise NoModesError("floor masses and story stiffnesses must be positive")
-        # With effects the derivatives of the matrices are computed anyway.
-        shaped = derivatives or bool(self.effects)
+            raise errors.NoModesError("floor masses and story stiffnesses must be positive")
         models = {}
-        for each, acting in zip(self.experiment.tested, self._acting, strict=True):
-            state = composition.composed(self.experiment, each, acting, theta, derivatives=shaped)
+        for each in self.experiment.tested:
+            state = composition.compose(self.experiment, each, self.effects, theta, derivatives=derivatives)
             models[id(each)] = data.Model(state, by, derivatives)
         places, of_data, factors = self._deviations
         parts, rows = [np.zeros(0)], []
@@ -244,7 +241,7 @@ class Misfit:
             np.concatenate(unknown),
         )
 
-    @cached_property
+    @decorators.cached_property
     def _deviations(self) -> tuple[dict[str, int], list[Ints], list[Floats]]:
         """Places of the unknown standard deviations by their keys; places and factors of each datum's rows."""
         places = {item.key: place for place, item in enumerate(self.unknown)}
@@ -254,11 +251,6 @@ class Misfit:
             np.array([self.noise_inflation * self.noise.of(key) for key in keys])[which] for keys, which in self._keys
         ]
         return places, unknown, factors
-
-    @cached_property
-    def _acting(self) -> list[list[tuple[LocatedEffect, slice]]]:
-        """The effects that act on each tested state."""
-        return [composition.acting_on(each, self.effects, self.experiment.stories) for each in self.experiment.tested]
 
     def statement_deviations(self, theta: Floats) -> list[data.Deviation]:
         """How far each soft prior, and a soft total mass, lies from the model, in its own standard deviations.
@@ -300,7 +292,7 @@ class Misfit:
                 rows[at_prior][:, own] -= np.eye(own.stop - own.start)
         return np.concatenate(residuals), np.concatenate(rows)
 
-    @cached_property
+    @decorators.cached_property
     def _statements(self) -> list[str]:
         """The soft total mass and the priors in words, in the order of their rows."""
         return [words for words, _ in self.experiment.soft_statements]

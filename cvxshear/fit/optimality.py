@@ -23,8 +23,7 @@ from scipy import linalg, optimize
 from cvxshear.fit.domain import ON_BOUND, Domain
 from cvxshear.programs import LeastSquares, constrained
 from cvxshear.programs.certificate import Point
-from cvxshear.util.checks import DERIVATIVE_ERROR
-from cvxshear.util.decorators import cached_property
+from cvxshear.util import checks, decorators
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
@@ -95,7 +94,7 @@ class PlainResiduals:
         """Sum of squares of the residuals."""
         return float(self.r @ self.r)
 
-    @cached_property
+    @decorators.cached_property
     def triangle(self) -> tuple[Floats, Floats]:
         """U and c with |J x + r|^2 = |U x + c|^2 + constant for every x: J = Q U, c = Q' r, at most P rows.
 
@@ -290,7 +289,7 @@ def derivative_error(problem: Problem[Residuals], theta: Floats, at: Residuals, 
 def _slope_error(problem: Problem[Residuals], theta: Floats, at: Residuals, d: Floats) -> float:
     """Relative difference of the slope of |r|^2 at the end of d from its quotient, the least of three lengths of d."""
     errors = [np.inf]
-    while errors[-1] > DERIVATIVE_ERROR and len(errors) <= 3:
+    while errors[-1] > checks.DERIVATIVE_ERROR and len(errors) <= 3:
         there = problem.evaluate(theta + d)
         seen = there.J @ d
         here, slope = 2.0 * float(at.r @ (at.J @ d)), 2.0 * float(there.r @ seen)

@@ -179,18 +179,17 @@ class Prediction(InJson):
     frequencies: Floats
     mode_shapes: Floats
 
-    @staticmethod
-    def of(model: Model) -> Prediction:
-        """Return the prediction of a model of a tested state."""
-        # Gains of sensors are not part of the motion; attached masses are not floors.
-        shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
-        largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
-        return Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None])
-
 
 def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:
-    """One prediction a configuration."""
-    return tuple(Prediction.of(model) for model in models if isinstance(model.state.tested, Configuration))
+    """Predict every mode in each configuration, from the models of the tested states."""
+    found = []
+    for model in models:
+        if isinstance(model.state.tested, Configuration):
+            # Gains of sensors are not part of the motion; attached masses are not floors.
+            shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
+            largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
+            found.append(Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None]))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

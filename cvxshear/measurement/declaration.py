@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from cvxshear.priors import Prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError
@@ -184,12 +183,9 @@ class Damping(checks.ReadOnlyArrays):
     kind : str, optional
         "modal": a damping ratio a mode; "story": dashpots between the floors; "rayleigh": a combination of mass and
         stiffness.
-    priors : sequence of Prior, optional
-        About the story dashpots, of the quantity "story_damping".
     """
 
     kind: str = "modal"
-    priors: tuple[Prior, ...] = ()
 
     def __post_init__(self) -> None:
         checks.choice(self.kind, DAMPING_KINDS, "damping: kind")

@@ -94,20 +94,10 @@ class Experiment(Shown):
         put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
         put(self, "static", tuple(each.in_frame(stories) for each in self.static))
         self._check_states()
-        for place, prior in enumerate((*self.priors, *self.damping.priors), 1):
+        for place, prior in enumerate(self.priors, 1):
             with checks.named(f"prior {place}"):
                 check_prior(prior, stories)
-        self._part_priors()
         self._check_scale()
-
-    def _part_priors(self) -> None:
-        """Keep the priors of masses and stiffnesses; the priors of dashpots belong to the damping."""
-        dashpots = tuple(prior for prior in self.priors if prior.quantity == "story_damping")
-        if dashpots:
-            others = tuple(prior for prior in self.priors if prior.quantity != "story_damping")
-            damping = dataclasses.replace(self.damping, priors=(*self.damping.priors, *dashpots))
-            object.__setattr__(self, "priors", others)
-            object.__setattr__(self, "damping", damping)
 
     def _check_names(self) -> None:
         seen: set[str] = set()
@@ -231,7 +221,7 @@ class Experiment(Shown):
             "frame": self.frame,
             "damping": {} if self.damping.kind == Damping().kind else {"kind": self.damping.kind},
             "limits": self.limits,
-            "prior": (*self.priors, *self.damping.priors),
+            "prior": self.priors,
             "effect": self.expected,
             "configuration": self.configurations,
             "static": self.static,

@@ -17,7 +17,7 @@ from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.planning.choice import CRITERIA, Choice, Criterion, choose
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
-from cvxshear.planning.tested_model import Declared, TestModel, TestNoise
+from cvxshear.planning.tested_model import Declared, TestModel
 from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError
@@ -91,26 +91,6 @@ def expected_accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: i
     return ExpectedAccuracy(choice, std[:n], std[n:], total)
 
 
-@dataclass(frozen=True)
-class ExpectedMode(InJson):
-    """Expected properties of a mode.
-
-    Parameters
-    ----------
-    mode : int
-        1 the lowest.
-    frequency : float
-        Hz.
-    frequency_std, mode_shape_std : float
-        Relative deviation of the frequency; deviation of a shape entry if the mode's largest entry is 1.
-    """
-
-    mode: int
-    frequency: float
-    frequency_std: float
-    mode_shape_std: float
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Shown):
     """The result of `plan`.
@@ -171,13 +151,11 @@ class Plan(Shown):
         return self.chosen.choice.gap
 
     @property
-    def expected_modes(self) -> tuple[ExpectedMode, ...]:
-        """Modes of the first test, and their expected standard deviations."""
+    def expected_modes(self) -> list[dict[str, object]]:
+        """Number and frequency (Hz) of each mode of the first test."""
         test = self.model.expected(self.tests[0]).test
-        assert test.mode_shape_std is not None, "an expected test declares its noise"
-        stds = test.log_frequency_std.tolist(), test.mode_shape_std[:, 0].tolist()
-        columns = zip(test.modes.tolist(), test.frequencies.tolist(), *stds, strict=True)
-        return tuple(ExpectedMode(*each) for each in columns)
+        pairs = zip(test.modes.tolist(), test.frequencies.tolist(), strict=True)
+        return [{"mode": mode, "frequency": frequency} for mode, frequency in pairs]
 
     @property
     def goal(self) -> str:
@@ -322,7 +300,7 @@ def plan(
     tests: int = 1,
     *,
     modes: int | Sequence[int] | None = None,
-    noise: TestNoise | None = None,
+    noise: Declared | None = None,
     added_mass: float | Sequence[float] | Floats | None = None,
     goal: str = "all",
     criterion: str = "D",
@@ -340,7 +318,7 @@ def plan(
         Number of tests.
     modes : int or sequence of int, optional
         Number of the lowest modes that will be identified, or the modes' numbers.
-    noise : TestNoise, optional
+    noise : Declared, optional
         By default, the noise that the source's tests declare; without it, 0.2 % of frequencies and 1 % of shapes.
     added_mass : float or array_like, shape (N,), optional
         Largest added mass of each floor, kg; by default no mass is added.

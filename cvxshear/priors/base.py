@@ -13,13 +13,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cvxshear.util import checks
+from cvxshear.util import checks, quantities
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import fitting
 from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
-QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m", "story_damping": "N s/m"}
+QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m"}
 QUANTITIES = tuple(QUANTITY_UNITS)
 """Quantities that priors speak of, with their units."""
 
@@ -84,7 +83,7 @@ class Prior(checks.ReadOnlyArrays, ABC):
     kind : str
         The word for it in a measurement file; empty where it has none.
     quantity : str
-        "floor_mass" (kg), "story_stiffness" (N/m) or "story_damping" (N s/m).
+        "floor_mass" (kg) or "story_stiffness" (N/m).
     """
 
     kind: ClassVar[str] = ""
@@ -266,7 +265,7 @@ def check_place(prior: Prior, name: str, stories: int = checks.MOST_STORIES) -> 
 def listed(value: float | Floats, quantity: str) -> str:
     """Write a number or a list of numbers on one line, in the unit of the quantity that fits their size."""
     values = np.ravel(np.asarray(value, dtype=float))
-    factor, unit = fitting(values.tolist(), QUANTITY_UNITS[quantity])
+    factor, unit = quantities.fitting(values.tolist(), QUANTITY_UNITS[quantity])
     shown = ", ".join(f"{entry / factor:g}" for entry in values)
     return f"{shown if np.ndim(value) == 0 else f'[{shown}]'} {unit}"
 

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.linalg import helmert
 
 from cvxshear.priors.base import Constraints, Prior, certainty, check_place, check_quantity, listed, put
-from cvxshear.util import checks
-from cvxshear.util.errors import InputError
+from cvxshear.util import checks, errors
 from cvxshear.util.typing import Floats
 
 
@@ -55,7 +54,7 @@ class Value(_Equations):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     at : int
         Floor or story, 1 the lowest.
     value : float
@@ -107,7 +106,7 @@ class Nominal(_Equations):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     values : array_like, shape (N,)
         kg or N/m.
     std : float, optional
@@ -139,7 +138,7 @@ class Nominal(_Equations):
     def check(self, stories: int) -> None:
         """Raise `InputError` if it names floors or stories that the frame does not have."""
         if len(self.values) != stories:
-            raise InputError(
+            raise errors.InputError(
                 f"values of the nominal prior has {checks.entries(len(self.values))}, the frame has {stories} stories; "
                 "give one a story"
             )
@@ -171,7 +170,7 @@ class Ratio(_Equations):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     of, to : int
         Floors or stories, 1 the lowest.
     value : float
@@ -192,7 +191,7 @@ class Ratio(_Equations):
         super().__post_init__()
         put(self, "value", checks.number, above=0.0)
         if self.of == self.to:
-            raise InputError(
+            raise errors.InputError(
                 f"the ratio prior compares {self.quantity} {self.of} with itself; 'of' and 'to' must differ"
             )
 
@@ -219,7 +218,7 @@ class Bounds(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     lower, upper : float or array_like, shape (N,), optional
         kg or N/m; one number for all, or one a floor or story; at least one of the two.
     """
@@ -232,7 +231,7 @@ class Bounds(Prior):
     def __post_init__(self) -> None:
         check_quantity(self)
         if self.lower is None and self.upper is None:
-            raise InputError("the bounds prior needs a key 'lower' or 'upper'")
+            raise errors.InputError("the bounds prior needs a key 'lower' or 'upper'")
         put(self, "lower", checks.vector if checks.many(self.lower) else checks.number, least=0.0)
         put(self, "upper", checks.vector if checks.many(self.upper) else checks.number, above=0.0)
 
@@ -241,14 +240,14 @@ class Bounds(Prior):
         for name in ("lower", "upper"):
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and len(value) != stories:
-                raise InputError(
+                raise errors.InputError(
                     f"{name} of the bounds prior has {checks.entries(len(value))}, the frame has {stories} stories; "
                     "give one number for all, or one a story"
                 )
         lower, upper = self._limits(stories)
         if np.any(lower > upper):
             place = int(np.argmax(lower > upper))
-            raise InputError(
+            raise errors.InputError(
                 f"the bounds prior on {self.quantity} {place + 1}: lower {lower[place]:g} is above "
                 f"upper {upper[place]:g}; it must not be"
             )
@@ -284,7 +283,7 @@ class Monotone(Prior):
     Parameters
     ----------
     quantity : str
-        "floor_mass", "story_stiffness" or "story_damping".
+        "floor_mass" or "story_stiffness".
     direction : str
         "decreasing" or "increasing", with height.
     """

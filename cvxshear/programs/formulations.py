@@ -14,10 +14,7 @@ from cvxshear.priors import Prior
 from cvxshear.programs.constraints import NamedConstraints, constrained, refuse_contradicting, softened, statements
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.programs.pair_rows import mass_rows, normalized, one_shot_rows, stiffness_rows
-from cvxshear.util import checks
-from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.errors import InputError, UnsuitableError
-from cvxshear.util.quantities import ranged
+from cvxshear.util import checks, decorators, errors, quantities
 from cvxshear.util.typing import Floats
 
 LEAST_POSITIVE = 1e-3
@@ -26,7 +23,7 @@ LEAST_POSITIVE = 1e-3
 Solvers cannot resolve a much smaller bound: HiGHS 1.15 fails at 1e-6."""
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def mass_correction(
     experiment: Measurement,
     masses: Sequence[float] | Floats | None = None,
@@ -67,7 +64,7 @@ def mass_correction(
     return test.mass_correction(test.start_mass(masses))
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def one_shot_masses(
     experiment: Measurement,
     *,
@@ -101,7 +98,7 @@ def one_shot_masses(
     return test.one_shot_masses(at=test.start_mass(at))
 
 
-@usual_arithmetic
+@decorators.usual_arithmetic
 def story_stiffnesses(
     experiment: Measurement,
     masses: Sequence[float] | Floats,
@@ -238,7 +235,7 @@ def _chosen(experiment: Measurement, name: str | None, priors: Sequence[Prior], 
     experiment = opened(experiment).with_priors(tuple(priors))
     names = [each.name for each in experiment.configurations]
     if name is None and len(names) > 1:
-        raise InputError(
+        raise errors.InputError(
             f"{program}: the experiment has {len(names)} configurations; name one of them, such as "
             f"configuration={names[0]!r}"
         )
@@ -271,14 +268,14 @@ def complete_test(experiment: Experiment, configuration: Configuration, user: st
     ):
         if len(there) < n:
             missing = sorted(set(range(1, n + 1)) - set(there.tolist()))
-            which = f"{what} {missing[0]} is" if len(missing) == 1 else f"{what}s {ranged(missing)} are"
-            raise UnsuitableError(f"{where}: it needs {needed}, {which} {how}; use method efficient")
+            which = f"{what} {missing[0]} is" if len(missing) == 1 else f"{what}s {quantities.ranged(missing)} are"
+            raise errors.UnsuitableError(f"{where}: it needs {needed}, {which} {how}; use method efficient")
     if not configuration.complete:
         mode, floor = np.argwhere(~configuration.measured)[0] + 1
-        raise UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")
+        raise errors.UnsuitableError(f"{where}: mode {mode} has no value at floor {floor}; use method efficient")
     total = experiment.frame.known_total
     if total is None:
-        raise UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
+        raise errors.UnsuitableError(f"{where}: it needs frame: total_mass or floor_masses; use method efficient")
     refuse_contradicting(experiment)
     eigenvalues = (2 * np.pi * configuration.frequencies) ** 2
     relative = configuration.entry_std / np.max(np.abs(configuration.mode_shapes), axis=1, keepdims=True)

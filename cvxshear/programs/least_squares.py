@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point
-from cvxshear.util.decorators import usual_arithmetic
-from cvxshear.util.results import ask
+from cvxshear.util import decorators, results
 from cvxshear.util.typing import Floats
 
 if TYPE_CHECKING:
@@ -233,7 +232,7 @@ class LeastSquares:
         found = self.replace(A=None, b=None).kkt()
         return dataclasses.replace(found, requested="normal equations", backend="normal equations")
 
-    @usual_arithmetic
+    @decorators.usual_arithmetic
     def solve(self, backend: str | Any = "auto", **options: Any) -> Solution:
         """Solve the program with a backend and certify the solution.
 
@@ -256,7 +255,7 @@ class LeastSquares:
         UnsuitableError
             If the backend cannot take such a program: "kkt", if an inequality is active.
         """
-        found: Solution = ask("solve", "solve", self, backend, options)
+        found: Solution = results.ask("solve", "solve", self, backend, options)
         return found
 
 

@@ -12,8 +12,6 @@ from functools import singledispatch
 from importlib import import_module
 from typing import TYPE_CHECKING, ClassVar
 
-from cvxshear.util.quantities import AUTOMATIC, Units
-
 if TYPE_CHECKING:
     from cvxshear.util.typing import Floats
 
@@ -311,14 +309,12 @@ def _imported(result: object) -> bool:
 
 
 @singledispatch
-def describe(result: object, units: Units = AUTOMATIC) -> Document:
+def describe(result: object) -> Document:
     """Describe a result: its tables, sentences, and numbers with units.
 
     Parameters
     ----------
     result : object
-    units : Units, optional
-        Units of the quantities. Default: units that fit the sizes.
 
     Returns
     -------
@@ -330,7 +326,7 @@ def describe(result: object, units: Units = AUTOMATIC) -> Document:
         If no description is registered for this type.
     """
     if _imported(result):
-        return describe(result, units)
+        return describe(result)
     raise TypeError(f"a {type(result).__name__} has no description; register one with describe.register")
 
 

@@ -11,12 +11,12 @@ from cvxshear.loop import LoopResult
 from cvxshear.loop.results import AddedEffect, EffectSet, by_part
 from cvxshear.report import blocks, headline, identified
 from cvxshear.util import quantities
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats
 
 
 @blocks.describe.register
-def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
-    units = identified.units_for(result.experiment, units)
+def _closure(result: LoopResult) -> blocks.Document:
+    units = identified.units_for(result.experiment)
     fits, programs = quantities.counted(result.fits, "fit"), quantities.counted(result.programs, "step program")
     effort = f"Backend {result.backend}: {fits}, {programs}."
     modes = identified.frequencies_table(result.experiment, result.estimate.predictions)
@@ -34,7 +34,7 @@ def _closure(result: LoopResult, units: quantities.Units = quantities.AUTOMATIC)
         residual_section(result),
         blocks.section("next", "What to test next", _next(result, units)),
         identified.declared(result.experiment, units),
-        blocks.section("frequencies", "Measured and modelled frequencies", modes, below=True, appendix=True),
+        blocks.section("frequencies", "Frequencies", modes, below=True, appendix=True),
         not_considered(result),
         blocks.section("effort", "Effort", effort, below=True, appendix=True),
     )
@@ -79,9 +79,6 @@ def limits_section(result: LoopResult) -> blocks.Section:
         parts.append(blocks.Points("untold", tuple(f"{text}." for text in known)))
     return blocks.section("limits", "What is left open", *parts)
 
-
-NOTHING = 1e-9
-"""Smallest relative change that is not rounding."""
 
 StateValues = tuple[Floats, Floats]
 """A quantity of every story or floor, shape (N,), and its derivatives by every parameter, shape (P, N)."""
@@ -131,11 +128,11 @@ def _by_state(
         found.insert(0, ("shear frame", quantity(compose(experiment, tests[states[0]], (), estimate.theta))))
     groups: list[tuple[list[str], StateValues]] = []
     for name, values in found:
-        same = next((names for names, each in groups if np.allclose(each[0], values[0], rtol=NOTHING, atol=0.0)), None)
-        if same is None:
-            groups.append(([name], values))
+        same = [names for names, each in groups if _alike(each[0], values[0]).all()]
+        if same:
+            same[0].append(name)
         else:
-            same.append(name)
+            groups.append(([name], values))
     if len(groups) == 1:
         return
     (_, before), *_ = groups
@@ -149,12 +146,16 @@ def _by_state(
         std = np.sqrt(np.einsum("pi,pq,qi->i", by_parameters, covariance, by_parameters))
         pairs = zip(change.tolist(), std.tolist(), strict=True)
         written = [f" ({quantities.with_std(*each, '%', factor=0.01)})" for each in pairs]
-        changes = [text if abs(value) > NOTHING else "" for text, value in zip(written, change, strict=True)]
-        columns.append(
-            blocks.Column(f"{headline.some(names)}, {unit}", tuple(map("".join, zip(texts, changes, strict=True))))
-        )
+        changes = ["" if same else text for text, same in zip(written, _alike(after[0], before[0]), strict=True)]
+        cells = tuple(map("".join, zip(texts, changes, strict=True)))
+        columns.append(blocks.Column(f"{headline.some(names)}, {unit}", cells))
     # A value with its change takes half as much again of the width.
     yield from blocks.Table(key, title, tuple(columns), top_first=True).folded(2 * blocks.PAGE_COLUMNS // 3)
+
+
+def _alike(one: Floats, other: Floats) -> Bools:
+    """Find the values that differ by rounding at most."""
+    return np.isclose(one, other, rtol=quantities.NEGLIGIBLE_STD, atol=0.0)
 
 
 def frame_section(result: LoopResult, units: quantities.Units) -> blocks.Section:
@@ -253,7 +254,7 @@ def _set_label(effects: EffectSet, first: EffectSet) -> str:
         return f"the first, with {come} in place of {gone}"
     if gone:
         return f"the first, without {gone}"
-    return f"the first, and {come}" if come else "the first"
+    return f"the first, with {come}" if come else "the first"
 
 
 def candidates_section(result: LoopResult) -> blocks.Section:

@@ -8,7 +8,7 @@ from cvxshear.records import ModalResult
 from cvxshear.report import blocks
 from cvxshear.screening import FileFinding, Screening
 from cvxshear.util.errors import InputError
-from cvxshear.util.quantities import AUTOMATIC, Units, capital, counted, listed, numbered, percent, with_std, with_stds
+from cvxshear.util.quantities import capital, counted, listed, numbered, percent, with_std, with_stds
 
 METHOD_WORDS = {
     "era": "eigensystem realization (era)",
@@ -24,7 +24,7 @@ def method_in_words(result: ModalResult) -> str:
 
 
 @blocks.describe.register
-def _modes(result: ModalResult, units: Units = AUTOMATIC) -> blocks.Document:
+def _modes(result: ModalResult) -> blocks.Document:
     how = f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty}."
     findings = (blocks.Sentence(f"{each.kind}: {each.message}", "warning") for each in result.findings)
     shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
@@ -115,7 +115,7 @@ def _shapes(result: ModalResult) -> blocks.Table:
 
 
 @blocks.describe.register
-def _screening(result: Screening, units: Units = AUTOMATIC) -> blocks.Document:
+def _screening(result: Screening) -> blocks.Document:
     accepted = [f"accepted beforehand: {', '.join(result.accepted)}"] if result.accepted else []
     parts = [part for item in result.findings for part in _finding(item)]
     for said in result.record:

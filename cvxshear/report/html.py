@@ -17,7 +17,7 @@ from cvxshear.report.blocks import describe
 from cvxshear.report.headline import headline, verdict_of
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.errors import printable
-from cvxshear.util.quantities import AUTOMATIC, Units, capital
+from cvxshear.util.quantities import capital
 from cvxshear.util.results import as_json
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import json_text
@@ -102,7 +102,7 @@ def versions() -> Iterator[tuple[str, str]]:
             continue
 
 
-def render(result: LoopResult, command: str, comparison: Comparison | None = None, units: Units = AUTOMATIC) -> str:
+def render(result: LoopResult, command: str, comparison: Comparison | None = None) -> str:
     """Write the report of a closed loop as HTML.
 
     Parameters
@@ -112,8 +112,6 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
         Command line that writes this report.
     comparison : Comparison, optional
         Comparison of the backends. Default: a new comparison.
-    units : Units, optional
-        Units of the quantities.
 
     Returns
     -------
@@ -125,7 +123,7 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
     return page(
         "report.html",
         result.to_dict(),
-        document=describe(result, units),
+        document=describe(result),
         heading=result.experiment.report,
         headline=capital(headline(result)),
         verdict=verdict_of(result),

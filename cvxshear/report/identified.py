@@ -1,6 +1,5 @@
 """Describe the measured and declared data, and the identified frame with the fit of each configuration."""
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
 
@@ -16,9 +15,9 @@ from cvxshear.util.typing import Floats
 
 
 @blocks.describe.register
-def _experiment(experiment: Experiment, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _experiment(experiment: Experiment) -> blocks.Document:
     headline = f"{experiment.name}: {_experiment_headline(experiment)}"
-    return blocks.Document(experiment.name, headline, (declared(experiment, units),))
+    return blocks.Document(experiment.name, headline, (declared(experiment, units_for(experiment)),))
 
 
 @blocks.line.register
@@ -33,12 +32,12 @@ def _experiment_headline(experiment: Experiment) -> str:
     return f"{quantities.counted(experiment.stories, 'story')}, {', '.join(tests)}"
 
 
-def units_for(experiment: Experiment, units: quantities.Units) -> quantities.Units:
+def units_for(experiment: Experiment) -> quantities.Units:
     """Choose the units: relative units if the total mass is unknown."""
-    return dataclasses.replace(units, relative=True) if experiment.frame.total_mass_placeholder else units
+    return quantities.Units(relative=experiment.frame.total_mass_placeholder)
 
 
-def declared(experiment: Experiment, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Section:
+def declared(experiment: Experiment, units: quantities.Units) -> blocks.Section:
     """List the declarations of the frame, and each test in a line."""
     facts = blocks.Facts(tuple(_facts(experiment, units)))
     # All masses have one unit. A known mass of the frame determines this unit.
@@ -283,8 +282,8 @@ def _chi_square(fit: results.Quality) -> str:
 
 
 @blocks.describe.register
-def _identification(result: results.Identification, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
-    units = units_for(result.experiment, units)
+def _identification(result: results.Identification) -> blocks.Document:
+    units = units_for(result.experiment)
     sections = [declared(result.experiment, units)]
     sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
     if result.other_frames:

@@ -11,7 +11,7 @@ from scipy import io
 from cvxshear.report import blocks
 from cvxshear.report.headline import MODELS
 from cvxshear.response import IdentifiedDamping, Peaks, Reconstruction, RecordComparison, RecordPrediction, Response
-from cvxshear.response.peaks import RESPONSES, histories
+from cvxshear.response.predicted import RESPONSES, histories
 from cvxshear.response.reconstruction import SIGN_KNOWN
 from cvxshear.util import quantities, ranking
 from cvxshear.util.typing import Floats
@@ -19,7 +19,7 @@ from cvxshear.util.writing import ending_of, write_file
 
 
 @blocks.describe.register
-def _damping(result: IdentifiedDamping, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _damping(result: IdentifiedDamping) -> blocks.Document:
     remarks = (blocks.Sentence(each, "warning") for each in result.remarks)
     headline = f"{result.kind} damping of {quantities.counted(len(result.ratios), 'mode')}"
     return blocks.Document("damping", headline, (damping_section(result), blocks.section("remarks", "", *remarks)))
@@ -54,7 +54,7 @@ def _written(values: Floats, std: Floats, factor: float | None = None) -> list[s
 
 
 @blocks.describe.register
-def _prediction(result: RecordPrediction, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _prediction(result: RecordPrediction) -> blocks.Document:
     model = result.after.fitted.label_in(result.configuration)
     how = f"{_driven(result)}, by the {model}, {result.damping.kind} damping, backend {result.backend}"
     sections = [blocks.section("how", "", how)]
@@ -180,7 +180,7 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
 
 
 @blocks.describe.register
-def _reconstruction(result: Reconstruction, units: quantities.Units = quantities.AUTOMATIC) -> blocks.Document:
+def _reconstruction(result: Reconstruction) -> blocks.Document:
     warnings, frame = (blocks.Sentence(each, "warning") for each in result.warnings), result.frame
     motion = (*_sensor_drifts(result), stories(result), *peaks(result.peaks))
     checks = [blocks.section("checks", "Each sensor from the others", left_out(result))] if result.checks else []
@@ -207,7 +207,7 @@ def _reconstruction(result: Reconstruction, units: quantities.Units = quantities
 def _reconstructed(result: Reconstruction) -> str:
     """Name the frame, the measured floors and the excitation."""
     floors = quantities.numbered("floor", result.recording.floors.tolist())
-    words = {"base": "base motion", "force": "a force", "none": "a base motion that nobody measured"}
+    words = {"base": "base motion", "force": "a force"}
     driven = words[result.recording.input]
     return (
         f"{result.fitted.experiment.name} ({result.configuration.name}) under {driven} of {result.recording.name}, "
@@ -302,7 +302,7 @@ def _limits(result: Reconstruction) -> Iterator[str]:
 
 def left_out(result: Reconstruction) -> blocks.Table:
     """Tabulate the actual and the stated error of each sensor, predicted from all others."""
-    alone = [None if each.prediction_error is None else each.prediction_error / each.measured for each in result.checks]
+    alone = [each.prediction_error / each.measured for each in result.checks]
     return blocks.table("left-out-sensors", "each measured floor from the other sensors alone", {
         "floor": [str(each.floor) for each in result.checks],
         "rms, m/s²": [quantities.significant(each.measured, 3) for each in result.checks],
@@ -319,7 +319,7 @@ def stories(result: Reconstruction) -> blocks.Table:
     factor, unit = (0.01, "% of height") if name == "story_drift_ratio" else (1e-3, "mm")
     values, frame = result.peaks.values[name], result.frame
     unknown = np.full(len(values), np.nan)
-    predicted = unknown if result.predicted_peaks is None else result.predicted_peaks.values[name] / factor
+    predicted = result.predicted_peaks.values[name] / factor
     columns = {
         "story": [str(story) for story in range(1, len(values) + 1)],
         f"peak drift, {unit}": _written(values, result.peaks.std[name], factor),
@@ -379,7 +379,7 @@ Moved = RecordPrediction | Reconstruction
 def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
     """List each run's excitation (m/s2 or N), its response, and the known standard deviations by quantity."""
     if isinstance(result, Reconstruction):
-        return [(run.excitation if run.base is None else run.base, run.response, run.std) for run in result.runs]
+        return [(run.excitation, run.response, run.std) for run in result.runs]
     return [
         (run.excitation, response, {name: band for name, band in std.items() if np.isfinite(band).all()})
         for run, response, std in zip(result.motion.runs, result.after.responses, result.std, strict=True)

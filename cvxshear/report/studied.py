@@ -1,6 +1,5 @@
 """Describe a planned test, the recomputed figures of the paper, the noise study, and the comparison of backends."""
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from itertools import groupby
@@ -16,21 +15,18 @@ from cvxshear.paper.setups import Setup
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.planner import ExpectedAccuracy, Plan
 from cvxshear.report import blocks
-from cvxshear.util.quantities import AUTOMATIC, Units, counted, exponential, percent, percents, significant
+from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
-
-PROVEN = 1e-9
-"""Largest gap between the objective and its bound for a choice that counts as optimal."""
 
 
 @blocks.describe.register
-def _plan(result: Plan, units: Units = AUTOMATIC) -> blocks.Document:
+def _plan(result: Plan) -> blocks.Document:
     design = result.model.design
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
         blocks.section("choice", "", typical(result), sure(result), noise),
-        blocks.section("tests", "The tests", expected_modes(result), added_masses(result, units), *grid(result)),
-        blocks.section("accuracy", "What they will determine", accuracy(result, units), counts(result)),
+        blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
+        blocks.section("accuracy", "What they will determine", accuracy(result), counts(result)),
     ]
     return blocks.Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
 
@@ -53,12 +49,12 @@ def plan_headline(result: Plan) -> str:
     floors = ", ".join(map(str, result.sensors))
     everywhere = len(result.sensors) == result.model.design.stories
     where = "every floor" if everywhere else f"floor{'s' * (len(result.sensors) > 1)} {floors}"
-    return f"Measure {where} in {counted(len(result.tests), 'test')}, for {result.goal}."
+    return f"Measure {where} in {quantities.counted(len(result.tests), 'test')}, for {result.goal}."
 
 
 def typical(result: Plan) -> str:
     """State the typical deviation of a floor and of a story, and the cheapest thing that would lower it."""
-    mass, stiffness = ("open" if np.isnan(std) else percent(std) for std in result.typical_std)
+    mass, stiffness = ("open" if np.isnan(std) else quantities.percent(std) for std in result.typical_std)
     said = f"Expected (root mean square): a floor mass to {mass}, a story stiffness to {stiffness}."
     if result.rests_on_total:
         said += " Most of it is the total mass, which modes do not determine: weigh the frame."
@@ -67,21 +63,21 @@ def typical(result: Plan) -> str:
 
 def sure(result: Plan) -> str:
     """State the objective and the largest possible distance of the choice from the optimum."""
-    said = f"{result.measure} ({result.criterion}): {percent(result.objective)} relative"
+    said = f"{result.measure} ({result.criterion}): {quantities.percent(result.objective)} relative"
     if result.objective >= UNKNOWN_STD:
-        said = f"{result.measure} ({result.criterion}): open, {percent(UNKNOWN_STD, 0)} relative or more"
+        said = f"{result.measure} ({result.criterion}): open, {quantities.percent(UNKNOWN_STD, 0)} relative or more"
     if len(result.sensors) == result.model.design.stories:
         return said
     if result.floors_arbitrary:
         return f"{said}; every choice of as many floors gives the same within 1 %: the floors named are arbitrary"
-    if result.gap < PROVEN:
+    if result.gap < quantities.NEGLIGIBLE_STD:
         return f"{said}; every choice of as many floors was looked at, none is better"
     if not np.isfinite(result.gap):
         return f"{said}; the convex program gives no bound"
     if result.bound >= UNKNOWN_STD:
         return f"{said}; no choice of as many floors is better than open"
-    gap = "" if result.objective >= UNKNOWN_STD else f" (gap {percent(result.gap, 1)})"
-    return f"{said}; no choice of as many floors is below {percent(result.bound)}{gap}"
+    gap = "" if result.objective >= UNKNOWN_STD else f" (gap {quantities.percent(result.gap, 1)})"
+    return f"{said}; no choice of as many floors is below {quantities.percent(result.bound)}{gap}"
 
 
 def grid(result: Plan) -> list[str]:
@@ -97,61 +93,49 @@ def grid(result: Plan) -> list[str]:
 
 
 def expected_modes(result: Plan) -> blocks.Table:
-    """Tabulate the modes of the first test, and their expected accuracy if it differs between modes."""
-    modes = result.expected_modes
-    given = {
-        "mode": [str(each.mode) for each in modes],
-        "frequency, Hz": [significant(each.frequency) for each in modes],
-        "std of it": percents([each.frequency_std for each in modes]),
-        "std of a shape's entry": percents([each.mode_shape_std for each in modes]),
-    }
-    # The sentence about the noise gives every value that is equal for all modes.
-    shown = {name: cells for name, cells in given.items() if name == "mode" or len(set(cells)) > 1}
-    return blocks.table("expected-modes", f"expected modes ({result.names[0]})", shown)
+    """Tabulate the modes of the first test."""
+    test = result.model.expected(result.tests[0]).test
+    return blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
+        "mode": [str(mode) for mode in test.modes],
+        "frequency, Hz": [quantities.significant(float(frequency)) for frequency in test.frequencies],
+    })  # fmt: skip
 
 
-def added_masses(result: Plan, units: Units) -> blocks.Table:
+def added_masses(result: Plan) -> blocks.Table:
     """Tabulate the added mass of each test, the top floor first."""
-    # People place these masses by hand; the default unit is kg for every size.
-    factor, unit = (1.0, "kg") if units.mass is None else units.of_mass(np.concatenate(result.tests).tolist())
     rows = []
     for floor in range(result.model.design.stories, 0, -1):
-        masses = (significant(float(test[floor - 1]) / factor) for test in result.tests)
+        masses = (quantities.significant(float(test[floor - 1])) for test in result.tests)
         rows.append((str(floor), *masses, "x" if floor in result.sensors else ""))
-    return blocks.table_of_rows("added-mass", f"tests: added mass, {unit}", ("floor", *result.names, "sensor"), rows)
+    return blocks.table_of_rows("added-mass", "tests: added mass, kg", ("floor", *result.names, "sensor"), rows)
 
 
-def accuracy(result: Plan, units: Units) -> blocks.Table:
-    """Tabulate the expected deviations of masses and stiffnesses: as planned, one sensor fewer or more, all floors."""
-    design = result.model.design
-    words = ("as planned", "one less", "one more", "all floors")
-    options = zip(words, (result.chosen, result.fewer, result.more, result.everywhere), strict=True)
-    shown = [(name, each) for name, each in options if each is not None]
-    names = tuple(name for name, _ in shown)
-    units = dataclasses.replace(units, relative=True) if design.frame.total_mass_placeholder else units
+def accuracy(result: Plan) -> blocks.Table:
+    """Tabulate the expected deviations of masses and stiffnesses, the top first."""
+    design, chosen = result.model.design, result.chosen
+    units = quantities.Units(relative=design.frame.total_mass_placeholder)
     mass_factor, mass_unit = units.of_mass(design.floor_mass.tolist())
     factor, unit = units.of_stiffness(design.story_stiffness.tolist())
-    rows = []
-    for i in reversed(range(design.stories)):
-        mass, stiffness = float(design.floor_mass[i]), float(design.story_stiffness[i])
-        of_mass = (_std(each.floor_mass_std, i, mass) for _, each in shown)
-        of_stiffness = (_std(each.story_stiffness_std, i, stiffness) for _, each in shown)
-        sizes = significant(mass / mass_factor), significant(stiffness / factor)
-        rows.append((str(i + 1), sizes[0], *of_mass, sizes[1], *of_stiffness))
-    head = ("floor / story", f"mass, {mass_unit}", *names, f"stiffness, {unit}", *names)
-    return blocks.table_of_rows("accuracy-table", "expected standard deviations (of the shear model)", head, rows)
+    return blocks.table("accuracy-table", "expected standard deviations (of the shear model)", {
+        "floor / story": [str(i) for i in range(1, design.stories + 1)],
+        f"mass, {mass_unit}": [quantities.significant(value / mass_factor) for value in design.floor_mass.tolist()],
+        "std of mass": _relative(chosen.floor_mass_std, design.floor_mass),
+        f"stiffness, {unit}": [quantities.significant(value / factor) for value in design.story_stiffness.tolist()],
+        "std of stiffness": _relative(chosen.story_stiffness_std, design.story_stiffness),
+    }, top_first=True)  # fmt: skip
 
 
-def _std(std: Floats, at: int, value: float) -> str:
-    """Write a standard deviation, relative."""
-    if np.isnan(std[at]):
-        return "open"
-    return "exact" if std[at] < 1e-9 * value else percent(float(std[at]) / value)
+def _relative(std: Floats, values: Floats) -> list[str]:
+    """Write standard deviations relative to their values."""
+    return [
+        "open" if np.isnan(each) else "exact" if each < quantities.NEGLIGIBLE_STD else quantities.percent(each)
+        for each in (std / values).tolist()
+    ]
 
 
 def _value(objective: float) -> str:
     """Write the criterion's standard deviation, relative."""
-    return "open" if objective >= UNKNOWN_STD else percent(objective)
+    return "open" if objective >= UNKNOWN_STD else quantities.percent(objective)
 
 
 def counts(result: Plan) -> blocks.Table:
@@ -175,7 +159,7 @@ Cells = tuple[str, ...]
 
 
 @blocks.describe.register
-def _reproduction(result: printed.Reproduction, units: Units = AUTOMATIC) -> blocks.Document:
+def _reproduction(result: printed.Reproduction) -> blocks.Document:
     parts = tuple(
         blocks.section(f"section-{place}", section.title, printed_beside_recomputed(section), *section.notes)
         for place, section in enumerate(result.sections, 1)
@@ -216,7 +200,7 @@ def _number(value: float, count: int, *, sign: bool = False) -> str:
 
 
 @blocks.describe.register
-def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> blocks.Document:
+def _study(result: NoiseStudy) -> blocks.Document:
     levels = [list(alike) for _, alike in groupby(result.scatters, key=lambda each: each.setup)]
     tables = tuple(noise_level(alike, place) for place, alike in enumerate(levels, 1))
     levels_section = blocks.section("levels", "Scatter", *tables, note(result))
@@ -226,13 +210,13 @@ def _study(result: NoiseStudy, units: Units = AUTOMATIC) -> blocks.Document:
 def scatter_data(result: NoiseStudy) -> blocks.Table:
     """Tabulate the relative scatter of every mass and stiffness by setup and method, for programs."""
     rows = [
-        (each.setup.name, each.method, f"{quantity} {number}")
+        (each.setup.name, each.setup.mode_shape_std, each.method, f"{quantity} {number}")
         for each in result.scatters
         for quantity in UNITS_OF_FRAME
         for number in range(1, each.setup.stories + 1)
     ]
-    words = zip(*rows, strict=True)
-    columns = [blocks.exact(name, cells) for name, cells in zip(("setup", "method", "unknown"), words, strict=True)]
+    names = ("setup", "mode_shape_std", "method", "unknown")
+    columns = list(map(blocks.exact, names, zip(*rows, strict=True)))
     figures = ("bias", "bias_error", "variation", "rmse", "relative_bound", "ratio")
     values = ([getattr(each, name) for each in result.scatters] for name in figures)
     columns += map(blocks.exact, figures, map(np.concatenate, values))
@@ -240,9 +224,9 @@ def scatter_data(result: NoiseStudy) -> blocks.Table:
 
 
 def _study_headline(result: NoiseStudy) -> str:
-    setups = counted(len({id(each.setup) for each in result.scatters}), "setup")
+    setups = quantities.counted(len({id(each.setup) for each in result.scatters}), "setup")
     methods = ", ".join(dict.fromkeys(each.method for each in result.scatters))
-    return f"{setups}, {counted(result.samples, 'sample')} each, by {methods}"
+    return f"{setups}, {quantities.counted(result.samples, 'sample')} each, by {methods}"
 
 
 def noise_level(scatters: list[Scatter], place: int) -> blocks.Table:
@@ -289,7 +273,7 @@ def note(result: NoiseStudy) -> str:
 
 
 @blocks.describe.register
-def _comparison(result: Comparison, units: Units = AUTOMATIC) -> blocks.Document:
+def _comparison(result: Comparison) -> blocks.Document:
     without = [f"Without the paper's programs: {result.left_out}."] if result.left_out else []
     tables = (part for kind in result.kinds for part in _kind(result, kind))
     programs_section = blocks.section("programs", "Programs", *without, *tables)
@@ -300,7 +284,7 @@ def _comparison(result: Comparison, units: Units = AUTOMATIC) -> blocks.Document
 
 def _backends_headline(result: Comparison) -> str:
     backends = len({row.backend for row in result.rows})
-    return f"{counted(backends, 'backend')} on {counted(len(result.kinds), 'kind')} of programs"
+    return f"{quantities.counted(backends, 'backend')} on {quantities.counted(len(result.kinds), 'kind')} of programs"
 
 
 def _kind(result: Comparison, kind: ProgramKind) -> Iterator[blocks.Block]:
@@ -318,12 +302,12 @@ def _kind(result: Comparison, kind: ProgramKind) -> Iterator[blocks.Block]:
 def programs(kind: ProgramKind) -> str:
     """Name a kind of program and its size."""
     sizes = (
-        counted(kind.unknowns, "unknown"),
-        counted(kind.rows, "row"),
-        counted(kind.equalities, "equality"),
-        counted(kind.inequalities, "inequality"),
+        quantities.counted(kind.unknowns, "unknown"),
+        quantities.counted(kind.rows, "row"),
+        quantities.counted(kind.equalities, "equality"),
+        quantities.counted(kind.inequalities, "inequality"),
     )
-    return f"{kind.kind}: {counted(kind.programs, 'program')}, {', '.join(sizes)}"
+    return f"{kind.kind}: {quantities.counted(kind.programs, 'program')}, {', '.join(sizes)}"
 
 
 def _rows(rows: list[BackendResult]) -> Iterator[Cells]:
@@ -339,9 +323,9 @@ def _rows(rows: list[BackendResult]) -> Iterator[Cells]:
 def _backend_cells(row: BackendResult) -> Iterator[str]:
     yield row.backend
     for value in (row.difference, row.primal_residual, row.dual_residual, row.duality_gap, row.error_bound):
-        yield "–" if value is None else exponential(value)
+        yield "–" if value is None else quantities.exponential(value)
     yield "–" if row.iterations is None else str(row.iterations)
-    yield "–" if row.tolerance is None else exponential(row.tolerance, 1)
+    yield "–" if row.tolerance is None else quantities.exponential(row.tolerance, 1)
 
 
 def worst(result: Comparison) -> blocks.Table:
@@ -368,7 +352,7 @@ def _worst(name: str, rows: list[BackendResult]) -> Cells:
 
 def _largest(values: list[float | None]) -> str:
     known = [value for value in values if value is not None]
-    return exponential(max(known)) if known else "–"
+    return quantities.exponential(max(known)) if known else "–"
 
 
 def short(failure: str) -> str:

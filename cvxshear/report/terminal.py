@@ -16,7 +16,7 @@ from rich.text import Text
 
 from cvxshear.report.blocks import Facts, Points, Section, Sentence, Table, describe, line, table_of_rows
 from cvxshear.util.errors import UnsuitableError, printable
-from cvxshear.util.quantities import AUTOMATIC, Units, column_name
+from cvxshear.util.quantities import column_name
 from cvxshear.util.results import data_frame
 
 if TYPE_CHECKING:
@@ -103,17 +103,15 @@ PAGE = 80
 """Width of plain text in characters."""
 
 
-def shown(result: object, units: Units = AUTOMATIC) -> Iterator[RenderableType]:
+def shown(result: object) -> Iterator[RenderableType]:
     """Render a result for a terminal: its headline and the sections of the short report.
 
     Parameters
     ----------
     result : object
         Result of a type that `describe` supports.
-    units : Units, optional
-        Units of the quantities.
     """
-    document = describe(result, units)
+    document = describe(result)
     yield Text(printable(document.headline), style="bold")
     for section in document.brief:
         yield from rendered(section)

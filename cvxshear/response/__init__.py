@@ -3,8 +3,7 @@
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.response.compare import RecordComparison
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.peaks import Peaks
-from cvxshear.response.predicted import ModelResponse, RecordPrediction, predict
+from cvxshear.response.predicted import ModelResponse, Peaks, RecordPrediction, predict
 from cvxshear.response.reconstruction import Reconstruction, reconstruct
 from cvxshear.response.sources import Fitted, Models, models_of_loop
 from cvxshear.response.state_space import Response, response

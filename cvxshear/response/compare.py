@@ -6,16 +6,18 @@ leakage and resolution are the same in both and cancel in the comparison.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from cvxshear.records.motion import DrivenRecord
+from cvxshear.records.motion import DrivenRecord, DrivenRun, trend
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.state_space import Response
-from cvxshear.util.quantities import ranged
+from cvxshear.response.recording import Recording, rms
+from cvxshear.response.state_space import Response, response
+from cvxshear.util.quantities import CHANNEL_UNITS, ranged
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
@@ -31,9 +33,6 @@ AROUND = 0.1
 SHIFTED = 0.25
 """Half width of the search for a resonance, relative to the natural frequency, unless the next mode is nearer. A frame
 that lost two fifths of its stiffness has this shift."""
-
-AS_MUCH = 0.5
-"""Report shifts larger than half the smallest significant one: the modes of one frame have similar shifts."""
 
 COHERENT = 0.6
 """Minimum mean coherence of a floor that responds to the excitation."""
@@ -153,11 +152,6 @@ class Shift:
     measured: float
     modelled: float
 
-    @property
-    def size(self) -> float:
-        """Relative size of the shift."""
-        return abs(self.measured / self.modelled - 1)
-
     def __str__(self) -> str:
         change = 100 * (self.measured / self.modelled - 1)
         return (
@@ -228,11 +222,8 @@ def compared(
         return None
     measured = [each[:, columns] for each in recorded]
     predicted = [seen(model, response, floors) for response in responses]
-    error = np.concatenate(predicted) - np.concatenate(measured)
-    rms_measured, rms_predicted, rms_error = (
-        np.sqrt(np.mean(values**2, axis=0)) for values in (np.concatenate(measured), np.concatenate(predicted), error)
-    )
-    top_measured, top_predicted = (np.max(np.abs(np.concatenate(each)), axis=0) for each in (measured, predicted))
+    y, shown = np.concatenate(measured), np.concatenate(predicted)
+    rms_measured, rms_predicted, rms_error = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, shown, shown - y))
     natural = model.modes.frequencies
     length = segment(
         min(run.samples for run in motion.runs), motion.sampling_rate, float(natural[0]), float(model.ratios[0])
@@ -245,10 +236,10 @@ def compared(
             floors=floors,
             nrmse=rms_error / rms_measured,
             rms_ratio=rms_predicted / rms_measured,
-            peak_ratio=top_predicted / top_measured,
+            peak_ratio=np.max(np.abs(shown), axis=0) / np.max(np.abs(y), axis=0),
             frf_error=errors(of_record, of_model, natural),
             shifts=_shifts(of_record, of_model, natural, measured_modes),
-            contradiction=contradiction(measured, predicted, floors),
+            contradiction=contradiction(y, shown, floors),
             measured=of_record,
             predicted=of_model,
         )
@@ -258,21 +249,19 @@ def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_m
     """Find the modes whose resonance differs from the model's.
 
     The shift must exceed a line of the spectrum, and both transfer functions must be below `FALLEN` at the other's
-    peak. If one mode has such a shift, other modes with similar relative shifts are found, too.
+    peak.
     """
     line = measured.frequencies[1] - measured.frequencies[0]
-    found, sure = [], []
+    found = []
     for mode in range(len(natural)):
         if measured_modes is not None and mode + 1 not in measured_modes:
             continue
         seen, made = peak(measured, natural, mode), peak(predicted, natural, mode)
         if seen is None or made is None or abs(seen - made) <= line:
             continue
-        left = power_at(measured, natural, mode, made), power_at(predicted, natural, mode, seen)
-        found.append(Shift(mode + 1, seen, made))
-        if max(left) < FALLEN:
-            sure.append(found[-1].size)
-    return tuple(each for each in found if sure and each.size >= AS_MUCH * min(sure))
+        if max(power_at(measured, natural, mode, made), power_at(predicted, natural, mode, seen)) < FALLEN:
+            found.append(Shift(mode + 1, seen, made))
+    return tuple(found)
 
 
 def moved_alike(measured: Floats, predicted: Floats) -> Floats:
@@ -281,31 +270,32 @@ def moved_alike(measured: Floats, predicted: Floats) -> Floats:
     return np.asarray(np.sum(measured * predicted, axis=0) / np.maximum(np.sqrt(power), 1e-300))
 
 
-def moved_against(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Bools:
+def moved_against(measured: Floats, predicted: Floats) -> Bools:
     """Find channels that moved opposite to their prediction while all others moved with theirs, shape (n,)."""
-    y, p = np.concatenate(measured), np.concatenate(predicted)
-    alike = moved_alike(y, p)
+    alike = moved_alike(measured, predicted)
     against = alike < -LIKE
     sure = np.all(against | (alike > LIKE)) and 2 * np.sum(against) < len(against)
     return np.asarray(against & sure, dtype=bool)
 
 
-def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floors: Ints) -> str:
+def contradiction(measured: Floats, predicted: Floats, floors: Ints) -> str:
     """Report contradictions that one factor or a sign explains; empty without any."""
-    y, p = np.concatenate(measured), np.concatenate(predicted)
-    size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (y, p))
+    size_y, size_p = (np.sqrt(np.mean(each**2, axis=0)) for each in (measured, predicted))
     if not np.all(size_y > 0) or not np.all(size_p > 0):
         return ""
-    own = moved_alike(y, p)
+    own = moved_alike(measured, predicted)
     said = []
     ratios = size_y / size_p
     factor = float(np.exp(np.mean(np.log(ratios))))
     spread = float(np.max(np.abs(np.log(ratios / factor))))
-    for known, unit in UNIT_FACTORS:
-        if abs(np.log(factor / known)) < SAME_FACTOR and spread < SAME_FACTOR:
-            said.append(
-                f"every floor was measured {factor:.3g} times as large as predicted, which is near {known:g}: {unit}"
-            )
+    for unit in CONFUSED_UNITS:
+        size = CHANNEL_UNITS[unit][1]
+        for known, wrong in ((1 / size, "are the floors"), (size, "is the base motion")):
+            if abs(np.log(factor / known)) < SAME_FACTOR and spread < SAME_FACTOR:
+                said.append(
+                    f"every floor was measured {factor:.3g} times as large as predicted, which is near {known:.4g}: "
+                    f"{wrong} in {unit}?"
+                )
     against = floors[own < -LIKE]
     if against.size and against.size < len(floors):
         said.append(
@@ -317,20 +307,56 @@ def contradiction(measured: Sequence[Floats], predicted: Sequence[Floats], floor
     return "; ".join(said)
 
 
-UNIT_FACTORS = (
-    (9.80665, "is the base motion in g, or were the floors converted twice?"),
-    (1 / 9.80665, "are the floors in g, or was the base motion converted twice?"),
-    (1000.0, "are the floors in mm/s2?"),
-    (1e-3, "is the base motion in mm/s2?"),
-    (100.0, "are the floors in cm/s2 (gal)?"),
-    (0.01, "is the base motion in cm/s2 (gal)?"),
-    (386.1, "are the floors in in/s2?"),
-)
-"""Ratios of confused units of acceleration, and the question to the user for each."""
+CONFUSED_UNITS = ("g", "mm/s2", "cm/s2", "in/s2")
+"""Units of acceleration that are confused with m/s2."""
 
 SAME_FACTOR = 0.25
-"""Largest difference of logarithms between a ratio and one of `UNIT_FACTORS`. The rms of a prediction rarely has a
+"""Largest difference of logarithms between a ratio and the size of a unit. The rms of a prediction rarely has a
 larger error, and all factors differ by more."""
 
 LIKE = 0.5
 """Least correlation in time of two motions that belong together; floors of one frame in step have 0.8."""
+
+
+MOVED_ALIKE = 1e-3
+"""Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
+
+
+def predicted_responses(model: DampedModel, recording: Recording) -> list[Response]:
+    """Compute the motion of a frame from the excitation alone."""
+    runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
+    return [response(model, drive, recording.step) for drive in runs]
+
+
+def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
+    """List versions of a measured excitation between its samples: linear and band-limited.
+
+    Return only one version if both give the same motion.
+    """
+    other = recording.band_limited()
+    motion, moved = (
+        np.concatenate([each.acceleration for each in predicted_responses(model, own)]) for own in (recording, other)
+    )
+    return [recording, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [recording]
+
+
+def as_predicted(model: DampedModel, recording: Recording) -> Recording:
+    """Return a recording corrected by the prediction of the identified model.
+
+    A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
+    """
+    shown = [seen(model, each, recording.floors) for each in predicted_responses(model, recording)]
+    measured = np.concatenate([run.measured - trend(run.measured) for run in recording.runs])
+    predicted = np.where(np.isfinite(measured), np.concatenate([own - trend(own) for own in shown]), 0.0)
+    measured = np.nan_to_num(measured)
+    against = moved_against(measured, predicted)
+    signs = np.where(against, -1.0, 1.0)
+    said = [
+        f"the sensor of floor {floor} is reversed: it moves against the prediction, where all others move with it; "
+        "turned round, check its sign in the record file"
+        for floor in recording.floors[against]
+    ]
+    contradicted = contradiction(signs * measured, predicted, recording.floors)
+    remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
+    turned = recording.replaced(measured=(signs * run.measured for run in recording.runs))
+    return dataclasses.replace(turned, remarks=remarks)

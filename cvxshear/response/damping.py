@@ -5,7 +5,6 @@ Story dashpots and Rayleigh factors are solutions of least-squares programs that
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +15,8 @@ from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model import Modes, modes, stiffness_matrix
-from cvxshear.priors import Prior
-from cvxshear.programs import LeastSquares
-from cvxshear.programs.constraints import constrained, refuse_contradictions, softened, statements
-from cvxshear.programs.pair_rows import pair_products
+from cvxshear.priors import Constraints
+from cvxshear.programs import LeastSquares, constraints, pair_rows
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import ranged
@@ -193,21 +190,15 @@ def damping_ratios(experiment: Experiment, configuration: Configuration) -> Rati
     return Ratios(values, std, seen, tested)
 
 
-QUANTITY = "story_damping"
-"""Quantity of priors on the dashpots."""
-
 LOOSE = 10.0
 """Relative standard deviation of the assumption of dashpots proportional to the stiffnesses. The large value only
-affects combinations that neither the ratios nor the priors determine."""
+affects combinations that the ratios do not determine."""
 
 LEAST_RATIO = 1e-3
 """Least damping ratio that sets the accuracy: a smaller ratio has the same absolute standard deviation."""
 
 SETTLED_DASHPOTS = 1e-5
 """Largest change of a ratio, in its standard deviation, at convergence."""
-
-ZERO = 1e-9
-"""Largest dashpot that counts as zero, relative to the largest dashpot: the accuracy of the solvers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +210,7 @@ class Dashpots:
     values : ndarray, shape (N,)
         N s/m.
     open : tuple of str
-        Combinations that the measured ratios and the priors do not determine, in words.
+        Combinations that the measured ratios do not determine, in words.
     determined : ndarray of bool, shape (N,)
         Stories that are in no such combination.
     """
@@ -229,14 +220,7 @@ class Dashpots:
     determined: Bools
 
 
-def story_dashpots(
-    real: Modes,
-    stiffness: Floats,
-    ratios: Ratios,
-    backend: Backend,
-    priors: Sequence[Prior] = (),
-    start: Floats | None = None,
-) -> Dashpots:
+def story_dashpots(real: Modes, stiffness: Floats, ratios: Ratios, backend: Backend) -> Dashpots:
     """Find dashpots c >= 0 between the floors that give the frame the measured damping ratios.
 
     With real modes x = T' phi, x_i o x_j' c = 2 zeta_i omega_i delta_ij. The rows i = j are the measurement, each
@@ -254,26 +238,17 @@ def story_dashpots(
         All N undamped modes.
     stiffness : ndarray, shape (N,)
         N/m; undetermined dashpots are proportional to the stiffnesses.
-    priors : sequence of Prior, optional
-        Priors of the quantity "story_damping".
-    start : ndarray, shape (N,), optional
-        Dashpots near the answer.
 
     Raises
     ------
-    InfeasibleError
-        If exact priors contradict each other.
     NoSolutionError
         If the backend does not solve a program, or the dashpots do not converge.
     """
     n = len(stiffness)
-    where = statements(priors, QUANTITY, n)
-    refuse_contradictions(where, n)
-    fit = _Fit(real, stiffness, ratios, priors)
-    c = start
-    if c is None:
-        # The first solution uses the real modes, for any distance; the following steps improve the ratios.
-        c = backend.solve(constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
+    where = [constraints.NamedConstraints("dashpots are positive", Constraints(lower=np.zeros(n)))]
+    fit = _Fit(real, stiffness, ratios)
+    # The first solution uses the real modes, for any distance; the following steps improve the ratios.
+    c = backend.solve(constraints.constrained(fit.program(np.zeros(n)), where, np.zeros(n))).x
     domain = Domain(where, np.full(n, max(float(np.abs(c).max()), 1e-300)), np.full(n, np.inf))
     found = gauss_newton(fit, c, domain, backend, Accuracy(SETTLED_DASHPOTS), fit.residuals(c))
     if not found.converged:
@@ -286,12 +261,12 @@ class _Fit:
 
     Parameters
     ----------
-    real, stiffness, ratios, priors
+    real, stiffness, ratios
         As for `story_dashpots`.
     """
 
-    def __init__(self, real: Modes, stiffness: Floats, ratios: Ratios, priors: Sequence[Prior]) -> None:
-        self.real, self.stiffness, self.priors = real, stiffness, priors
+    def __init__(self, real: Modes, stiffness: Floats, ratios: Ratios) -> None:
+        self.real = real
         self.seen = np.flatnonzero(ratios.measured)
         self.zeta = ratios.values[self.seen]
         size = np.maximum(self.zeta, LEAST_RATIO)
@@ -299,13 +274,11 @@ class _Fit:
         self.statement = _statement(real, self.seen, size, stiffness)
 
     def program(self, c: Floats) -> LeastSquares:
-        """Return the program for a change of the dashpots: measured ratios, then assumptions, then soft priors."""
+        """Return the program for a change of the dashpots: measured ratios, then assumptions."""
         found, J = _pole_ratios(self.real, c, self.seen)
         R = np.concatenate([J / self.std[:, None], self.statement])
         s = np.concatenate([(self.zeta - found) / self.std, -self.statement @ c])
-        names = tuple(f"{QUANTITY} {i + 1}" for i in range(len(c)))
-        at = np.maximum(c, 1e-12 * self.stiffness)
-        return softened(LeastSquares(R, s, names=names), self.priors, QUANTITY, at, 1.0, step=True)
+        return LeastSquares(R, s, names=tuple(f"dashpot {i + 1}" for i in range(len(c))))
 
     def residuals(self, c: Floats) -> PlainResiduals:
         """Return the rows at given dashpots.
@@ -327,19 +300,14 @@ class _Fit:
 
     def found(self, c: Floats, program: LeastSquares) -> Dashpots:
         """Return the final dashpots, and the combinations that the program's data do not determine."""
-        n, measured, assumed = len(c), len(self.seen), len(self.statement)
-        data = np.concatenate([program.R[:measured], program.R[measured + assumed :]])
-        none = np.zeros((0, n))
-        exact = [prior.constraints(n).A for prior in self.priors]
-        equalities = np.concatenate([none, *(A for A in exact if A is not None)])
+        n, none = len(c), np.zeros((0, len(c)))
         names = tuple(str(story) for story in range(1, n + 1))
-        told = Uncertainty(data, equalities, none, none, np.full(n, np.inf), np.zeros(n), names)
+        told = Uncertainty(program.R[: len(self.seen)], none, none, none, np.full(n, np.inf), np.zeros(n), names)
         words = (
             f"the dashpots of stories {', '.join(each)}" if len(each) > 1 else f"the dashpot of {each[0]}"
             for each in told.null_directions
         )
-        c = np.where(c > ZERO * c.max(), c, 0.0)
-        return Dashpots(c, tuple(words), told.determined)
+        return Dashpots(np.maximum(c, 0.0), tuple(words), told.determined)
 
 
 def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floats:
@@ -349,7 +317,7 @@ def _statement(real: Modes, seen: Ints, zeta: Floats, stiffness: Floats) -> Floa
     drifts = np.diff(real.shapes[seen].T, axis=0, prepend=0.0)
     i, j = np.triu_indices(len(seen), k=1)
     unit = 2 * np.sqrt(omega[i] * omega[j]) * np.sqrt(zeta[i] * zeta[j] / 3)
-    uncoupled = pair_products(drifts, diagonal=False) / unit[:, None]
+    uncoupled = pair_rows.pair_products(drifts, diagonal=False) / unit[:, None]
     # c_k / k_k minus the mean of all, relative to the factor that gives the first mode the mean ratio.
     typical = 2 * float(np.mean(zeta)) / float(np.sqrt(real.eigenvalues[0]))
     proportion = (np.eye(n) - 1.0 / n) / stiffness / (typical * LOOSE)

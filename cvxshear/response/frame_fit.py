@@ -18,37 +18,27 @@ from cvxshear.fit.domain import Domain
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.priors import Constraints
 from cvxshear.programs.constraints import NamedConstraints
+from cvxshear.response import frame_prior
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import (
-    FORM_STDS,
-    GAIN_UNIT,
-    MASS_STD,
-    NOISE_STD,
-    FrameAnswer,
-    FramePrior,
-    Gaussian,
-    Likelihood,
-    Linear,
-    possible_answers,
-)
-from cvxshear.response.innovations import DIFFERENCE, Directions, PredictionErrors
+from cvxshear.response.innovations import Directions, PredictionErrors
+from cvxshear.response.sources import covariance_root
 from cvxshear.util.decorators import cached_property
-from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
-FIRST_SAMPLES, FITTED_SAMPLES = 2_000, 10_000
-"""Samples of the strongest segment of each run in the first and in the last fit. The time of a fit is proportional to
-this number; model errors limit the accuracy with more samples."""
+FITTED_SAMPLES, PROBED_SAMPLES = 10_000, 2_000
+"""Samples of the strongest segment of each run for the fit, and for the choice of its directions. The time of a fit is
+proportional to this number; model errors limit the accuracy with more samples."""
 
-LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
-"""Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
-with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
+LEAST_INFORMATION = 0.5
+"""Minimum information, relative to the prior, for a direction to be fitted. A record with less information reduces the
+variance by less than a fifth, and the prior of the direction remains."""
 
-FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, most_steps=12)
-"""Accuracy of the last and of the first fit; four to eight steps are usual."""
+FITTED = Accuracy(step=0.1, most_steps=20)
+"""Accuracy of the fit; four to eight steps are usual."""
 
-MOST_DECISIONS = 3
-"""Maximum number of selections of the changes; the second usually repeats the first."""
+MOST_REFITS = 4
+"""Maximum number of selections of the changes, and of fits that fill in gaps and spikes for the next one. An error of a
+gap decreases by its share of the information: to a tenth if a tenth of the strong motion is missing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +62,10 @@ class FittedFrame:
     """
 
     errors: PredictionErrors
-    prior: FramePrior
+    prior: frame_prior.FramePrior
     p: Floats
     covariance: Floats
-    answers: tuple[FrameAnswer, ...]
+    answers: tuple[frame_prior.FrameAnswer, ...]
     inflation: float
     converged: bool
     along: Directions
@@ -104,7 +94,7 @@ class FittedFrame:
     def doubted(self) -> FittedFrame:
         """Return the frame with the covariance of a frame of which every story may have changed."""
         stories = [place for place, each in enumerate(self.prior.changes) if each.kind == "story"]
-        return dataclasses.replace(self, covariance=self.prior.gaussian(stories, FORM_STDS[0]).covariance)
+        return dataclasses.replace(self, covariance=self.prior.gaussian(stories, frame_prior.FORM_STDS[0]).covariance)
 
     @property
     def dashpots(self) -> tuple[Floats, Floats]:
@@ -121,7 +111,7 @@ class FittedFrame:
         at, m = self.errors.varied.sensor_gains, len(self.errors.setting.floors)
         # If the excitation was larger than measured, its sensor reads too little.
         signs = np.where(np.arange(at.stop - at.start) < m, 1.0, -1.0)
-        logarithms, std = self._unknown(at, GAIN_UNIT * signs)
+        logarithms, std = self._unknown(at, signs)
         return np.expm1(logarithms), np.exp(logarithms) * std
 
     @property
@@ -140,9 +130,9 @@ class FittedFrame:
 
         Base motion gives only the relative changes of the floors' masses, not their common factor.
         """
-        if not self.errors.setting.base_measured or self.errors.setting.force_floor:
+        if self.errors.setting.force_floor:
             return 0.0
-        return MASS_STD * float(np.sqrt(self.mass_probability / self.errors.stories))
+        return frame_prior.MASS_STD * float(np.sqrt(self.mass_probability / self.errors.stories))
 
     @property
     def mean_factor(self) -> tuple[float, float]:
@@ -175,16 +165,16 @@ class FittedFrame:
         if answer is None:
             return np.zeros(self.errors.stories), np.zeros(self.errors.stories)
         prior, heavier = self.prior.gaussian(*answer.prior), self.prior.changes[masses[0]].columns
-        G = MASS_STD * np.linalg.solve(prior.covariance, heavier).T
-        covariance = MASS_STD**2 * np.eye(len(G)) - MASS_STD * G @ heavier + G @ self.covariance @ G.T
+        G = frame_prior.MASS_STD * np.linalg.solve(prior.covariance, heavier).T
+        covariance = (
+            frame_prior.MASS_STD**2 * np.eye(len(G)) - frame_prior.MASS_STD * G @ heavier + G @ self.covariance @ G.T
+        )
         return G @ (self.p - prior.mean), np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
     @cached_property
     def modal_std(self) -> tuple[Floats, Floats]:
         """Relative standard deviations of the frame's frequencies and of its damping ratios, shapes (N,)."""
         frame = self.errors.frame
-        values, vectors = np.linalg.eigh(self.covariance[frame, frame])
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
 
         def described(p: Floats) -> Floats:
             model = self.errors.model(p)
@@ -192,9 +182,9 @@ class FittedFrame:
 
         centre, change = described(self.p), np.zeros(len(self.p))
         variance = np.zeros_like(centre)
-        for column in root.T:
-            change[frame] = DIFFERENCE * column
-            variance += ((described(self.p + change) - centre) / DIFFERENCE) ** 2
+        for column in covariance_root(self.covariance[frame, frame]).T:
+            change[frame] = frame_prior.DIFFERENCE * column
+            variance += ((described(self.p + change) - centre) / frame_prior.DIFFERENCE) ** 2
         frequencies, ratios = np.sqrt(variance)
         return frequencies, ratios
 
@@ -207,7 +197,7 @@ class FittedFrame:
         result: Floats = J @ self.covariance[frame, frame] @ J.T + self.prior.identified + masses @ masses.T
         return result
 
-    @property
+    @cached_property
     def model(self) -> DampedModel:
         """Frame at the most probable unknowns."""
         return self.errors.model(self.p)
@@ -222,7 +212,7 @@ class _Point:
         self.objective = posterior.errors.objective(p) + float(self.away @ self.away)
 
     @cached_property
-    def likelihood(self) -> Likelihood:
+    def likelihood(self) -> frame_prior.Likelihood:
         return self.posterior.errors.linearised(self.p, self.posterior.along)
 
     @property
@@ -241,7 +231,7 @@ class _Point:
 class _Posterior:
     """-2 log of the posterior density of the unknowns, for Gauss-Newton."""
 
-    def __init__(self, errors: PredictionErrors, along: Directions, prior: Gaussian) -> None:
+    def __init__(self, errors: PredictionErrors, along: Directions, prior: frame_prior.Gaussian) -> None:
         self.errors, self.along, self.prior = errors, along, prior
         self.white = np.linalg.inv(np.linalg.cholesky(prior.covariance))
 
@@ -258,7 +248,12 @@ class _Posterior:
 
 
 def fit_frame(
-    errors: PredictionErrors, prior: FramePrior, backend: Backend, start: Floats | None = None, *, free: bool = True
+    errors: PredictionErrors,
+    prior: frame_prior.FramePrior,
+    backend: Backend,
+    start: Floats | None = None,
+    *,
+    free: bool = True,
 ) -> FittedFrame:
     """Fit the frame to the innovations.
 
@@ -267,7 +262,7 @@ def fit_frame(
     backend : Backend
         Solver of the steps.
     start : ndarray, shape (P,), optional
-        End of an earlier fit; without `start`, a rough fit to a short part comes first.
+        End of an earlier fit; by default, the identified frame.
     free : bool, optional
         Whether the frame is fitted; otherwise only the noise is fitted.
     """
@@ -275,47 +270,28 @@ def fit_frame(
     if not free:
         noise = np.eye(errors.size)[errors.frame.stop :]
         # The frame stays as identified; its possible changes since the tests are part of the bands.
-        still = Gaussian(np.zeros(errors.size), NOISE_STD**2 * np.eye(errors.size), 0.0)
+        still = frame_prior.Gaussian(np.zeros(errors.size), frame_prior.NOISE_STD**2 * np.eye(errors.size), 0.0)
         at, converged = _Posterior(errors, Directions(noise.T, noise), still).maximum(p, backend)
-        answer = FrameAnswer((), FORM_STDS[0], 1.0)
+        answer = frame_prior.FrameAnswer((), frame_prior.FORM_STDS[0], 1.0)
         covariance = prior.gaussian(*answer.prior).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
-    if start is None:
-        along = informative(errors, prior, p, FIRST_INFORMATION)
-        rough = _Posterior(errors.shortened(FIRST_SAMPLES, p), along, prior.widest)
-        p = rough.maximum(p, backend, FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
-    # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
-    # story, and rarely return, because base motion does not determine this scale.
-    likelihood = errors.linearised(p, along)
-    answer = possible_answers(likelihood, prior, p)[0]
-    p = _nearer(errors, likelihood, prior.gaussian(*answer.prior), p)
-    for _ in range(MOST_DECISIONS):
+    answer = frame_prior.possible_answers(errors.linearised(p, along), prior, p)[0]
+    for _ in range(MOST_REFITS):
         at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend)
-        p, answers, before = at.p, possible_answers(at.likelihood, prior, at.p), answer
+        p, answers, before = at.p, frame_prior.possible_answers(at.likelihood, prior, at.p), answer
         answer = answers[0]
         if answer.prior == before.prior:
             break
     return _mixed(errors, prior, at, answers, converged)
 
 
-def _nearer(errors: PredictionErrors, likelihood: Likelihood, prior: Gaussian, p: Floats) -> Floats:
-    """Return the most probable point of a linearized likelihood; p if the frame has no modes there."""
-    nearer = np.clip(Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
-    try:
-        errors.model(nearer)
-    except NoModesError:
-        return p
-    return nearer
-
-
-def informative(errors: PredictionErrors, prior: FramePrior, p: Floats, least: float = LEAST_INFORMATION) -> Directions:
+def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:
     """Find the directions on which the record has information, for all possible changes and errors of form."""
-    # An unknown first state would hide information in a short part that the whole record has.
-    short = errors.shortened(FIRST_SAMPLES, p, free=False)
+    short = errors.shortened(PROBED_SAMPLES)
     root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
-    return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
+    return short.informed(p, root, LEAST_INFORMATION * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, *, free: bool) -> FittedFrame:
@@ -346,23 +322,27 @@ def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: B
 
 
 def _mixed(
-    errors: PredictionErrors, prior: FramePrior, at: _Point, answers: Sequence[FrameAnswer], converged: bool
+    errors: PredictionErrors,
+    prior: frame_prior.FramePrior,
+    at: _Point,
+    answers: Sequence[frame_prior.FrameAnswer],
+    converged: bool,
 ) -> FittedFrame:
     """Return the frame with the covariance of the mixture of the answers."""
     total = sum(each.probability for each in answers)
     covariance = np.zeros((errors.size, errors.size))
     for each in answers:
-        mean, own = Linear(at.likelihood, at.p, prior.gaussian(*each.prior)).posterior()
+        mean, own = frame_prior.Linear(at.likelihood, at.p, prior.gaussian(*each.prior)).posterior()
         away = mean - at.p
         covariance += each.probability / total * (own + np.outer(away, away))
     inflation, along, evidence = at.likelihood.inflation, at.posterior.along, _log_evidence(at, prior, answers)
     return FittedFrame(errors, prior, at.p, covariance, tuple(answers), inflation, converged, along, evidence)
 
 
-def _log_evidence(at: _Point, prior: FramePrior, answers: Sequence[FrameAnswer]) -> float:
+def _log_evidence(at: _Point, prior: frame_prior.FramePrior, answers: Sequence[frame_prior.FrameAnswer]) -> float:
     """Compute the log probability of the record over all answers: the best answer's, divided by its probability."""
     best = answers[0]
-    linear = Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
+    linear = frame_prior.Linear(at.likelihood, at.p, prior.gaussian(*best.prior))
     (own,) = linear.evidences((), [()])
     own += sum(prior.changes[each].log_odds for each in best.changed)
     # The triangle has the part that depends on the unknowns; the rest of -2 log likelihood is constant.

@@ -1,4 +1,4 @@
-"""Motion of a frame in a record, with standard deviations: a fit of the frame, then the motion, then variations.
+"""Motion of a frame in a record, with standard deviations, and its check by sensors that are left out.
 
 A standard deviation has two parts: the smoother's own for a given frame, and the effect of the frame's uncertainty,
 along the directions that change the motion most.
@@ -7,52 +7,26 @@ along the directions that change the motion most.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from cvxshear.backends import Backend
-from cvxshear.records.motion import DrivenRun
+from cvxshear.response import frame_fit, state_space
+from cvxshear.response.compare import predicted_responses
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_fit import FITTED_SAMPLES, FittedFrame, fit_frame
-from cvxshear.response.frame_prior import FramePrior, VariedFrame
-from cvxshear.response.innovations import DIFFERENCE, FIRST_FORCE, FIRST_SENSOR, PredictionErrors, Segment
-from cvxshear.response.recording import AT_REST, RecordedRun, Recording, rms
-from cvxshear.response.state_space import (
-    Dynamics,
-    Filter,
-    Noise,
-    Observed,
-    Piece,
-    Response,
-    Setting,
-    Smoothed,
-    dynamics,
-    response,
-    settled_states,
-    smooth,
-)
-from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.frame_prior import DIFFERENCE, FramePrior, VariedFrame
+from cvxshear.response.innovations import FIRST_NOISE, PredictionErrors, Segment
+from cvxshear.response.recording import RecordedRun, Recording, rms
+from cvxshear.response.sources import covariance_root
+from cvxshear.response.uncertain import UncertainFrame, with_modes
 from cvxshear.util import ranking
-from cvxshear.util.decorators import cached_property
-from cvxshear.util.errors import NoModesError
-from cvxshear.util.typing import Floats, T
-
-MOST_REFITS = 4
-"""Maximum number of fits after the first. Each fit uses gaps, spikes and the first state as filled in by the previous
-fit. Each time, an error of the filled-in part decreases by the missing share of the information: to a tenth if a tenth
-of the strong motion is missing."""
+from cvxshear.util.quantities import NORMAL_95
+from cvxshear.util.typing import Floats
 
 SAME_FIT = 0.1
-"""Largest change of an unknown at convergence of these fits, in its standard deviations."""
-
-MOVED_ALIKE = 1e-3
-"""Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
-
-PROBED_SAMPLES = 1000
-"""Number of samples of the strongest motion that compare the directions of the frame's uncertainty."""
+"""Largest change of an unknown, in its standard deviations, at convergence of the fits that fill in gaps and spikes."""
 
 MOST_DIRECTIONS = 8
 """Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
@@ -65,20 +39,15 @@ class ReconstructedRun:
     Parameters
     ----------
     std : dict of str to ndarray
-        Standard deviations over time, by the names of `peaks.histories`.
-    base : ndarray, shape (samples,), optional
-        Estimated base acceleration, m/s2; None if it was measured.
-    base_std : ndarray, shape (samples,), optional
+        Standard deviations over time, by the names of `predicted.histories`.
     measured : ndarray, shape (samples, m)
         m/s2; nan for missing samples.
     excitation : ndarray, shape (samples,)
     """
 
     name: str
-    response: Response
+    response: state_space.Response
     std: dict[str, Floats]
-    base: Floats | None
-    base_std: Floats | None
     measured: Floats
     excitation: Floats
 
@@ -120,26 +89,22 @@ class FrameMotion:
     frame: UncertainFrame
     varied: VariedFrame
     recording: Recording
-    setting: Setting
-    noise: Noise
-    backend: Backend
+    setting: state_space.Setting
+    noise: state_space.Noise
     free: bool
 
     @staticmethod
-    def around(frame: UncertainFrame, recording: Recording, backend: Backend, *, free: bool) -> FrameMotion:
+    def around(frame: UncertainFrame, recording: Recording, *, free: bool) -> FrameMotion:
         """Set up the reconstruction of a recording around an identified frame."""
-        known, level = recording.input != "none", recording.rms()
-        varied = VariedFrame.around(frame, recording.floors, excited=known)
+        varied = VariedFrame.around(frame, recording.floors)
         model = varied.centre.model
-        frequencies = 2 * np.pi * model.modes.frequencies
-        setting = Setting(
-            recording.floors, recording.step, recording.force_floor, known, float(frequencies[0]),
-            float(frequencies[-1]), frame.story_stiffness * _drift_rms(model, recording), model.M,
+        setting = state_space.Setting(
+            recording.floors, recording.step, recording.force_floor, 2 * np.pi / varied.period,
+            frame.story_stiffness * _drift_rms(model, recording), model.M,
         )  # fmt: skip
-        driven = rms(np.concatenate([run.excitation for run in recording.runs])) if known else 0.0
-        noise = Noise(FIRST_SENSOR * level, FIRST_FORCE, FIRST_SENSOR * driven if known else float(level.min()))
-        # If the base motion is unknown, a softer first story and another base motion are equivalent.
-        return FrameMotion(frame, varied, recording, setting, noise, backend, free and known)
+        driven = rms(np.concatenate([run.excitation for run in recording.runs]))
+        noise = state_space.Noise(FIRST_NOISE * recording.rms(), FIRST_NOISE, FIRST_NOISE * driven)
+        return FrameMotion(frame, varied, recording, setting, noise, free)
 
     def without(self, channel: int, parts: list[slice]) -> FrameMotion:
         """Leave out one channel, and keep a part of each run."""
@@ -150,18 +115,17 @@ class FrameMotion:
             noise=dataclasses.replace(self.noise, sensors=np.delete(self.noise.sensors, channel)),
         )
 
-    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, FittedFrame, list[Smoothed]]:
+    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, frame_fit.FittedFrame, list[state_space.Smoothed]]:
         """Fit the frame and find its motion; with `detrend`, remove straight lines from the residuals of the record.
 
-        First the identified frame, then the fitted one fills in gaps, spikes, and the initial state of a record that
-        begins while the frame moves.
+        First the identified frame, then the fitted one fills in gaps and spikes.
         """
-        errors = self.errors(None, None)
+        errors = self.errors()
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
         p = np.zeros(errors.size)
-        if self.moves_at_first or any(np.isnan(run.measured).any() for run in self.recording.runs):
-            errors = self.errors(self.smoothed(errors, p), p)
-        fitted = fit_frame(errors, prior, self.backend, free=self.free)
+        if any(np.isnan(run.measured).any() for run in self.recording.runs):
+            errors = self.errors(self.smoothed(errors, p))
+        fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, free=self.free)
         work, smoothed = self, self.smoothed(errors, fitted.p)
         if detrend:
             model = errors.dynamics(fitted.p)
@@ -169,67 +133,46 @@ class FrameMotion:
                 found.states @ model.H.T + model.shown(run.drive)
                 for run, found in zip(self.recording.runs, smoothed, strict=True)
             ]
-            lines = self.recording.lines(shown)
-            if any(np.any(line) for line in lines):
-                work = dataclasses.replace(self, recording=self.recording.less(lines))
-                smoothed = work.smoothed(errors, fitted.p)
-        if not self.moves_at_first and all(bool(np.all(each.weights == 1.0)) for each in smoothed):
-            return work, fitted, smoothed
-        for _ in range(MOST_REFITS):
-            errors = work.errors(smoothed, fitted.p)
-            before, fitted = fitted, fit_frame(errors, prior, self.backend, fitted.p, free=self.free)
+            work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
+            smoothed = work.smoothed(errors, fitted.p)
+        for _ in range(frame_fit.MOST_REFITS):
+            if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
+                break
+            errors = work.errors(smoothed)
+            before, fitted = fitted, frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
             smoothed = work.smoothed(errors, fitted.p)
             std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
             if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FIT:
                 break
         return work, fitted, smoothed
 
-    @cached_property
-    def moves_at_first(self) -> bool:
-        """Whether some run begins while the frame moves; its initial state is then found with the motion."""
-        level, first = self.recording.rms(), self.varied.first_samples(self.recording.step)
-        return any(rms(run.measured[:first] / level) > AT_REST for run in self.recording.runs)
-
-    def errors(self, smoothed: list[Smoothed] | None, p: Floats | None) -> PredictionErrors:
+    def errors(self, smoothed: list[state_space.Smoothed] | None = None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run; the smoother fills in spikes and short gaps."""
-        stretches, begins = [], []
+        stretches = []
         for place, run in enumerate(self.recording.runs):
             y = np.nan_to_num(run.measured) if smoothed is None else smoothed[place].completed
-            for part, channels in self.pieces(run):
-                start = np.zeros(self.setting.states) if smoothed is None else smoothed[place].states[part.start]
-                if channels.any():
-                    stretches.append(Segment(run.drive[part], y[part], channels, start))
-                    begins.append(self.moves_at_first or part.start > 0)
-        errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
-        at = np.zeros(errors.size) if p is None else p
-        if any(begins):
-            model = errors.dynamics(at)
-            stretches = [
-                dataclasses.replace(each, spread=errors.spread(model.seen_by(each.channels), each.seen))
-                if moving else each
-                for each, moving in zip(stretches, begins, strict=True)
-            ]  # fmt: skip
-            errors = PredictionErrors(self.varied, self.setting, stretches, self.noise)
-        return errors.shortened(FITTED_SAMPLES, at)
+            parts = [each for each in self.pieces(run) if each[1].any()]
+            stretches += [Segment(run.drive[part], y[part], channels) for part, channels in parts]
+        return PredictionErrors(self.varied, self.setting, stretches, self.noise).shortened(frame_fit.FITTED_SAMPLES)
 
-    def pieces(self, run: RecordedRun) -> list[Piece]:
+    def pieces(self, run: RecordedRun) -> list[state_space.Piece]:
         """Split a run at the ends of gaps of a sensor that last a period of the frame or longer."""
         return run.pieces(self.varied.first_samples(self.recording.step))
 
-    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
+    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[state_space.Smoothed]:
         """Find the motion of each run; rows on the state, if any, define outputs with standard deviations."""
         model = errors.dynamics(p)
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
         stationary = np.sqrt(np.maximum(np.sum(model.H @ model.P0 * model.H, axis=1), 1e-300))
         found = []
-        for run, envelope in zip(self.recording.runs, self.recording.envelopes(self.varied.period), strict=True):
+        for run in self.recording.runs:
             begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
-            scale = max(float(envelope[0]), moved / rms(stationary))
-            found.append(smooth(model, Observed(run.drive, run.measured, envelope, scale), asked))
+            scale = max(1.0, moved / rms(stationary))
+            found.append(state_space.smooth(model, state_space.Observed(run.drive, run.measured, scale), asked))
         return found
 
-    def runs(self, fitted: FittedFrame, wider: float) -> list[ReconstructedRun]:
+    def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:
         """Return every run's motion; widen all deviations by a factor."""
         directions = self.directions(fitted)
         noise = fitted.errors.noise_at(fitted.p)
@@ -249,36 +192,34 @@ class FrameMotion:
             forces = slice(3 * n, 4 * n + (model.heights is not None))
             std[:, forces] = np.hypot(std[:, forces], fitted.scale_std * moved[:, forces])
             time = self.recording.step * np.arange(len(moved), dtype=np.float64)
-            motion = Response(time, acceleration, displacement, force, model.heights, model.mass_known)
+            motion = state_space.Response(time, acceleration, displacement, force, model.heights, model.mass_known)
             names = ("floor_acceleration", "floor_displacement", "story_drift", "story_shear")
             stds = {name: std[:, k * n : (k + 1) * n] for k, name in enumerate(names)}
             stds["base_shear"] = stds["story_shear"][:, 0]
             if model.heights is not None:
                 stds["story_drift_ratio"] = stds["story_drift"] / model.heights
                 stds["overturning_moment"] = std[:, 4 * n]
-            base, base_std = (None, None) if self.setting.base_measured else (moved[:, -1], std[:, -1])
-            result.append(ReconstructedRun(run.name, motion, stds, base, base_std, run.measured, run.excitation))
+            result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
 
-    def moved_by(self, sides: Sides, noise: Noise, run: RecordedRun, found: Smoothed) -> Floats:
+    def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: state_space.Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
-        systems = [dynamics(model, noise, self.setting) for model in sides[:2]]
+        systems = [state_space.dynamics(model, noise, self.setting) for model in sides[:2]]
         of_run = run.drive, found.completed, found.states[0], self.pieces(run)
-        there, back = (system.outputs.of(settled_states(system, *of_run), run.drive) for system in systems)
+        there, back = (system.outputs.of(state_space.settled_states(system, *of_run), run.drive) for system in systems)
         return 0.5 * sides[2] * (there - back)
 
-    def directions(self, fitted: FittedFrame, most: int = MOST_DIRECTIONS) -> FrameDirections:
+    def directions(self, fitted: frame_fit.FittedFrame) -> FrameDirections:
         """Find the directions of the frame's uncertainty that change its motion most, one standard deviation long."""
         frame = fitted.errors.frame
-        values, vectors = np.linalg.eigh(fitted.covariance[frame, frame])
-        own = vectors * np.sqrt(np.maximum(values, 0.0))
+        own = covariance_root(fitted.covariance[frame, frame])
         noise, setting = fitted.errors.noise_at(fitted.p), self.setting
         run = max(fitted.errors.stretches, key=lambda each: float(np.mean(each.y**2)))
-        part = run.strongest(PROBED_SAMPLES)
+        part = run.strongest(frame_fit.PROBED_SAMPLES)
         system = fitted.errors.dynamics(fitted.p)
         # Starting at rest in the middle of the motion would give other directions.
-        filtered = Filter.settled(system.seen_by(run.channels))
-        start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
+        filtered = state_space.Filter.settled(system.seen_by(run.channels))
+        start = filtered.predicted(run.excitation, run.seen, np.zeros(setting.states))[0][part.start]
         probed = run.excitation[part], run.y[part], start, [(slice(0, part.stop - part.start), run.channels)]
 
         def model_at(weights: Floats, size: float) -> DampedModel:
@@ -289,68 +230,108 @@ class FrameMotion:
         def either_side(weights: Floats, size: float) -> tuple[DampedModel, DampedModel]:
             return model_at(weights, size), model_at(weights, -size)
 
-        def moved(system: Dynamics) -> Floats:
-            return system.outputs.of(settled_states(system, *probed), run.excitation[part])
+        def moved(system: state_space.Dynamics) -> Floats:
+            return system.outputs.of(state_space.settled_states(system, *probed), run.excitation[part])
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
-        near = (_with_modes(partial(model_at, row), DIFFERENCE) for row in np.eye(len(own)))
-        slopes = np.array([(moved(dynamics(model, noise, setting)) - centre) / (size * scale) for model, size in near])
-        flat = slopes.reshape(len(own), -1)
+        near = (state_space.dynamics(model_at(row, DIFFERENCE), noise, setting) for row in np.eye(own.shape[1]))
+        slopes = np.array([(moved(each) - centre) / (DIFFERENCE * scale) for each in near])
+        flat = slopes.reshape(len(slopes), -1)
         strength, turned = np.linalg.eigh(flat @ flat.T)
-        chosen = ranking.order(strength)[:most]
+        chosen = ranking.order(strength)[:MOST_DIRECTIONS]
         along = np.sum(np.tensordot(turned[:, chosen].T, slopes, axes=1) ** 2, axis=(0, 1))
-        pairs = (_with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
+        pairs = (with_modes(partial(either_side, row), 1.0) for row in turned[:, chosen].T)
         sides = tuple((there, back, 1.0 / size) for (there, back), size in pairs)
         return FrameDirections(sides, np.sum(slopes**2, axis=(0, 1)) / np.maximum(along, 1e-300))
 
 
-def _with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
-    """Build frames at this distance, or nearer until they have modes; return the distance, too."""
-    while True:
-        try:
-            return at(size), size
-        except NoModesError:
-            size *= 0.25
-
-
-def predicted_responses(model: DampedModel, recording: Recording) -> list[Response] | None:
-    """Compute the motion of a frame from the excitation alone; None if the excitation was not measured."""
-    if recording.input == "none":
-        return None
-    runs = [DrivenRun(run.excitation, recording.force_floor, None, run.name, run.between) for run in recording.runs]
-    return [response(model, drive, recording.step) for drive in runs]
-
-
-def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
-    """List versions of a measured excitation between its samples: linear and band-limited.
-
-    Return only one version if both give the same motion.
-    """
-    straight = predicted_responses(model, recording)
-    if straight is None:
-        return [recording]
-    other = recording.band_limited()
-    smooth_one = predicted_responses(model, other)
-    assert smooth_one is not None, "the excitation was measured"
-    motion, moved = (np.concatenate([each.acceleration for each in runs]) for runs in (straight, smooth_one))
-    return [recording, other] if rms(moved - motion) > MOVED_ALIKE * rms(motion) else [recording]
-
-
-def shown_by(model: DampedModel, responses: list[Response] | None, recording: Recording) -> list[Floats]:
-    """Return the accelerations of responses at the sensors, one array (samples, m) per run; zeros without responses."""
-    at = recording.floors - 1
-    if responses is None:
-        return [np.zeros_like(run.measured) for run in recording.runs]
-    return [model.gain[at] * item.acceleration[:, at] for item in responses]
-
-
 def _drift_rms(model: DampedModel, recording: Recording) -> Floats:
-    """Compute the rms drift of each story: predicted, or from the first mode scaled to the sensors' size."""
-    responses = predicted_responses(model, recording)
-    if responses is not None:
-        return np.asarray(np.sqrt(np.mean(np.concatenate([item.drift for item in responses]) ** 2, axis=0)))
-    first, at = model.modes.shapes[0], recording.floors - 1
-    amplitude = float(np.linalg.norm(recording.rms()) / np.linalg.norm(first[at] * model.gain[at]))
-    drift: Floats = np.abs(np.diff(first, prepend=0.0)) * amplitude / float(model.modes.eigenvalues[0])
-    return drift
+    """Compute the rms of the predicted drift of each story."""
+    drifts = np.concatenate([each.drift for each in predicted_responses(model, recording)])
+    return np.asarray(np.sqrt(np.mean(drifts**2, axis=0)))
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """One sensor's acceleration, predicted from all other sensors.
+
+    Parameters
+    ----------
+    error : float
+        Root mean square over time of the prediction's error, m/s2.
+    stated : float
+        Root mean square of the stated standard deviation, with the sensor's own noise, m/s2.
+    measured : float
+        Root mean square of the measurement, m/s2.
+    prediction_error : float
+        Error of the model's prediction from the excitation alone.
+    within : float
+        Fraction of samples within 1.96 stated standard deviations.
+    """
+
+    floor: int
+    error: float
+    stated: float
+    measured: float
+    prediction_error: float
+    within: float
+
+
+def checked(
+    work: FrameMotion, fitted: frame_fit.FittedFrame, smoothed: Sequence[state_space.Smoothed], channel: int,
+    predicted: Sequence[state_space.Response],
+) -> SensorCheck:  # fmt: skip
+    """Predict one sensor from the others in the strongest part of each run, with a fit without this sensor.
+
+    Parameters
+    ----------
+    fitted : FittedFrame
+        Fit with all sensors.
+    smoothed : sequence of Smoothed
+        Motion with all sensors.
+    predicted : sequence of Response
+        Motion predicted from the excitation alone.
+    """
+    every = np.ones(len(work.recording.floors), dtype=bool)
+    whole = [Segment(run.drive, each.completed, every) for run, each in zip(work.recording.runs, smoothed, strict=True)]
+    parts = [each.strongest(frame_fit.FITTED_SAMPLES) for each in whole]
+    other = work.without(channel, parts)
+    others = np.arange(len(every)) != channel
+    stretches = [
+        dataclasses.replace(each, y=each.y[:, others], channels=each.channels[others])
+        for each in fitted.errors.stretches if each.channels[others].any()
+    ]  # fmt: skip
+    errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
+    at = fitted.errors.frame.stop + channel
+    again = frame_fit.refitted(fitted, errors, at, work.frame.backend, free=work.free)
+    directions, noise = other.directions(again), errors.noise_at(again.p)
+    outputs = errors.dynamics(again.p).outputs
+    place = int(work.recording.floors[channel]) - 1
+    gain = float(fitted.model.gain[place])
+    row, direct = gain * outputs.rows[place], gain * outputs.direct[place]
+    sigma = fitted.errors.noise_at(fitted.p).sensors[channel]
+    left, stated, measured, alone = [], [], [], []
+    found = other.smoothed(errors, again.p, row[None, :])
+    for number, (run, each, part) in enumerate(zip(other.recording.runs, found, parts, strict=True)):
+        variance = each.output_std[:, 0] ** 2 + sigma**2
+        for sides in directions.sides:
+            moved = other.moved_by(sides, noise, run, each)[:, place]
+            variance += directions.allowance[place] * (gain * moved) ** 2
+        there = smoothed[number].weights[part, channel] == 1.0
+        seen = work.recording.runs[number].measured[part, channel]
+        left.append((each.states @ row + direct * run.excitation - seen)[there])
+        stated.append(variance[there])
+        measured.append(seen[there])
+        alone.append((gain * predicted[number].acceleration[part, place] - seen)[there])
+    error, variances = np.concatenate(left), np.concatenate(stated)
+    return SensorCheck(
+        place + 1, rms(error), float(np.sqrt(np.mean(variances))), rms(np.concatenate(measured)),
+        rms(np.concatenate(alone)),
+        float(np.mean(np.abs(error) <= NORMAL_95 * np.sqrt(variances))),
+    )  # fmt: skip
+
+
+def widening(checks: Sequence[SensorCheck]) -> float:
+    """Compute the factor on all bands: errors of left-out sensors relative to their stated deviations; at least 1."""
+    return max(1.0, float(np.sqrt(np.mean([(each.error / each.stated) ** 2 for each in checks])))) if checks else 1.0

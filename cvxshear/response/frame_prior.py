@@ -44,9 +44,6 @@ ratio since the tests."""
 LEFT_BESIDE = 0.1
 """Remaining share of a mode's measured damping ratio beside a dashpot that accounts for the whole ratio."""
 
-GAIN_UNIT = 0.01
-"""Relative gain error of a sensor for an unknown of one."""
-
 GAIN_STDS = (0.001, 0.01)
 """Relative standard deviations of the gains of all sensors: laboratory and field calibrations, equally probable. A
 larger error of one sensor is a change with the prior of `SensorGain`."""
@@ -68,9 +65,9 @@ SCATTER_STD = 0.003
 DAMPING_STD = 0.5
 """Standard deviation of the logarithm of one factor on all damping: ratios double or halve with the amplitude."""
 
-DASHPOT_PROBABILITY = 0.1
-"""Probability that a story has an undeclared dashpot. Most owners declare their dampers; a yielding story acts like a
-damper."""
+UNDECLARED_PROBABILITY = 0.1
+"""Probability of an undeclared dashpot in some story, and of other floor masses than in the tests: most owners declare
+their dampers and loads."""
 
 NO_DASHPOT_STD = 1e-3
 """Standard deviation of an absent dashpot, in units of the deviation of a present one: the dashpot that gives a mode
@@ -79,16 +76,15 @@ its measured ratio without other damping."""
 NOISE_STD = 1.0
 """Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
 
-MASS_STD, MASS_PROBABILITY = 0.05, 0.1
-"""Relative standard deviation of the floor masses if they changed since the tests, and probability of such a change:
-furniture, people and stored goods."""
+MASS_STD = 0.05
+"""Relative standard deviation of the floor masses if they changed since the tests: furniture, people, stored goods."""
 
 FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 """Standard deviations of e_ij, compared by their evidence: from an exact shear frame to a frame with other modes than
 the model's."""
 
-MODAL_STEP = 1e-3
-"""Step of the unknowns in derivatives of modes; curvature gives a relative error of a thousandth."""
+DIFFERENCE = 1e-5
+"""Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5."""
 
 LEAST_WEIGHT = 1e-3
 """Minimum probability of an answer in the average, relative to the most probable answer."""
@@ -138,7 +134,7 @@ class VariedFrame:
     dashpot: Floats
 
     @staticmethod
-    def around(frame: UncertainFrame, floors: Sequence[int] | Ints = (), *, excited: bool = False) -> VariedFrame:
+    def around(frame: UncertainFrame, floors: Sequence[int] | Ints = ()) -> VariedFrame:
         """Set up the variations around the most probable values; sensors are on `floors` and on the excitation."""
         centre = frame.at(np.zeros(frame.size))
         if frame.kind == "modal":
@@ -157,7 +153,7 @@ class VariedFrame:
         # A larger excitation with smaller gains gives the same record. Logarithms of the gains make these
         # combinations a straight line.
         at = [int(floor) - 1 for floor in floors]
-        sensors = GAIN_UNIT * np.eye(len(base.M) + 1)[[*at, *([-1] if excited else [])]]
+        sensors = np.eye(len(base.M) + 1)[[*at, -1]]
         gains = len(sensors)
         dM, dK, dgain = (np.concatenate([each, np.zeros((gains, *each.shape[1:]))]) for each in (dM, dK, dgain))
         log_gain = np.zeros((len(dM), len(base.M) + 1))
@@ -363,7 +359,7 @@ class ModalRows:
         centre = described(np.zeros(N + W + X))
         if not len(centre) or not frame.uncertain:
             return ModalRows(np.zeros((0, N + W + X)), np.zeros(0))
-        J = np.array([(described(MODAL_STEP * row) - centre) / MODAL_STEP for row in np.eye(N + W + X)]).T
+        J = np.array([(described(DIFFERENCE * row) - centre) / DIFFERENCE for row in np.eye(N + W + X)]).T
         # The sensors of the tests had other gains.
         J[:, N + W - varied.gains : N + W] = 0.0
         return ModalRows(-J, centre)
@@ -441,22 +437,22 @@ class FramePrior:
         experiment, unit = frame.fitted.experiment, np.eye(sum(varied.sizes) + others)
         story, changed = _expected(StoryChange(), experiment, experiment.stories)
         gain, off = _expected(SensorGain(), experiment, varied.gains)
-        damped = _at_each(DASHPOT_PROBABILITY, experiment.stories)
+        damped = _at_each(UNDECLARED_PROBABILITY, experiment.stories)
         changes = [
             FrameChange(kind, place, std * unit[:, [at]], float(np.log(p / (1.0 - p))))
             for kind, places, std, p in (
                 ("story", range(experiment.stories), story, changed),
                 ("dashpot", _range(varied.dashpots), 1.0, damped),
-                ("gain", _range(varied.sensor_gains), gain / GAIN_UNIT, off),
+                ("gain", _range(varied.sensor_gains), gain, off),
             )
             for place, at in enumerate(places)
         ]
-        laboratory, field = np.array(GAIN_STDS) / GAIN_UNIT
+        laboratory, field = GAIN_STDS
         changes.append(FrameChange("gains", 0, np.sqrt(field**2 - laboratory**2) * unit[:, varied.sensor_gains], 0.0))
         if varied.heavier_floors.shape[1]:
             heavier = np.zeros((len(unit), experiment.stories))
             heavier[: -others or None] = MASS_STD * varied.heavier_floors
-            odds = float(np.log(MASS_PROBABILITY / (1.0 - MASS_PROBABILITY)))
+            odds = float(np.log(UNDECLARED_PROBABILITY / (1.0 - UNDECLARED_PROBABILITY)))
             changes.append(FrameChange("masses", 0, heavier, odds))
         rows = ModalRows.around(frame, varied)
         return FramePrior(varied, others, frame.conditional_stiffness(), rows, tuple(changes))
@@ -492,7 +488,7 @@ class FramePrior:
         share = self.varied.nuisance_share
         modal = np.isfinite(share)
         nuisances = 1.0 + (form_std / share) ** 2 / max(int(modal.sum()), 1)
-        nuisances[~modal] = (GAIN_STDS[0] / GAIN_UNIT) ** 2
+        nuisances[~modal] = GAIN_STDS[0] ** 2
         rest = np.diag(np.concatenate([nuisances, np.full(X, form_std**2)]))
         tested = linalg.block_diag(self.identified, rest)
         own = self.varied.own_std

@@ -22,12 +22,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
-from cvxshear.response.state_space import ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
+from cvxshear.response.frame_prior import DIFFERENCE, NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
+from cvxshear.response.sources import covariance_root
+from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
+from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
 
-FIRST_SENSOR = 0.02
-FIRST_FORCE = 0.02
+FIRST_NOISE = 0.02
 """Starting values of the fit and centers of the priors: sensor noise, relative to a channel's rms, and missed story
 forces, relative to the rms story force."""
 
@@ -44,12 +45,6 @@ LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
 reconstruction allows: beyond it, the innovations show that the record is not that of a linear frame."""
 
-DIFFERENCE = 1e-5
-"""Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5."""
-
-MOVED_AT_ONCE = 512
-"""Samples for which derivatives of the state are in memory at once: some twenty megabytes for twenty stories."""
-
 
 @dataclass(frozen=True, eq=False)
 class Segment:
@@ -63,17 +58,11 @@ class Segment:
         Accelerations, spikes and gaps filled in.
     channels : ndarray of bool, shape (m,)
         The sensors that recorded.
-    start : ndarray, shape (n,)
-        State at the beginning.
-    spread : ndarray, shape (n, n), optional
-        Root L of the covariance L L' of the state at the beginning; None if the frame is at rest there.
     """
 
     excitation: Floats
     y: Floats
     channels: Bools
-    start: Floats
-    spread: Floats | None = None
 
     @property
     def seen(self) -> Floats:
@@ -118,7 +107,7 @@ class PredictionErrors:
     """Innovations of candidates for the frame in a record.
 
     The unknowns are the frame's (`VariedFrame`), and the logarithms of m sensor noises, of the missed story forces, and
-    of the excitation's noise. If the base motion was not measured, the base acceleration replaces the last one.
+    of the excitation's noise.
 
     Parameters
     ----------
@@ -139,9 +128,8 @@ class PredictionErrors:
         lower[self.varied.dashpots] = np.maximum(lower[self.varied.dashpots], -FURTHEST_STDS * NO_DASHPOT_STD)
         force = self.size - 2
         lower[force], upper[force] = np.log(np.array([LEAST_MISSED, MOST_MISSED]) / self.noise.force)
-        if self.setting.base_measured:
-            upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_SENSOR)
-            lower[force + 1] = -upper[force + 1]
+        upper[force + 1] = np.log(MOST_INPUT_NOISE / FIRST_NOISE)
+        lower[force + 1] = -upper[force + 1]
         return lower, upper
 
     @property
@@ -149,46 +137,31 @@ class PredictionErrors:
         """Number of samples in all segments."""
         return sum(len(each.y) for each in self.stretches)
 
-    def shortened(self, most: int, p: Floats, *, free: bool = True) -> PredictionErrors:
-        """Return the strongest part of each segment; its initial state is the filter's state there.
-
-        Parameters
-        ----------
-        most : int
-            Maximum number of samples of each segment.
-        p : ndarray, shape (P,)
-            Unknowns of the filter.
-        free : bool, optional
-            Whether the state at the beginning of a part is unknown; otherwise it is the filter's state.
-        """
-        parts = []
-        for filtered, runs in self._filtered(p):
-            for run in runs:
-                part = run.strongest(most)
-                start, spread = run.start, run.spread
-                if part.start:
-                    start = filtered.predicted(run.excitation, run.seen, run.start)[0][part.start]
-                    spread = self.spread(filtered.model, run.seen[part])
-                spread = spread if free else None
-                parts.append(Segment(run.excitation[part], run.y[part], run.channels, start, spread))
+    def shortened(self, most: int) -> PredictionErrors:
+        """Return the strongest part of each segment, of at most `most` samples."""
+        pairs = [(each, each.strongest(most)) for each in self.stretches]
+        parts = [Segment(each.excitation[part], each.y[part], each.channels) for each, part in pairs]
         return PredictionErrors(self.varied, self.setting, parts, self.noise)
 
     def spread(self, model: Dynamics, y: Floats) -> Floats:
-        """Find the root of the covariance of an initial state that explains the sensors' rms in the first period."""
+        """Find the root L of a covariance L L' of the state at the beginning that explains the first period's rms."""
         begins = y[: self.varied.first_samples(self.setting.step)]
         shown = np.sum(model.H @ model.P0 * model.H, axis=1)
-        unit = np.sqrt(np.diag(model.P0))
-        values, vectors = np.linalg.eigh(model.P0 / np.outer(unit, unit))
-        root: Floats = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        return root * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
+        return covariance_root(model.P0) * float(np.sqrt(np.mean(begins**2) / np.mean(shown)))
 
-    def _filtered(self, p: Floats) -> list[tuple[Filter, list[Segment]]]:
-        """Settle the filter of each set of sensors; return the filter with the segments that this set recorded."""
+    @cached_property
+    def spreads(self) -> list[Floats]:
+        """Roots of the covariances of the state at the beginning of each segment, for the identified frame."""
+        model = self.dynamics(np.zeros(self.size))
+        return [self.spread(model.seen_by(run.channels), run.seen) for run in self.stretches]
+
+    def _filtered(self, p: Floats) -> list[tuple[Filter, list[tuple[Segment, Floats]]]]:
+        """Settle the filter of each set of sensors; return it with the segments of this set and their `spreads`."""
         model = self.dynamics(p)
-        sets: dict[bytes, list[Segment]] = {}
-        for run in self.stretches:
-            sets.setdefault(run.channels.tobytes(), []).append(run)
-        return [(Filter.settled(model.seen_by(runs[0].channels)), runs) for runs in sets.values()]
+        sets: dict[bytes, list[tuple[Segment, Floats]]] = {}
+        for run, spread in zip(self.stretches, self.spreads, strict=True):
+            sets.setdefault(run.channels.tobytes(), []).append((run, spread))
+        return [(Filter.settled(model.seen_by(runs[0][0].channels)), runs) for runs in sets.values()]
 
     def model(self, p: Floats) -> DampedModel:
         """Return the frame at these unknowns."""
@@ -211,14 +184,9 @@ class PredictionErrors:
         for filtered, runs in self._filtered(p):
             _, log_det = np.linalg.slogdet(filtered.S)
             whitening = np.linalg.inv(np.linalg.cholesky(filtered.S))
-            for run in runs:
-                _, e = filtered.predicted(run.excitation, run.seen, run.start)
-                white = (e @ whitening.T).ravel()
-                total += len(e) * float(log_det) + float(white @ white)
-                if run.spread is not None:
-                    free = _free(filtered, run, whitening)
-                    slope = free.T @ white
-                    total -= float(slope @ np.linalg.solve(np.eye(len(slope)) + free.T @ free, slope))
+            for run, spread in runs:
+                free, white = _from_rest(filtered, run, spread, whitening)
+                total += len(run.y) * float(log_det) + float(white @ (white - free @ _projected(free, white)))
         return total
 
     def informed(self, p: Floats, root: Floats, least: float) -> Directions:
@@ -258,7 +226,7 @@ class PredictionErrors:
         rates = slopes(self.dynamics(p), [self.dynamics(p + row) for row in sizes[:, None] * columns.T], sizes)
         parts: list[_Rows] = []
         for here, runs in self._filtered(p):
-            seen = {name: each[:, runs[0].channels] if name in ("H", "direct", "R") else each
+            seen = {name: each[:, runs[0][0].channels] if name in ("H", "direct", "R") else each
                     for name, each in rates.items()}  # fmt: skip
             parts += _rows_of(here, runs, seen)
         return parts
@@ -306,31 +274,35 @@ class _Rows:
     sensors: int
 
 
-def _rows_of(here: Filter, runs: Sequence[Segment], rates: dict[str, Floats]) -> list[_Rows]:
+def _projected(free: Floats, values: Floats) -> Floats:
+    """Return (1 + F'F)^-1 F' values: the state that makes the values smallest, beside its own unit prior."""
+    return np.asarray(np.linalg.solve(np.eye(free.shape[1]) + free.T @ free, free.T @ values))
+
+
+def _rows_of(here: Filter, runs: Sequence[tuple[Segment, Floats]], rates: dict[str, Floats]) -> list[_Rows]:
     """Return one part per segment that the same sensors recorded, and one part for log det S and the initial states."""
     dK, dS = here.slopes(rates)
     whitening = np.linalg.inv(np.linalg.cholesky(here.S))
-    m, samples = len(whitening), sum(len(run.y) for run in runs)
+    m, samples = len(whitening), sum(len(run.y) for run, _ in runs)
     parts: list[_Rows] = []
-    begun: list[Floats] = []
+    starts: list[tuple[Floats, Floats]] = []
     mean = np.zeros((m, m))
-    for run in runs:
-        x, e = here.predicted(run.excitation, run.seen, run.start)
-        white, J = (e @ whitening.T).ravel(), _moved(here, rates, dK, run, x) @ whitening.T
-        J = J.swapaxes(1, 2).reshape(len(white), -1)
-        if run.spread is not None:
-            # The initial state is minimized for every change of the frame: variable projection.
-            free = _free(here, run, whitening)
-            both = np.linalg.solve(np.eye(free.shape[1]) + free.T @ free, free.T @ np.column_stack([J, white]))
-            J, white = J - free @ both[:, :-1], white - free @ both[:, -1]
-            begun.append(np.asarray(both, dtype=np.float64))
-        parts.append(_Rows(J, white, m))
+    for run, spread in runs:
+        # The initial state is the most probable one for every frame: variable projection.
+        free, white = _from_rest(here, run, spread, whitening)
+        z = _projected(free, white)
+        white = white - free @ z
+        x, _ = here.predicted(run.excitation, run.seen, spread @ z)
+        J = (_moved(here, rates, dK, run, x) @ whitening.T).swapaxes(1, 2).reshape(len(white), -1)
+        dz = _projected(free, J)
+        starts.append((dz, z))
+        parts.append(_Rows(J - free @ dz, white, m))
         mean += white.reshape(-1, m).T @ white.reshape(-1, m)
     root = np.sqrt(samples / 2)
     # For these rows, J'r is half the gradient of T log det S + sum e' S^-1 e with respect to S.
-    r = [root * (np.eye(m) - mean / samples).ravel(), *(both[:, -1] for both in begun)]
-    spread = whitening @ dS @ whitening.T
-    R = [spread.reshape(len(dS), -1).T * root, *(both[:, :-1] for both in begun)]
+    r = [root * (np.eye(m) - mean / samples).ravel(), *(z for _, z in starts)]
+    scatter = whitening @ dS @ whitening.T
+    R = [scatter.reshape(len(dS), -1).T * root, *(dz for dz, _ in starts)]
     return [*parts, _Rows(np.concatenate(R), np.concatenate(r), 0)]
 
 
@@ -345,8 +317,9 @@ def _moved(here: Filter, rates: dict[str, Floats], dK: Floats, run: Segment, x: 
     driven = driven.swapaxes(0, 1).reshape(signals.shape[1], -1)
     J = -(x @ dH.swapaxes(1, 2) + run.excitation[:, 1:] * direct[:, None]).swapaxes(0, 1)
     turned, state = np.ascontiguousarray(here.F.T), np.zeros(dF.shape[:2])
-    for first in range(0, len(x), MOVED_AT_ONCE):
-        part = slice(first, first + MOVED_AT_ONCE)
+    # By blocks: the derivatives of all states together would need much memory.
+    for first in range(0, len(x), BLOCK):
+        part = slice(first, first + BLOCK)
         moved = (signals[part] @ driven).reshape(-1, *dF.shape[:2])
         for row in moved:
             state, row[...] = state @ turned + row, state
@@ -354,14 +327,15 @@ def _moved(here: Filter, rates: dict[str, Floats], dK: Floats, run: Segment, x: 
     return J
 
 
-def _free(filtered: Filter, run: Segment, whitening: Floats) -> Floats:
-    """Return the change of the whitened innovations by an initial state with unit prior, shape (samples m, n)."""
-    shown, state = whitening @ filtered.model.H, np.asarray(run.spread)
-    result = np.zeros((len(run.y), *shown.shape))
+def _from_rest(here: Filter, run: Segment, spread: Floats, whitening: Floats) -> tuple[Floats, Floats]:
+    """Return whitened innovations from rest, shape (samples m,), after their change by an initial state L z."""
+    _, e = here.predicted(run.excitation, run.seen, np.zeros(len(spread)))
+    shown, state = whitening @ here.model.H, spread
+    free = np.zeros((len(run.y), *shown.shape))
     forgotten = ROUNDING * np.max(np.abs(state))
-    for row in result:
+    for row in free:
         row[...] = shown @ state
-        state = filtered.F @ state
+        state = here.F @ state
         if np.max(np.abs(state)) <= forgotten:
             break
-    return result.reshape(-1, shown.shape[1])
+    return free.reshape(-1, shown.shape[1]), (e @ whitening.T).ravel()

@@ -1,9 +1,9 @@
-"""Prediction: the response of an identified frame to a record, compared with the measured motion."""
+"""Prediction: the response of an identified frame to a record and its peaks, compared with the measured motion."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,33 +13,132 @@ from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration
 from cvxshear.records.motion import DrivenRecord
-from cvxshear.response.compare import LIKE, RecordComparison, compared, moved_alike, seen
+from cvxshear.response import sources, uncertain
+from cvxshear.response.compare import RecordComparison, as_predicted, compared
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.peaks import Peaks, histories, peaks_of
 from cvxshear.response.recording import recording_of
-from cvxshear.response.sensor_checks import as_predicted
-from cvxshear.response.sources import (
-    DRIVING,
-    WORTH_A_WORD,
-    Fitted,
-    Models,
-    ModelSource,
-    MotionSource,
-    line_remarks,
-    models_of,
-    motion_of,
-    state_of,
-    state_remarks,
-)
 from cvxshear.response.state_space import Response, response
-from cvxshear.response.uncertain import Damped, IdentifiedDamping, UncertainFrame, described, parts_of, propagated
+from cvxshear.util import ranking
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.quantities import listed, numbered, percent
-from cvxshear.util.results import Shown
-from cvxshear.util.typing import Floats
+from cvxshear.util.results import Shown, as_json
+from cvxshear.util.typing import Floats, Ints, Json
 
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
 """Quantities with standard deviations over time. Records show accelerations; owners need drifts."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of a response.
+
+    Parameters
+    ----------
+    attribute : str
+        Attribute of `Response` with the values over time.
+    word, unit : str
+        Name and unit; the unit of a ratio is empty.
+    single : bool, optional
+        Whether the quantity is one number, not one per floor or story.
+    """
+
+    attribute: str
+    word: str
+    unit: str
+    single: bool = False
+
+
+RESPONSES = {
+    "floor_acceleration": Quantity("acceleration", "acceleration", "m/s²"),
+    "floor_displacement": Quantity("displacement", "displacement", "m"),
+    "story_drift": Quantity("drift", "drift", "m"),
+    "story_drift_ratio": Quantity("drift_ratio", "drift ratio", ""),
+    "story_shear": Quantity("story_shear", "shear", "N"),
+    "base_shear": Quantity("base_shear", "base shear", "N", single=True),
+    "overturning_moment": Quantity("overturning_moment", "overturning moment", "N m", single=True),
+}
+"""Quantities of a response."""
+
+
+def histories(response: Response) -> dict[str, Floats | None]:
+    """Return every quantity over time, shapes (samples, N) or (samples,); None for quantities that do not apply."""
+    return {name: getattr(response, quantity.attribute) for name, quantity in RESPONSES.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """Peaks with standard deviations.
+
+    Parameters
+    ----------
+    values, std : dict of str to ndarray
+        Keys are the names in `RESPONSES` that apply; shape (N,) or (1,); nan for unknown deviations.
+    """
+
+    values: dict[str, Floats]
+    std: dict[str, Floats]
+
+    def to_dict(self) -> Json:
+        """Return each quantity and its `_std` as JSON; null for quantities that do not apply."""
+        result: Json = {}
+        for name, quantity in RESPONSES.items():
+            for key, values in ((name, self.values.get(name)), (f"{name}_std", self.std.get(name))):
+                result[key] = as_json(values[0] if quantity.single and values is not None else values)
+        return result
+
+
+STRONG = 0.5
+"""Least size of a sample in the strong part of a motion, relative to the peak."""
+
+
+def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:
+    """Find the peak of each quantity that applies, and its standard deviation.
+
+    A peak is the top of the parabola through the largest sample and its neighbors. For a motion of 3 Hz at 50 Hz, the
+    largest sample is up to 1.8 % too small, the parabola 0.05 %.
+
+    The deviation of a peak is the deviation of its sample. Its ratio to the peak is at least the ratio of the rms
+    deviation to the rms motion in the strong part. The reason: the change along one direction of the frame's
+    uncertainty oscillates as the motion does. If this change is zero at the peak, the deviation of that sample lacks
+    terms of second order and the errors of the model.
+
+    Parameters
+    ----------
+    runs : iterable of (Response, dict of str to ndarray)
+        Response and known standard deviations over time of each run, by the names in `RESPONSES`.
+    """
+    values: dict[str, Floats] = {}
+    stds: dict[str, Floats] = {}
+    for moved, deviations in runs:
+        for name, history in histories(moved).items():
+            if history is None:
+                continue
+            columns = history.reshape(len(history), -1)
+            at = ranking.largest(np.abs(columns), axis=0)
+            take = np.arange(columns.shape[1])
+            peak = _between_samples(np.abs(columns), at)
+            std = np.full(len(peak), np.nan)
+            if name in deviations:
+                band, strong = deviations[name].reshape(columns.shape), np.abs(columns) >= STRONG * peak
+                of_motion = np.sum(band**2 * strong, axis=0) / np.maximum(np.sum(columns**2 * strong, axis=0), 1e-300)
+                std = np.maximum(band[at, take], peak * np.sqrt(of_motion))
+            if name in values:
+                larger = peak > values[name]
+                peak, std = np.where(larger, peak, values[name]), np.where(larger, std, stds[name])
+            values[name], stds[name] = peak, std
+    return Peaks(values, stds)
+
+
+def _between_samples(sizes: Floats, at: Ints) -> Floats:
+    """Find the top of the parabola through the largest sample of each column and its neighbors, shape (columns,)."""
+    take = np.arange(sizes.shape[1])
+    before, top, after = (sizes[np.clip(at + step, 0, len(sizes) - 1), take] for step in (-1, 0, 1))
+    bend = 2 * top - before - after
+    # A parabola fits neither a jump nor a motion with fewer than six samples per period.
+    inside = (at > 0) & (at < len(sizes) - 1)
+    smooth = inside & (bend > 0) & (np.minimum(before, after) > STRONG * top)
+    rise: Floats = (after - before) ** 2 / (8 * np.where(smooth, bend, 1.0))
+    return top + np.where(smooth, rise, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +155,8 @@ class ModelResponse:
         None if the record has no accelerations of floors.
     """
 
-    fitted: Fitted
-    damped: Damped
+    fitted: sources.Fitted
+    damped: uncertain.Damped
     responses: tuple[Response, ...]
     comparison: RecordComparison | None
 
@@ -97,7 +196,7 @@ class RecordPrediction(Shown):
     before: ModelResponse | None
     after: ModelResponse
     peaks: Peaks
-    damping: IdentifiedDamping
+    damping: uncertain.IdentifiedDamping
     std: tuple[dict[str, Floats], ...]
     missed: float | None
     remarks: tuple[str, ...]
@@ -122,8 +221,8 @@ class RecordPrediction(Shown):
 
 @usual_arithmetic
 def predict(
-    source: ModelSource,
-    record: MotionSource,
+    source: sources.ModelSource,
+    record: sources.MotionSource,
     backend: str | Backend = "auto",
     *,
     damping: str | None = None,
@@ -162,42 +261,34 @@ def predict(
         If the backend does not solve a program.
     """
     solver = backends.get(backend)
-    recorded = motion_of(record)
-    models = models_of(source, solver, assume)
+    recorded = sources.motion_of(record)
+    models = sources.models_of(source, solver, assume)
     experiment = models.after.experiment
-    state = state_of(experiment, recorded, configuration)
-    frame_after = UncertainFrame.of(models.after, state, damping, solver)
+    state = sources.state_of(experiment, recorded, configuration)
+    frame_after = uncertain.UncertainFrame.of(models.after, state, damping, solver)
     recorded, faults = _set_right(recorded, frame_after.at(np.zeros(frame_after.size)).model)
     motion = recorded.detrended() if detrend else recorded
     before = None
     if models.before is not None:
-        frame = UncertainFrame.of(models.before, state, damping, solver)
+        frame = uncertain.UncertainFrame.of(models.before, state, damping, solver)
         before = _model_response(models.before, frame.at(np.zeros(frame.size)), motion)
     found = _predicted(models, frame_after, motion, before)
-    said = [*state_remarks(experiment, recorded, state, named=configuration is not None), *_taken_off(recorded, motion)]
+    said = [
+        *sources.state_remarks(experiment, recorded, state, named=configuration is not None),
+        *_taken_off(recorded, motion),
+    ]
     # The comparison may repeat remarks that the model made on the sensors before.
     said += [each for each in found.remarks if each not in faults]
     return dataclasses.replace(found, remarks=(*faults, *said))
 
 
 def _set_right(motion: DrivenRecord, model: DampedModel) -> tuple[DrivenRecord, tuple[str, ...]]:
-    """Return a record with the corrections of its sensors that `reconstruct` makes, and remarks on these corrections.
-
-    Return the record unchanged if a sensor to be left out moves as predicted: then the model contradicts the fault.
-    """
+    """Return a record with the corrections of its sensors that `reconstruct` makes, and remarks on them."""
     forces = {driven.floor for driven in motion.runs}
     known = all(driven.responses is not None and np.isfinite(driven.responses).any() for driven in motion.runs)
     if not motion.floors.size or not known or len(forces) > 1:
         return motion, ()
     found = as_predicted(model, recording_of(motion, len(model.M)))
-    gone = np.setdiff1d(motion.floors, found.floors)
-    gone = gone[gone <= len(model.M)]
-    if gone.size:
-        columns = np.searchsorted(motion.floors, gone)
-        measured = np.concatenate([np.asarray(driven.responses)[:, columns] for driven in motion.runs])
-        predicted = np.concatenate([seen(model, response(model, driven, motion.step), gone) for driven in motion.runs])
-        if np.any(moved_alike(np.nan_to_num(measured), predicted) > LIKE):
-            return motion, ()
     runs = tuple(
         dataclasses.replace(driven, excitation=run.excitation, responses=run.measured)
         for driven, run in zip(motion.runs, found.runs, strict=True)
@@ -206,36 +297,36 @@ def _set_right(motion: DrivenRecord, model: DampedModel) -> tuple[DrivenRecord, 
 
 
 def _predicted(
-    models: Models, frame: UncertainFrame, motion: DrivenRecord, before: ModelResponse | None
+    models: sources.Models, frame: uncertain.UncertainFrame, motion: DrivenRecord, before: ModelResponse | None
 ) -> RecordPrediction:
     """Predict with the final model; one propagation gives all standard deviations."""
 
-    def everything(damped: Damped, driven: DrivenRecord = motion) -> Floats:
+    def everything(damped: uncertain.Damped, driven: DrivenRecord = motion) -> dict[str, Floats]:
         responses = _responses(damped, driven)
-        bands = (item for moved in responses for item in _bands(moved).values())
-        return np.concatenate([parts_of(damped), *_largest(responses).values(), *bands])
+        bands = {
+            f"{name} over time {run}": values
+            for run, moved in enumerate(responses)
+            for name, values in histories(moved).items()
+            if name in BANDS and values is not None
+        }
+        return uncertain.parts_of(damped) | _largest(responses) | bands
 
-    centre, std = propagated(frame, everything)
+    centre, std = uncertain.propagated(frame, everything)
     # The excitation between its samples is unknown: it may be linear or band-limited.
-    between = everything(centre, motion.band_limited()) - everything(centre)
-    std = np.hypot(std, between)
+    straight, limited = everything(centre), everything(centre, motion.band_limited())
+    std = {name: np.hypot(own, limited[name] - straight[name]) for name, own in std.items()}
     after = _model_response(models.after, centre, motion)
-    values = _largest(after.responses)
-    sizes = [len(parts_of(centre)), *(len(item) for item in values.values())]
-    sizes += [item.size for moved in after.responses for item in _bands(moved).values()]
-    parts = np.cumsum(sizes)[:-1]
-    of_damping, *rest = np.split(std, parts)
-    of_samples = zip(values.values(), np.split(between, parts)[1:], strict=False)
-    unseen = max(float(np.max(np.abs(change) / np.maximum(peak, 1e-300))) for peak, change in of_samples)
-    bands = iter(rest[len(values) :])
-    damping = described(frame, centre, of_damping)
     over_time = tuple(
-        {name: next(bands).reshape(moved.acceleration.shape) for name in _bands(moved)} for moved in after.responses
+        {name: std[f"{name} over time {run}"] for name in BANDS if f"{name} over time {run}" in std}
+        for run in range(len(after.responses))
     )
     missed = _missed(after, over_time)
-    of_peaks = zip(values.items(), rest, strict=False)
-    peaks = Peaks(values, {name: np.hypot(own, (missed or 0.0) * peak) for (name, peak), own in of_peaks})
-    said = (*damping.remarks, *_between_samples(unseen, DRIVING[motion.input]), *_remarks(after, motion))
+    values = _largest(after.responses)
+    peaks = Peaks(values, {name: np.hypot(std[name], (missed or 0.0) * peak) for name, peak in values.items()})
+    changes = (np.abs(limited[name] - peak) / np.maximum(peak, 1e-300) for name, peak in values.items())
+    unseen = max(float(np.max(each)) for each in changes)
+    damping = uncertain.described(frame, centre, std)
+    said = (*damping.remarks, *_reading_remarks(unseen, sources.DRIVING[motion.input]), *_remarks(after, motion))
     return RecordPrediction(
         motion, frame.configuration, frame.backend.name, before, after, peaks, damping, over_time, missed, said
     )
@@ -263,21 +354,15 @@ def _missed(side: ModelResponse, std: tuple[dict[str, Floats], ...]) -> float | 
     return float(np.sqrt(max(0.0, np.mean(beyond)))) if beyond.size else None
 
 
-def _bands(moved: Response) -> dict[str, Floats]:
-    """Return the quantities of `BANDS` that apply, as flat arrays."""
-    found = histories(moved)
-    return {name: values.ravel() for name in BANDS if (values := found[name]) is not None}
-
-
 def _largest(responses: Sequence[Response]) -> dict[str, Floats]:
     return peaks_of((each, {}) for each in responses).values
 
 
-def _responses(damped: Damped, motion: DrivenRecord) -> list[Response]:
+def _responses(damped: uncertain.Damped, motion: DrivenRecord) -> list[Response]:
     return [response(damped.model, driven, motion.step) for driven in motion.runs]
 
 
-def _model_response(fitted: Fitted, damped: Damped, motion: DrivenRecord) -> ModelResponse:
+def _model_response(fitted: sources.Fitted, damped: uncertain.Damped, motion: DrivenRecord) -> ModelResponse:
     responses = tuple(_responses(damped, motion))
     tested = fitted.experiment.configurations
     modes = np.unique(np.concatenate([each.modes for each in tested]))
@@ -286,25 +371,22 @@ def _model_response(fitted: Fitted, damped: Damped, motion: DrivenRecord) -> Mod
 
 def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:
     """Report the size of the straight lines that were removed as sensor faults, if they are large enough."""
+    names = ["the base motion", *(f"floor {floor}" for floor in recorded.floors)]
     found = [(0.0, "")]
     for before, after in zip(recorded.runs, motion.runs, strict=True):
-        columns = [("the base motion", before.excitation, after.excitation)] if recorded.input == "base" else []
-        if before.responses is not None and after.responses is not None:
-            columns += [
-                (f"floor {floor}", before.responses[:, place], after.responses[:, place])
-                for place, floor in enumerate(recorded.floors)
-            ]
-        for name, old, new in columns:
-            line, rms = float(np.nanmax(np.abs(old - new))), float(np.sqrt(np.nanmean(new**2)))
-            if rms > 0:
-                found.append((line / rms, name))
+        old, new = (
+            np.column_stack([run.excitation, *([] if run.responses is None else [run.responses])])
+            for run in (before, after)
+        )
+        line, rms = np.nanmax(np.abs(old - new), axis=0), np.sqrt(np.nanmean(new**2, axis=0))
+        found += zip((line / np.where(rms > 0, rms, np.inf)).tolist(), names, strict=False)
     largest, where = max(found)
-    return line_remarks(largest, f"the rms ({where})")
+    return sources.line_remarks(largest, f"the rms ({where})")
 
 
-def _between_samples(unseen: float, excitation: str) -> list[str]:
+def _reading_remarks(unseen: float, excitation: str) -> list[str]:
     """Report the influence of the excitation between its samples on the peaks, if it is large enough."""
-    if unseen < WORTH_A_WORD:
+    if unseen < sources.WORTH_A_WORD:
         return []
     return [
         f"between its samples the {excitation} is taken as straight lines; were it band-limited, peaks would be up to "

@@ -1,8 +1,8 @@
 """Reconstruction: the motion of every floor, with standard deviations, from the floors with sensors.
 
 `frame_fit` fits the frame to the innovations of the filter. `state_space` computes the motion, and `frame_motion` the
-standard deviations. `sensor_checks` predicts each sensor from all others, which checks the deviations. A record that is
-not of a linear frame falls back to the motion of the identified frame.
+standard deviations, which a prediction of each sensor from all others checks. A record that is not of a linear frame
+falls back to the motion of the identified frame.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
+from cvxshear.response import frame_motion, sources
+from cvxshear.response.compare import as_predicted, predicted_responses, readings_of
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
-from cvxshear.response.frame_motion import FrameMotion, ReconstructedRun, predicted_responses, readings_of, shown_by
-from cvxshear.response.peaks import Peaks, peaks_of
+from cvxshear.response.predicted import Peaks, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.sensor_checks import SensorCheck, as_predicted, checked, widening
-from cvxshear.response.sources import DRIVING, Fitted, ModelSource, line_remarks, models_of, state_of, state_remarks
 from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.decorators import usual_arithmetic
@@ -35,8 +34,8 @@ from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Ints, Json
 
-SIGN_KNOWN = 1.645
-"""Minimum change of a reported story, in standard deviations: its sign is 95 % probable."""
+SIGN_KNOWN = float(special.ndtri(SURE))
+"""Minimum change of a reported story, in standard deviations: its sign is certain."""
 
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
@@ -63,42 +62,33 @@ class Reconstruction(Shown):
     frame : FittedFrame
         The frame in this record.
     frame_fitted : bool
-        Whether the frame is the one fitted to the record: not if the base motion was not measured, if `fit` was False,
-        or in a fallback.
-    model : DampedModel
-        Matrices of the frame in this record.
+        Whether the frame is the one fitted to the record: not if `fit` was False, or in a fallback.
     fallback : str
         Reason why the motion is the identified frame's although a fit was asked for; empty if the fitted frame stands.
     runs : tuple of ReconstructedRun
     peaks : Peaks
-    predicted_peaks : Peaks or None
-        Peaks that the identified model predicts from the excitation alone; None if the excitation was not measured.
+    predicted_peaks : Peaks
+        Peaks that the identified model predicts from the excitation alone.
     checks : tuple of SensorCheck
     spikes, missing : ndarray of int, shape (m,)
         Numbers of samples of each sensor with a weight reduced by Huber's loss, and of missing samples.
-    limits : Limits or None
-    passed : ndarray, shape (L, N), or None
-        Probability that the drift ratio of each story passed each limit; nan if it is unknown.
     remarks : tuple of str
     """
 
     recording: Recording
     configuration: Configuration
     backend: str
-    fitted: Fitted
+    fitted: sources.Fitted
     kind: str
     frame: FittedFrame
     frame_fitted: bool
-    model: DampedModel
     fallback: str
-    runs: tuple[ReconstructedRun, ...]
+    runs: tuple[frame_motion.ReconstructedRun, ...]
     peaks: Peaks
-    predicted_peaks: Peaks | None
-    checks: tuple[SensorCheck, ...]
+    predicted_peaks: Peaks
+    checks: tuple[frame_motion.SensorCheck, ...]
     spikes: Ints
     missing: Ints
-    limits: Limits | None
-    passed: Floats | None
     remarks: tuple[str, ...]
 
     json_keys = (
@@ -108,6 +98,30 @@ class Reconstruction(Shown):
     )
 
     @property
+    def model(self) -> DampedModel:
+        """Matrices of the frame in this record."""
+        return self.frame.model
+
+    @property
+    def limits(self) -> Limits | None:
+        """The declared limits of drift ratios."""
+        return self.fitted.experiment.limits
+
+    @property
+    def passed(self) -> Floats | None:
+        """Probability that the drift ratio of each story passed each limit, shape (L, N).
+
+        It is nan in a fallback, because the drift of a story that yields is unknown; None without story heights or
+        limits.
+        """
+        name = "story_drift_ratio"
+        if self.limits is None or name not in self.peaks.values:
+            return None
+        away = self.peaks.values[name] - self.limits.story_drift[:, None]
+        passed: Floats = special.ndtr(away / np.maximum(self.peaks.std[name], 1e-300))
+        return np.full_like(passed, np.nan) if self.fallback else passed
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Sensor faults, and reasons for larger errors than the stated deviations; read them before the numbers."""
         return *self.recording.remarks, *_warnings(self)
@@ -115,7 +129,7 @@ class Reconstruction(Shown):
     @property
     def widening(self) -> float:
         """Factor on all bands: ratio of the left-out sensors' errors to their stated deviations, at least 1."""
-        return widening(self.checks)
+        return frame_motion.widening(self.checks)
 
     @property
     def changed(self) -> tuple[int, ...]:
@@ -188,7 +202,7 @@ class Reconstruction(Shown):
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
-        names += [f"the sensor of the {DRIVING[self.recording.input]}"] if self.recording.input != "none" else []
+        names.append(f"the sensor of the {sources.DRIVING[self.recording.input]}")
         return tuple(
             (name, float(value), float(std))
             for name, value, std, chance in zip(names, *self.frame.gains, self.frame.probability("gain"), strict=True)
@@ -298,7 +312,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
     ]
     pairs = zip(recorded.runs, found.recording.runs, strict=True)
     line = max(float(np.nanmax(np.abs(raw.measured - run.measured) / recorded.rms())) for raw, run in pairs)
-    said += line_remarks(line, "a channel's rms")
+    said += sources.line_remarks(line, "a channel's rms")
     if found.recording.input == "base" and found.fitted.mass_known and found.frame.scale_std == 0:
         said.append(
             "base motion does not tell how heavy the frame is: were all floors heavier than in the tests by one part, "
@@ -306,11 +320,6 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
         )
     if found.fitted.covariance is None:
         said.append("the measurement tells no noise: the identified stiffnesses are taken as exact")
-    if found.recording.input == "none":
-        said.append(
-            "nobody measured the base motion: it is estimated with the rest, the frame is taken as identified, and "
-            "whether a story changed is not asked, since another base motion would look the same"
-        )
     if not found.fitted.mass_known:
         said.append("the masses have no scale (give total_mass): forces and moments are left out")
     if found.masses_changed:
@@ -325,7 +334,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
 
 @usual_arithmetic
 def reconstruct(
-    source: ModelSource,
+    source: sources.ModelSource,
     record: RecordingSource,
     backend: str | Backend = "auto",
     *,
@@ -344,8 +353,7 @@ def reconstruct(
     source : str, Path, Experiment, LoopResult, Estimate or Models
         Source of the model, as for `predict`.
     record : str, Path, TimeRecord or DrivenRecord
-        Accelerations of some floors, with nan in gaps, and the excitation; with input = "none" the base acceleration
-        is estimated.
+        Accelerations of some floors, with nan in gaps, and the excitation.
     backend : str or Backend, optional
         Solver of the steps of the frame's fit.
     damping : str, optional
@@ -375,15 +383,15 @@ def reconstruct(
         If the backend does not solve a program.
     """
     solver = backends.get(backend)
-    models = models_of(source, solver, assume)
+    models = sources.models_of(source, solver, assume)
     experiment = models.after.experiment
     recording = recording_of(record, experiment.stories)
-    state = state_of(experiment, recording, configuration)
+    state = sources.state_of(experiment, recording, configuration)
     frame = UncertainFrame.of(models.after, state, damping, solver)
     identified = frame.at(np.zeros(frame.size)).model
     recording = recorded = as_predicted(identified, recording)
     if detrend:
-        recording = recording.without_base_line()
+        recording = recording.detrended()
     readings = readings_of(identified, recording)
     done, parts = itertools.count(1), 2 + (len(recording.floors) if leave_out else 0)
 
@@ -391,50 +399,35 @@ def reconstruct(
         if progress is not None:
             progress(next(done), parts)
 
-    work, fitted, smoothed, evidences, fallback = _motion(frame, readings, identified, fit=fit, detrend=detrend)
+    work, fitted, smoothed, evidences, fallback = _motion(frame, readings, fit=fit, detrend=detrend)
     advance()
     predicted = predicted_responses(identified, work.recording)
     checks = []
     for channel in range(len(recording.floors)) if leave_out and len(recording.floors) > 1 else ():
-        checks.append(checked(work, fitted, smoothed, channel, predicted))
+        checks.append(frame_motion.checked(work, fitted, smoothed, channel, predicted))
         advance()
-    runs = work.runs(fitted, widening(checks))
+    runs = work.runs(fitted, frame_motion.widening(checks))
     weights = np.concatenate([each.weights for each in smoothed])
     peaks = peaks_of((run.response, run.std) for run in runs)
-    limits = experiment.limits
     found = Reconstruction(
-        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fitted.model, fallback,
-        tuple(runs), peaks, None if predicted is None else peaks_of((item, {}) for item in predicted), tuple(checks),
-        np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), limits,
-        None if limits is None else _passed(limits, peaks, told=not fallback), (),
+        work.recording, state, solver.name, frame.fitted, frame.kind, fitted, work.free, fallback,
+        tuple(runs), peaks, peaks_of((item, {}) for item in predicted), tuple(checks),
+        np.sum((weights > 0) & (weights < 1), axis=0), np.sum(weights == 0, axis=0), (),
     )  # fmt: skip
     advance()
-    said = state_remarks(experiment, recording, state, named=configuration is not None)
+    said = sources.state_remarks(experiment, recording, state, named=configuration is not None)
     if len(evidences) > 1:
-        said.append(_reading_remark(DRIVING[recording.input], *evidences))
+        said.append(_reading_remark(sources.DRIVING[recording.input], *evidences))
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 
-def _passed(limits: Limits, peaks: Peaks, *, told: bool) -> Floats | None:
-    """Compute the probability that each drift ratio passed each limit, shape (L, N); None without story heights.
-
-    In a fallback it is nan: the drift of a story that yields is unknown.
-    """
-    name = "story_drift_ratio"
-    if name not in peaks.values:
-        return None
-    away = peaks.values[name] - limits.story_drift[:, None]
-    passed: Floats = special.ndtr(away / np.maximum(peaks.std[name], 1e-300))
-    return passed if told else np.full_like(passed, np.nan)
-
-
-_Fit = tuple[FrameMotion, FittedFrame, list[Smoothed]]
+_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed]]
 """The setup of the motion, the frame, and its motion with only the first states."""
 
 
 def _motion(
-    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, fit: bool, detrend: bool
-) -> tuple[FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
+    frame: UncertainFrame, readings: Sequence[Recording], *, fit: bool, detrend: bool
+) -> tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
     The motion is the fitted frame's. If the record is not that of a linear frame, or the fit does not settle, or it
@@ -448,14 +441,14 @@ def _motion(
     fallback = ""
     if fit:
         try:
-            best, evidences = _most_probable(frame, readings, identified, free=True, detrend=detrend)
+            best, evidences = _most_probable(frame, readings, free=True, detrend=detrend)
             fallback = _implausible(best[1]) if best[0].free else ""
         except (np.linalg.LinAlgError, NoModesError, NoSolutionError):
             fallback = "the fit of the frame failed"
         if not fallback:
             return *best, evidences, ""
     try:
-        best, evidences = _most_probable(frame, readings, identified, free=False, detrend=detrend)
+        best, evidences = _most_probable(frame, readings, free=False, detrend=detrend)
     except (np.linalg.LinAlgError, NoModesError) as error:
         raise UnsuitableError(f"{readings[0].name}: no motion of this frame comes near the record ({error})") from error
     work, fitted, smoothed = best
@@ -480,17 +473,13 @@ def _implausible(fitted: FittedFrame) -> str:
 
 
 def _most_probable(
-    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, free: bool, detrend: bool
+    frame: UncertainFrame, readings: Sequence[Recording], *, free: bool, detrend: bool
 ) -> tuple[_Fit, list[float]]:
     """Return the most probable fit, and the log evidence of each reading; only one fit is kept, to save memory."""
     best: _Fit | None = None
     evidences = []
     for each in readings:
-        reading = each
-        if detrend:
-            shown = shown_by(identified, predicted_responses(identified, reading), reading)
-            reading = reading.less(reading.lines(shown))
-        work, fitted, smoothed = FrameMotion.around(frame, reading, frame.backend, free=free).fitted(detrend=detrend)
+        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, each, free=free).fitted(detrend=detrend)
         evidences.append(fitted.log_evidence)
         if best is None or fitted.log_evidence > best[1].log_evidence:
             # The states of a long record need much memory; `runs` computes them again with their deviations.

@@ -1,4 +1,4 @@
-"""Accelerations that sensors on some floors recorded, with gaps, and the excitation if it was measured.
+"""Accelerations that sensors on some floors recorded, with gaps, and the excitation.
 
 Sensor faults that the record itself shows are corrected first (`SensorRecord`). The checks are the same as in
 `cvxshear modes`. They use the segments that every sensor recorded. Corrections of certain faults apply to the whole
@@ -21,52 +21,22 @@ from scipy import ndimage
 from cvxshear.io.csv import Columns
 from cvxshear.io.record_file import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
-from cvxshear.records.data_frames import FEWEST_SAMPLES, sound_pieces
-from cvxshear.records.examination import ACROSS, center_weights, examined
+from cvxshear.records import data_frames, examination, prepare, sick_channels
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
-from cvxshear.records.prepare import SINC_TERMS, between
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
-from cvxshear.records.sick_channels import spikes_in, stuck_in
+from cvxshear.response.state_space import ROUNDING
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Bools, Floats, Ints
 
 RecordingSource = str | Path | TimeRecord | DrivenRecord
 
-ENVELOPE_PERIODS = 4.0
-"""Time over which the strength of the motion is averaged, in fundamental periods. A shorter average would follow the
-vibration itself."""
-
-QUIETEST = 1 / 16
-"""Least envelope, relative to the record's rms. The model's error does not vanish when the motion is weak."""
-
-AT_REST = 0.05
-"""Largest rms acceleration of the first period, relative to the whole record's, of a run that begins at rest. Sensors
-with usual noise show this level on a frame that does not move."""
-
-AMID_MOTION = 0.5
-"""Least strength of the excitation at its first sample, relative to its rms over the record, of a run that begins
-during the motion. A record that was triggered by the motion begins with a weaker part."""
-
-BY_CHANCE = 4.0
-"""Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
-deviations, doubled because a line is largest at its ends."""
-
-LINE_LEFT = 1e-12
-"""Largest remainder, relative to the largest value, of a signal that was only a straight line. Rounding leaves far
-less."""
-
 SAID = (
     "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
     "swapped channels", "clock offset", "clock drift", "lost samples",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
-
-LEAST_DELAY = 0.25
-"""Least delay that is removed, in samples; a shorter delay is only reported. The delay is estimated from the phases of
-the modes, and there may be only three. With 10 % noise on the base motion, a sound record may show a delay of 0.08
-samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +48,7 @@ class RecordedRun:
     measured : ndarray, shape (samples, m)
         Total accelerations, m/s2; nan in gaps.
     excitation : ndarray, shape (samples,)
-        m/s2 or N; zeros if it was not measured.
+        m/s2 or N.
     floor : int, optional
         Floor on which a measured force acts.
     between : ndarray, shape (samples,), optional
@@ -109,7 +79,7 @@ class RecordedRun:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Accelerations of some floors, and the excitation if it was measured.
+    """Accelerations of some floors, and the excitation.
 
     Parameters
     ----------
@@ -118,15 +88,11 @@ class Recording:
     floors : ndarray of int, shape (m,)
         Ascending.
     input : str
-        "base", "force", or "none" if the base motion was not measured.
+        "base" or "force".
     added_mass : ndarray, shape (N,), optional
         kg.
     remarks : tuple of str
         Sensor faults, and their corrections.
-    late : ndarray, shape (m, 2), optional
-        Delay (s) and its growth (s/s) that were removed from each floor's motion.
-    late_remarks : tuple of str, optional
-        Remark on this delay, for each floor.
     """
 
     runs: tuple[RecordedRun, ...]
@@ -137,8 +103,6 @@ class Recording:
     state: str | None = None
     name: str = "record"
     remarks: tuple[str, ...] = ()
-    late: Floats | None = None
-    late_remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not len(self.floors):
@@ -153,7 +117,7 @@ class Recording:
                 missing = int((~np.isfinite(run.excitation)).sum())
                 raise InputError(
                     f"{self.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
-                    'what drives the frame may not (input = "none" has the base motion estimated)'
+                    "what drives the frame may not"
                 )
 
     @property
@@ -182,40 +146,34 @@ class Recording:
         runs = (dataclasses.replace(run, **each) for run, each in zip(self.runs, every, strict=True))
         return dataclasses.replace(self, runs=tuple(runs))
 
-    def without_base_line(self) -> Recording:
-        """Subtract the straight line from a measured base acceleration; raise InputError if no motion remains."""
+    def detrended(self) -> Recording:
+        """Subtract the straight lines through the base acceleration and through each channel; a force stays.
+
+        Raises
+        ------
+        InputError
+            If the base acceleration is only a straight line.
+        """
+        found = self.without_lines([np.zeros_like(run.measured) for run in self.runs])
         if self.input != "base":
-            return self
-        found = self.replaced(excitation=(run.excitation - sensor_line(run.excitation) for run in self.runs))
+            return found
+        found = found.replaced(excitation=(run.excitation - trend(run.excitation) for run in self.runs))
         for run, whole in zip(found.runs, self.runs, strict=True):
-            if np.abs(run.excitation).max() <= LINE_LEFT * np.abs(whole.excitation).max():
-                raise InputError(
-                    f"{self.name}, {run.name}: the input channel shows no motion but a straight line; "
-                    'input = "none" has the base motion estimated'
-                )
+            if np.abs(run.excitation).max() <= np.sqrt(ROUNDING) * np.abs(whole.excitation).max():
+                raise InputError(f"{self.name}, {run.name}: the input channel shows no motion but a straight line")
         return found
+
+    def without_lines(self, expected: Sequence[Floats]) -> Recording:
+        """Subtract the straight line through each channel minus its expected accelerations, (samples, m) per run.
+
+        The vibration itself has a line, too: the last, incomplete cycle has a nonzero mean.
+        """
+        lines = (trend(run.measured - own) for run, own in zip(self.runs, expected, strict=True))
+        return self.replaced(measured=(run.measured - line for run, line in zip(self.runs, lines, strict=True)))
 
     def band_limited(self) -> Recording:
         """Return the recording with an excitation that is band-limited between its samples, instead of linear."""
         return self.replaced(between=(band_limited(run.excitation) for run in self.runs))
-
-    def lines(self, expected: Sequence[Floats]) -> list[Floats]:
-        """Fit the straight line of each channel, one array (samples, m) per run.
-
-        The line is fitted to the difference between the record and the accelerations `expected` by a model. A fit to
-        the record itself would also find a line in the vibration: the last, incomplete cycle has a nonzero mean.
-        """
-        found = []
-        for run, own in zip(self.runs, expected, strict=True):
-            left = run.measured - own
-            alike = np.ones(len(left))
-            columns = zip(trend(left).T, left.T, strict=True)
-            found.append(np.column_stack([_unless_by_chance(line, column, alike) for line, column in columns]))
-        return found
-
-    def less(self, lines: Sequence[Floats]) -> Recording:
-        """Subtract straight lines from the measured accelerations, one array (samples, m) per run."""
-        return self.replaced(measured=(run.measured - line for run, line in zip(self.runs, lines, strict=True)))
 
     def without(self, channel: int) -> Recording:
         """Return the recording with one channel fewer."""
@@ -230,69 +188,6 @@ class Recording:
             excitation=(run.excitation[part] for run, part in pairs),
             between=(run.drive[part, 0] for run, part in pairs),
         )
-
-    def envelopes(self, period: float) -> list[Floats]:
-        """Compute the strength of the motion over time, relative to its rms; one array per run.
-
-        The strength is averaged over `ENVELOPE_PERIODS` times `period` (of the first mode, s) and rounded to a power of
-        two.
-        """
-        width = max(1, round(ENVELOPE_PERIODS * period * self.sampling_rate))
-        powers = []
-        for run in self.runs:
-            there = np.isfinite(run.measured)
-            total = np.sum(np.nan_to_num(run.measured / self.rms()) ** 2, axis=1)
-            # Power and count are averaged separately: a gap in every channel takes the strength of its neighborhood.
-            power, count = (
-                ndimage.uniform_filter1d(each.astype(np.float64), width, mode="nearest")
-                for each in (total, there.sum(axis=1))
-            )
-            # The running sum leaves rounding errors in places without samples.
-            powers.append(np.maximum(power, 0.0) / np.maximum(count, 1e-3))
-        mean = float(np.mean(np.concatenate(powers)))
-        strengths = [np.maximum(np.sqrt(power / mean), QUIETEST) for power in powers]
-        return [np.exp2(np.round(np.log2(each))).astype(np.float64) for each in strengths]
-
-
-def sensor_line(excitation: Floats) -> Floats:
-    """Fit a straight line to an excitation by least squares; weight the quiet part if the record begins during motion.
-
-    A motion that the beginning of the record cuts off leaves a line in an unweighted fit. In that case each sample is
-    weighted by the inverse of the variance around it, averaged over `ENVELOPE_PERIODS` of the excitation. A line that
-    such a motion leaves by chance is replaced by zeros.
-    """
-    line = trend(excitation)
-    moved = excitation - line
-    level, width = rms(moved), _width(moved)
-    strength = np.sqrt(ndimage.uniform_filter1d(moved**2, width, mode="nearest"))
-    if strength[0] < AMID_MOTION * level or not level:
-        return line
-    weights, time = 1.0 / np.maximum(strength, QUIETEST * level), np.linspace(-1.0, 1.0, len(excitation))
-    line = np.asarray(np.polyval(np.polyfit(time, excitation, 1, w=weights), time), dtype=np.float64)
-    return _unless_by_chance(line, excitation, weights)
-
-
-def _width(moved: Floats) -> int:
-    """Count the samples in `ENVELOPE_PERIODS` periods of a motion.
-
-    A harmonic has the period 2 pi (rms of the motion) / (rms of its derivative).
-    """
-    level = rms(moved)
-    step = max(rms(np.diff(moved)), level / len(moved))
-    return max(1, round(ENVELOPE_PERIODS * 2 * np.pi * level / step)) if level else 1
-
-
-def _unless_by_chance(line: Floats, values: Floats, weights: Floats) -> Floats:
-    """Return a line through values, or zeros if a motion of the values' period may leave this line by chance.
-
-    The variance of the mean is estimated from sums over blocks of `ENVELOPE_PERIODS` periods.
-    """
-    left = values - line
-    blocks = np.arange(0, len(left), _width(left))
-    square = weights**2 * np.isfinite(left)
-    summed = np.add.reduceat(np.nan_to_num(square * left), blocks)
-    chance = float(np.linalg.norm(summed)) / max(float(np.sum(square)), 1e-300)
-    return line if np.max(np.abs(line)) > BY_CHANCE * chance else np.zeros_like(line)
 
 
 def rms(values: Floats) -> float:
@@ -321,15 +216,13 @@ def recording_of(source: RecordingSource, stories: int = 0) -> Recording:
             return _of_motion(source, stories)
         case TimeRecord():
             _refuse_other_quantity(source.quantity, source.name)
-            known = source.input in DRIVEN
             runs = [
-                (run.excitation if known and run.excitation is not None else np.zeros(run.samples), run)
+                RecordedRun(run.responses, run.excitation, run.name, run.floor)
                 for run in source.runs
+                if run.excitation is not None
             ]
             return _recording(
-                source.channels, source.sampling_rate, source.input,
-                [RecordedRun(run.responses, drive, run.name, run.floor) for drive, run in runs], stories,
-                name=source.name,
+                source.channels, source.sampling_rate, source.input, runs, stories, name=source.name
             )  # fmt: skip
         case str() | Path():
             return _of_file(Path(source), stories)
@@ -342,22 +235,16 @@ def _recording(
     channels: Sequence[Channel], rate: float, driven: str, runs: Sequence[RecordedRun], stories: int, **described: Any
 ) -> Recording:
     """Correct the sensors and combine the sensors of each floor; the runs have one column per channel."""
-    driven = driven if driven in DRIVEN else "none"
-    forces = {run.floor for run in runs} if driven == "force" else {0}
-    if len(forces) > 1:
+    if driven not in DRIVEN:
+        raise InputError(
+            f'{described["name"]} has input = "{driven}"; a reconstruction needs what drove the frame: a channel of '
+            "the base motion on floor 0, or of a force"
+        )
+    if driven == "force" and len({run.floor for run in runs}) > 1:
         raise InputError(f"{described['name']}: the force acts on several floors; reconstruct these runs one by one")
-    sensors = SensorRecord(
-        tuple(channels), tuple(run.measured for run in runs), tuple(run.excitation for run in runs), rate, driven,
-        forces.pop(),
-    ).set_right(stories)  # fmt: skip
-    floors, measured, late, late_remarks = sensors.by_floor()
-    right = tuple(
-        dataclasses.replace(run, measured=values, excitation=excitation)
-        for run, values, excitation in zip(runs, measured, sensors.excitations, strict=True)
-    )
-    return Recording(
-        right, rate, floors, driven, **described, remarks=sensors.remarks, late=late, late_remarks=late_remarks
-    )
+    sensors = SensorRecord(tuple(channels), tuple(runs), rate, driven).set_right(stories)
+    floors, right = sensors.by_floor()
+    return Recording(right, rate, floors, driven, **described, remarks=sensors.remarks)
 
 
 def _of_motion(motion: DrivenRecord, stories: int) -> Recording:
@@ -390,9 +277,9 @@ def _of_file(path: Path, stories: int) -> Recording:
         runs = []
         for piece in pieces:
             measured = [_with_gaps(piece.columns, item, path) for item in tables.responses]
-            excitation = np.zeros(len(piece.columns.values)) if piece.excitation is None else piece.excitation
-            together = np.column_stack(measured) if measured else np.zeros((len(excitation), 0))
-            runs.append(RecordedRun(together, excitation, piece.name, piece.floor))
+            together = np.column_stack(measured) if measured else np.zeros((len(piece.columns.values), 0))
+            if piece.excitation is not None:
+                runs.append(RecordedRun(together, piece.excitation, piece.name, piece.floor))
         return _recording(
             tuple(tables.responses), rate, tables.input, runs, stories,
             added_mass=None if tables.added_mass is None else np.array(tables.added_mass), state=tables.state,
@@ -416,40 +303,27 @@ class SensorRecord:
     Parameters
     ----------
     channels : tuple of Channel
-        Ascending by floor.
-    measured : tuple of ndarray, shape (samples, channels)
-        Accelerations of each run, m/s2; nan in gaps.
-    excitations : tuple of ndarray, shape (samples,)
-        Excitation of each run, m/s2 or N; zeros if it was not measured.
+    runs : tuple of RecordedRun
+        One column of accelerations per channel.
     sampling_rate : float
         Hz.
     input : str
-        "base", "force" or "none".
-    force_floor : int, optional
-        Floor on which a measured force acts.
+        "base" or "force".
     remarks : tuple of str, optional
         Sensor faults that were found.
-    late : ndarray, shape (channels, 2), optional
-        Delay (s) and its growth (s/s) that were removed from each channel.
-    late_remarks : tuple of str, optional
-        Remark on this delay, for each channel.
     """
 
     channels: tuple[Channel, ...]
-    measured: tuple[Floats, ...]
-    excitations: tuple[Floats, ...]
+    runs: tuple[RecordedRun, ...]
     sampling_rate: float
     input: str
-    force_floor: int = 0
     remarks: tuple[str, ...] = ()
-    late: Floats | None = None
-    late_remarks: tuple[str, ...] = ()
 
     def set_right(self, stories: int) -> SensorRecord:
         """Return the record without its certain faults; a remark reports each.
 
-        Reversed channels are inverted, units converted and delays removed. Dead channels and the samples of stuck
-        channels are left out. Uncertain faults are only reported.
+        Reversed channels are inverted, units converted and delays removed. Dead and stuck channels and spikes are
+        left out. Uncertain faults are only reported.
 
         Raises
         ------
@@ -460,10 +334,10 @@ class SensorRecord:
         whole = dataclasses.replace(
             self,
             channels=tuple(self.channels[column] for column in order),
-            measured=tuple(values[:, order] for values in self.measured),
+            runs=tuple(dataclasses.replace(run, measured=run.measured[:, order]) for run in self.runs),
         )
         pieces = whole.pieces()
-        if not any(np.any(np.ptp(np.nan_to_num(values), axis=0) > 0) for values in whole.measured):
+        if not any(np.any(np.ptp(np.nan_to_num(run.measured), axis=0) > 0) for run in whole.runs):
             return whole
         if not pieces:
             said = "signs and clocks of the sensors were not checked: no stretch in which all recorded is long enough"
@@ -473,11 +347,11 @@ class SensorRecord:
     def pieces(self) -> list[tuple[int, slice]]:
         """List the segments that every sensor recorded, each with the index of its run."""
         found = []
-        for place, (values, excitation) in enumerate(zip(self.measured, self.excitations, strict=True)):
-            there = np.isfinite(values).all(axis=1) & np.isfinite(excitation)
-            for piece in sound_pieces(there):
-                long = piece.stop - piece.start >= FEWEST_SAMPLES
-                if long and there[piece].all() and (self.input not in DRIVEN or np.any(excitation[piece])):
+        for place, run in enumerate(self.runs):
+            there = np.isfinite(run.measured).all(axis=1) & np.isfinite(run.excitation)
+            for piece in data_frames.sound_pieces(there):
+                long = piece.stop - piece.start >= data_frames.FEWEST_SAMPLES
+                if long and there[piece].all() and np.any(run.excitation[piece]):
                     found.append((place, piece))
         return found
 
@@ -485,9 +359,9 @@ class SensorRecord:
         """Check the sensors with the methods of `cvxshear modes`."""
         runs = tuple(
             Run(
-                self.measured[place][piece],
-                self.excitations[place][piece] if self.input in DRIVEN else None,
-                self.force_floor,
+                self.runs[place].measured[piece],
+                self.runs[place].excitation[piece],
+                self.runs[place].floor,
                 f"run {number}" if len(pieces) > 1 else "the record",
             )
             for number, (place, piece) in enumerate(pieces, 1)
@@ -498,57 +372,39 @@ class SensorRecord:
             findings = identify_modes(record, accept_swapped=True).findings
         except (NoSolutionError, InputError):
             # A motion without identifiable modes, such as a short one, is checked without modes.
-            findings = examined(record).findings
+            findings = examination.examined(record).findings
         return [each for each in findings if each.kind in (*SAID, "spikes")]
 
     def corrected(self, findings: Sequence[Finding], pieces: Sequence[tuple[int, slice]]) -> SensorRecord:
         """Correct the certain faults."""
         factors, late, out = np.ones(len(self.channels) + 1), np.zeros((len(self.channels) + 1, 2)), set()
-        measured, said = [values.copy() for values in self.measured], list(self.remarks)
-        of_clocks: dict[int, str] = {}
-        spikes = [np.zeros(values.shape, dtype=bool) for values in measured]
+        measured, said = [run.measured.copy() for run in self.runs], list(self.remarks)
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
-            if finding.kind in ("dead channel", "lost samples"):
+            if finding.kind in ("dead channel", "stuck channel", "lost samples"):
                 out.update(columns)
-            elif finding.kind == "stuck channel":
+            elif finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):
-                    stuck = stuck_in(self.measured[place][piece], column, self.sampling_rate)
-                    measured[place][piece][stuck, column] = np.nan
-                message = f"{message.removesuffix('; left out')}; these samples are left out"
+                    spiked = sick_channels.spikes_in(self.runs[place].measured[piece])[0][:, column]
+                    measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
-            elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
-                message = f"{message.removesuffix('; taken out')}; so short a delay may be chance and is left in"
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"
-                of_clocks.update(dict.fromkeys(columns, message))
-            if finding.kind == "spikes":
-                for column, (place, piece) in itertools.product(columns, pieces):
-                    spikes[place][piece][:, column] = spikes_in(self.measured[place][piece])[0][:, column]
-            else:
+            if finding.kind != "spikes":
                 said.append(message)
         kept = [column for column in range(len(self.channels)) if column not in out]
         # A delayed input is equivalent to sensors that are all early.
         late = late[:-1] - late[-1]
         started = 0
-        for values, spiked in zip(measured, spikes, strict=True):
+        for values in measured:
             for column in np.flatnonzero(late.any(axis=1)):
-                # Interpolation over the neighboring samples would spread a spike to all of them.
-                values[spiked[:, column], column] = np.nan
                 values[:, column] = earlier(values[:, column], late[column], self.sampling_rate, started)
             started += len(values)
-        return dataclasses.replace(
-            self,
-            channels=tuple(self.channels[column] for column in kept),
-            measured=tuple((factors[:-1] * values)[:, kept] for values in measured),
-            excitations=tuple(factors[-1] * each for each in self.excitations),
-            remarks=tuple(said),
-            late=late[kept],
-            late_remarks=tuple(of_clocks.get(column, of_clocks.get(-1, "")) for column in kept),
-        )
+        right = self.replaced(((factors[:-1] * values)[:, kept] for values in measured), factors[-1])
+        return dataclasses.replace(right, channels=tuple(self.channels[column] for column in kept), remarks=tuple(said))
 
     def _columns(self, names: Sequence[str | None]) -> list[int]:
         """List the columns of the named channels; "a + b" names several sensors of a floor, and -1 is the input."""
@@ -556,46 +412,44 @@ class SensorRecord:
         found = [column for column, channel in enumerate(self.channels) if channel.name in single]
         return [*found, -1] if "input" in single and not found else found
 
-    def by_floor(self) -> tuple[Ints, list[Floats], Floats, tuple[str, ...]]:
-        """Return the floors (ascending), their motions in each run, the removed delays, and the remarks on them.
+    def by_floor(self) -> tuple[Ints, tuple[RecordedRun, ...]]:
+        """Return the floors (ascending), and runs with one column per floor.
 
         A motion is nan if a sample of one of its sensors is missing. Sensors across the direction of the test are left
         out. Several sensors on a floor give the motion of the floor's center.
         """
         cosines = np.cos(np.radians([each.direction or 0.0 for each in self.channels]))
-        along = np.abs(cosines) >= np.cos(np.radians(ACROSS))
+        along = np.abs(cosines) >= np.cos(np.radians(examination.ACROSS))
         floors = np.array([each.floor for each in self.channels], dtype=np.int64)
         named = np.unique(floors[along])
         if not named.size:
             raise InputError("no floor's acceleration was recorded; a reconstruction needs one at least")
-        weights = np.zeros((len(floors), len(named)))
-        for place, floor in enumerate(named):
-            group = np.flatnonzero(along & (floors == floor))
-            weights[group, place] = center_weights(self.channels, group)[0] / cosines[group]
-        groups = [np.flatnonzero(column) for column in weights.T]
-        motions = [
-            np.column_stack([values[:, group] @ weights[group, place] for place, group in enumerate(groups)])
-            for values in self.measured
-        ]
-        late = np.zeros((len(floors), 2)) if self.late is None else self.late
-        firsts = [int(group[0]) for group in groups]
-        remarks = self.late_remarks or ("",) * len(floors)
-        return named, motions, late[firsts], tuple(remarks[first] for first in firsts)
+        groups = [np.flatnonzero(along & (floors == floor)) for floor in named]
+        weights = [examination.center_weights(self.channels, group)[0] / cosines[group] for group in groups]
+        motions = (
+            np.column_stack([run.measured[:, group] @ own for group, own in zip(groups, weights, strict=True)])
+            for run in self.runs
+        )
+        return named, self.replaced(motions).runs
+
+    def replaced(self, measured: Iterable[Floats], factor: float = 1.0) -> SensorRecord:
+        """Return the record with other accelerations, one array per run, and a factor on the excitation."""
+        pairs = zip(self.runs, measured, strict=True)
+        return dataclasses.replace(self, runs=tuple(
+            dataclasses.replace(run, measured=values, excitation=factor * run.excitation) for run, values in pairs
+        ))  # fmt: skip
 
 
 def earlier(values: Floats, late: Floats, rate: float, started: int) -> Floats:
-    """Remove the delay of a channel; the run begins `started` samples after the first run's beginning."""
-    time = (started + np.arange(len(values))) / rate
-    return _moved(values, rate * (late[0] + late[1] * time))
+    """Remove a channel's delay (s) and its growth (s/s); the run begins `started` samples after the first run's start.
 
-
-def _moved(values: Floats, samples: Floats) -> Floats:
-    """Interpolate a channel at times `samples` later; nan if a required sample is missing."""
+    The result is nan if a sample that the interpolation needs is missing.
+    """
     index, there = np.arange(len(values)), np.isfinite(values)
     if not there.any():
         return values
-    places = index + samples
-    unknown = ndimage.maximum_filter1d((~there).astype(np.uint8), SINC_TERMS + 1, mode="constant", cval=1)
+    places = index + rate * late[0] + late[1] * (started + index)
+    unknown = ndimage.maximum_filter1d((~there).astype(np.uint8), prepare.SINC_TERMS + 1, mode="constant", cval=1)
     near = np.clip(np.round(places).astype(np.int64), 0, len(values) - 1)
-    result = between(np.interp(index, index[there], values[there]), places)
+    result = prepare.between(np.interp(index, index[there], values[there]), places)
     return np.where(unknown[near].astype(bool), np.nan, result)

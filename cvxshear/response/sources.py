@@ -11,11 +11,8 @@ import numpy as np
 
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
-from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.results import Identification
-from cvxshear.io.modes import experiment_from_file
-from cvxshear.io.record_file import read_motion
-from cvxshear.io.toml import is_record_file, load, read_tables, with_modes_read
+from cvxshear.fit.efficient import RESIDUAL_LEVEL, Estimate
+from cvxshear.io import modes, record_file, toml
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import Record
@@ -32,8 +29,15 @@ from cvxshear.util.typing import Floats
 NO_VARIANCE = 1e-12
 """Largest eigenvalue of a correlation matrix, relative to its maximum, that counts as rounding."""
 
-IMPROBABLE = 0.01
-"""Largest p-value of the fit's residual for which the modes contradict the model."""
+
+def covariance_root(covariance: Floats) -> Floats:
+    """Return L with L L' = covariance, shape (P, r); directions of rounding have no column."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
+    root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+    return root
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,19 +80,6 @@ class Fitted:
             *_misfit(estimate),
         )
 
-    @staticmethod
-    def of_identification(result: Identification) -> Fitted | None:
-        """Return the fitted model of a joint identification; None for other methods and for undetermined values."""
-        if not result.joint or result.correlation is None:
-            return None
-        frame = result.frame
-        theta = np.concatenate([frame.floor_mass, frame.story_stiffness])
-        if not np.isfinite(theta).all():
-            return None
-        std = np.concatenate([frame.floor_mass_std, frame.story_stiffness_std])
-        covariance = np.nan_to_num(result.correlation) * np.outer(std, std) if np.isfinite(std).all() else None
-        return Fitted(result.experiment, (), theta, covariance, result.undetermined)
-
     @property
     def mass_known(self) -> bool:
         """Whether the mass scale is known; False if a total mass of 1 kg replaces an unknown one."""
@@ -104,20 +95,12 @@ class Fitted:
     @cached_property
     def root(self) -> Floats:
         """Factor L with L L' = covariance, shape (P, r); r is 0 if the covariance is unknown."""
-        size = len(self.theta)
-        if self.covariance is None:
-            return np.zeros((size, 0))
-        std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        unit = np.where(std > 0, std, 1.0)
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(unit, unit))
-        kept = values > NO_VARIANCE * max(float(values[-1]), NO_VARIANCE)
-        root: Floats = unit[:, None] * vectors[:, kept] * np.sqrt(values[kept])
-        return root
+        return np.zeros((len(self.theta), 0)) if self.covariance is None else covariance_root(self.covariance)
 
 
 def _misfit(estimate: Estimate) -> tuple[float, float]:
     """Return chi-square per degree of freedom and the largest shape error if the fit is improbable, else 1 and 0."""
-    if estimate.p_value is None or estimate.p_value > IMPROBABLE or not estimate.dof:
+    if estimate.p_value is None or estimate.p_value > RESIDUAL_LEVEL or not estimate.dof:
         return 1.0, 0.0
     return max(1.0, estimate.chi2 / estimate.dof), float(estimate.quality.max_shape_error or 0.0)
 
@@ -183,8 +166,8 @@ def models_of(source: ModelSource, backend: Backend, assume: Sequence[str | Loca
 
 def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | LocatedEffect]) -> Models:
     """Close the loop on a measurement file or a record file."""
-    recorded = is_record_file(source)
-    experiment = experiment_from_file(source) if recorded else load_unscaled(source)
+    recorded = toml.is_record_file(source)
+    experiment = modes.experiment_from_file(source) if recorded else load_unscaled(source)
     names = [each.name for each in experiment.configurations]
     return models_of_loop(close_loop(experiment, assume=assume, backend=backend, weighed=names if recorded else ()))
 
@@ -192,10 +175,10 @@ def _of_file(source: str | Path, backend: Backend, assume: Sequence[str | Locate
 def load_unscaled(path: str | Path) -> Experiment:
     """Read a measurement file; if it has no mass scale, use a total mass of 1 kg."""
     try:
-        return load(path)
+        return toml.load(path)
     except NoScaleError:
         path = Path(path)
-        declared = dict(with_modes_read(read_tables(path), path.parent))
+        declared = dict(toml.with_modes_read(toml.read_tables(path), path.parent))
         frame = declared.get("frame") or {}
         # A remark of the result reports the missing scale; warnings about the replaced masses would confuse the user.
         accepted = {*frame.get("accept", ()), "total_mass", "masses"}
@@ -226,7 +209,7 @@ def motion_of(source: MotionSource) -> DrivenRecord:
         raise InputError(
             f"what drives a frame is a record file, a TimeRecord or a DrivenRecord, not {checks.shown(source)}"
         )
-    return read_motion(source)
+    return record_file.read_motion(source)
 
 
 def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str | None = None) -> Configuration:
@@ -243,8 +226,7 @@ def state_of(experiment: Experiment, record: DrivenRecord | Recording, name: str
     InputError
         If there is no such configuration or state, or if floors or added mass do not fit the frame.
     """
-    driven = [record.force_floor] if isinstance(record, Recording) else [run.floor for run in record.runs]
-    highest = max([*record.floors.tolist(), *driven])
+    highest = max([*record.floors.tolist(), *(run.floor for run in record.runs)])
     if highest > experiment.stories:
         raise InputError(f"{record.name} speaks of floor {highest}, the frame has {experiment.stories} stories")
     configurations = experiment.configurations

@@ -8,8 +8,7 @@ M0 and d_i = k_i (rms drift of story i) belong to the identified frame, and each
 process noise enters as accelerations, so a frame with all masses and stiffnesses scaled has the same noise. A model
 with an error of a few percent in a story's stiffness misses a force proportional to that story's drift. This force
 changes with the frame's vibration. Hence the process noise acts between floors, and its corner frequency alpha is the
-first mode's frequency. White noise on the floors would have neither property. If the base motion was not measured, the
-base acceleration is one more state of this kind.
+first mode's frequency. White noise on the floors would have neither property.
 
 The known excitation is a straight line between samples (first-order hold), and the noise is integrated over a step.
 Hence the result is exact for any step.
@@ -50,9 +49,9 @@ MOST_REWEIGHTINGS = 12
 SAME_WEIGHT = 0.02
 """Maximum change of a weight at convergence: a fiftieth of the sample's influence."""
 
-TRANSIENT, NEAR_LIMIT = 100, 0.05
-"""Samples with their own covariances after a change of the weights, and the relative difference of later variances from
-their limits at which the limits replace them. The replacement saves time and memory."""
+NEAR_LIMIT = 0.05
+"""Relative difference of variances from their limits, a `BLOCK` or more after a change of the weights, at which the
+limits replace them. The replacement saves time and memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +65,7 @@ class Noise:
     force : float
         s: missed story forces, relative to the rms story force.
     ground : float
-        Base acceleration if it was not measured, m/s2; otherwise the noise of the excitation's sensor, in its unit.
+        Noise of the excitation's sensor, in its unit.
     """
 
     sensors: Floats
@@ -88,8 +87,6 @@ class Setting:
         Floor on which a measured force acts; 0 for base motion.
     corner : float
         alpha, rad/s.
-    ground_corner : float
-        Corner frequency of an unmeasured base acceleration, rad/s.
     story_force : ndarray, shape (N,)
         d: rms story forces of the identified frame, N.
     mass : ndarray, shape (N, N)
@@ -99,16 +96,14 @@ class Setting:
     floors: Ints
     step: float
     force_floor: int
-    base_measured: bool
     corner: float
-    ground_corner: float
     story_force: Floats
     mass: Floats
 
     @property
     def states(self) -> int:
-        """n: displacements, velocities, story forces, and an unmeasured base acceleration."""
-        return 3 * len(self.story_force) + (0 if self.base_measured else 1)
+        """n: displacements, velocities and story forces."""
+        return 3 * len(self.story_force)
 
     def without(self, channel: int) -> Setting:
         """Return the setting with one channel fewer."""
@@ -120,7 +115,7 @@ class StateOutputs:
     """Rows that turn states into the outputs of a reconstruction.
 
     The outputs are total accelerations, displacements, drifts and story forces of the frame, then the overturning
-    moment if story heights are declared, and the base acceleration if it is estimated.
+    moment if story heights are declared.
 
     Parameters
     ----------
@@ -151,9 +146,8 @@ class Dynamics:
     A : ndarray, shape (n, n)
     before, after : ndarray, shape (n,)
         Weights of q at the beginning and at the end of a step.
-    Q, Q_input : ndarray, shape (n, n)
-        Covariance of w, and its part from the noise of the excitation's sensor, which is also present before and after
-        the motion.
+    Q : ndarray, shape (n, n)
+        Covariance of w, with the noise of the excitation's sensor.
     H : ndarray, shape (m, n)
     direct : ndarray, shape (m,)
     R : ndarray, shape (m,)
@@ -164,7 +158,6 @@ class Dynamics:
     before: Floats
     after: Floats
     Q: Floats
-    Q_input: Floats
     H: Floats
     direct: Floats
     R: Floats
@@ -179,14 +172,10 @@ class Dynamics:
         """Return the model with a subset of its sensors; the mask has shape (m,)."""
         return dataclasses.replace(self, H=self.H[channels], direct=self.direct[channels], R=self.R[channels])
 
-    def weighted(self, weights: Floats, envelope: float = 1.0) -> Dynamics:
-        """Return the model with a weight for each sensor, shape (m,), and a factor on the missed story forces.
-
-        A sensor with the weight zero shows nothing.
-        """
+    def weighted(self, weights: Floats) -> Dynamics:
+        """Return the model with a weight for each sensor, shape (m,); a sensor with the weight zero shows nothing."""
         seen = weights > 0
-        Q = envelope**2 * (self.Q - self.Q_input) + self.Q_input
-        return dataclasses.replace(self, Q=Q, H=self.H * seen[:, None], R=self.R / np.where(seen, weights, 1.0))
+        return dataclasses.replace(self, H=self.H * seen[:, None], R=self.R / np.where(seen, weights, 1.0))
 
     def driven(self, excitation: Floats) -> Floats:
         """Return the excitation's change of the state in each step, shape (samples, n); the last row is unused."""
@@ -206,7 +195,7 @@ def steps_of(excitation: Floats) -> Floats:
 
 def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     """Build the discrete state-space model of a frame."""
-    N, n, estimated = len(model.M), setting.states, not setting.base_measured
+    N, n = len(model.M), setting.states
     own, load, through = _motion(model, setting.force_floor)
     # Proportional to the motion: a larger motion with smaller gains must give the same model.
     missed = model.input_gain * np.linalg.solve(setting.mass, transformation(N) * setting.story_force)
@@ -215,20 +204,14 @@ def dynamics(model: DampedModel, noise: Noise, setting: Setting) -> Dynamics:
     rates[N : 2 * N, 2 * N : 3 * N] = missed
     rates[2 * N : 3 * N, 2 * N : 3 * N] = -setting.corner * np.eye(N)
     spread[2 * N : 3 * N, 2 * N : 3 * N] = 2 * setting.corner * noise.force**2 * np.eye(N)
-    total = rates[N : 2 * N].copy()
-    if estimated:
-        rates[N : 2 * N, 3 * N] = -1.0
-        rates[3 * N, 3 * N] = -setting.ground_corner
-        spread[3 * N, 3 * N] = 2 * setting.ground_corner * noise.ground**2
-        load[:] = 0.0
+    total = rates[N : 2 * N]
     A, before, after, Q = discretized(rates, load, spread, setting.step)
     # An error of one sample of the excitation moves the frame in both neighboring steps.
-    moved = (0.0 if estimated else noise.ground) * (before + after)
-    Q_input = np.outer(moved, moved)
+    moved = noise.ground * (before + after)
     at = setting.floors - 1
     H, direct = total[at] * model.gain[at, None], through[at] * model.gain[at]
     outputs = _outputs(model, total, through, setting)
-    return Dynamics(A, before, after, Q + Q_input, Q_input, H, direct, noise.sensors**2, outputs)
+    return Dynamics(A, before, after, Q + np.outer(moved, moved), H, direct, noise.sensors**2, outputs)
 
 
 def slopes(own: Dynamics, others: Sequence[Dynamics], sizes: Floats) -> dict[str, Floats]:
@@ -273,9 +256,6 @@ def _outputs(model: DampedModel, total: Floats, through: Floats, setting: Settin
     if model.heights is not None:
         rows.append((model.heights @ shear)[None])
         weights.append(np.atleast_1d(model.heights @ direct))
-    if not setting.base_measured:
-        rows.append(np.eye(setting.states)[3 * N :])
-        weights.append(np.zeros(1))
     return StateOutputs(np.concatenate(rows), np.concatenate(weights))
 
 
@@ -460,15 +440,12 @@ class Observed:
         As in `Dynamics`; zeros if the excitation was not measured.
     measured : ndarray, shape (samples, m)
         m/s2; nan for missing samples.
-    envelope : ndarray, shape (samples,)
-        Factor on the standard deviation of the missed story forces, piecewise constant; the noise has no such factor.
     start_scale : float
         Factor on the standard deviation of the state at the start.
     """
 
     excitation: Floats
     measured: Floats
-    envelope: Floats
     start_scale: float = 1.0
 
     @property
@@ -536,15 +513,14 @@ def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
 
 def _stretches(model: Dynamics, run: Observed, weights: Floats) -> list[Stretch]:
     """Split a run into segments with one filter: a filter that settles has one sample per segment."""
-    keys = np.column_stack([weights, run.envelope])
-    edges = [0, *(np.flatnonzero(np.any(np.diff(keys, axis=0), axis=1)) + 1).tolist(), len(keys)]
+    edges = [0, *(np.flatnonzero(np.any(np.diff(weights, axis=0), axis=1)) + 1).tolist(), len(weights)]
     P, found = run.start_scale**2 * model.P0, []
     for first, last in pairwise(edges):
-        own = model.weighted(weights[first], float(run.envelope[first]))
-        limit = Filter.settled(own) if last - first > TRANSIENT else None
+        own = model.weighted(weights[first])
+        limit = Filter.settled(own) if last - first > BLOCK else None
         t = first
         while t < last:
-            settled = limit if limit and t - first >= TRANSIENT and _near(P, limit.P) else None
+            settled = limit if limit and t - first >= BLOCK and _near(P, limit.P) else None
             here, until = (Filter.at(own, P), t + 1) if settled is None else (settled, last)
             found.append((t, until, here))
             t, P = until, here.following
@@ -588,11 +564,11 @@ def _deviations(rows: Floats, stretches: Sequence[Stretch], samples: int) -> Flo
     for first, last, here in reversed(stretches if len(rows) else ()):
         F, own, spread = here.F, here.model.H.T @ here.pull, rows @ here.P
         plain = np.sum(spread * rows, axis=1)
-        limit = doubled(F.T, own) if last - first > TRANSIENT else None
+        limit = doubled(F.T, own) if last - first > BLOCK else None
         for t in range(last - 1, first - 1, -1):
             N = own + F.T @ N @ F
             N = 0.5 * (N + N.T)
-            settled = limit is not None and last - t > TRANSIENT and _near(N, limit)
+            settled = limit is not None and last - t > BLOCK and _near(N, limit)
             N = limit if limit is not None and settled else N
             variance = plain - np.sum((spread @ N) * spread, axis=1)
             result[first if settled else t : t + 1] = np.sqrt(np.maximum(variance, 0.0))

@@ -10,8 +10,9 @@ the way; a derivative at one point would not see this change.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -21,21 +22,12 @@ from cvxshear.effects import State, compose
 from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
 from cvxshear.model import Modes, modes, stiffness_matrix
-from cvxshear.response.damping import (
-    LEAST_RATIO,
-    DampedModel,
-    Dashpots,
-    Ratios,
-    damping_ratios,
-    rayleigh,
-    story_dashpots,
-)
-from cvxshear.response.sources import Fitted
-from cvxshear.util import checks, ranking
-from cvxshear.util.errors import UnsuitableError
-from cvxshear.util.quantities import NORMAL_95, percent, ranged
+from cvxshear.response import damping
+from cvxshear.response.sources import Fitted, covariance_root
+from cvxshear.util import checks
+from cvxshear.util.errors import NoModesError, UnsuitableError
 from cvxshear.util.results import Shown
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Floats, T
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +40,8 @@ class Damped:
         a (1/s) and b (s) of C = a M + b K.
     """
 
-    model: DampedModel
-    dashpots: Dashpots | None = None
+    model: damping.DampedModel
+    dashpots: damping.Dashpots | None = None
     rayleigh: Floats | None = None
 
 
@@ -70,7 +62,7 @@ class UncertainFrame:
 
     fitted: Fitted
     configuration: Configuration
-    ratios: Ratios
+    ratios: damping.Ratios
     kind: str
     backend: Backend
 
@@ -79,7 +71,7 @@ class UncertainFrame:
         """Use the damping ratios that the experiment declares, and by default its kind of damping."""
         experiment = fitted.experiment
         named = experiment.damping.kind if kind is None else checks.choice(kind, DAMPING_KINDS, "damping")
-        return UncertainFrame(fitted, configuration, damping_ratios(experiment, configuration), named, backend)
+        return UncertainFrame(fitted, configuration, damping.damping_ratios(experiment, configuration), named, backend)
 
     @property
     def uncertain(self) -> bool:
@@ -96,11 +88,11 @@ class UncertainFrame:
         """Story stiffnesses of this state at the fitted parameters, shape (N,), N/m."""
         return self._state(self.configuration, self.fitted.theta).story_stiffness
 
-    def undamped(self, theta: Floats) -> DampedModel:
+    def undamped(self, theta: Floats) -> damping.DampedModel:
         """Build the matrices of this state at given parameters, without damping."""
         state = self._state(self.configuration, theta)
         M, K = state.system.M, state.system.K
-        return DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
+        return damping.DampedModel(M, np.zeros_like(M), K, state.gain, self.fitted.experiment.frame.story_heights)
 
     def conditional_stiffness(self) -> Floats:
         """Compute the covariance of the log story stiffnesses, given masses and effects, shape (N, N).
@@ -126,16 +118,11 @@ class UncertainFrame:
         if covariance is None:
             return np.zeros((len(self.fitted.theta), 0))
         rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
-        std = np.sqrt(np.maximum(np.diag(covariance)[rest], 0.0))
-        unit = np.where(std > 0, std, 1.0)
-        values, vectors = np.linalg.eigh(covariance[np.ix_(rest, rest)] / np.outer(unit, unit))
-        kept = values > 1e-10 * max(float(values[-1]), 1e-300)
-        scaled = vectors[:, kept] / np.sqrt(values[kept])
-        root: Floats = np.sqrt(self.fitted.misfit) * (covariance[:, rest] / unit) @ scaled
-        return root
+        root = np.linalg.pinv(covariance_root(covariance[np.ix_(rest, rest)])).T
+        return np.asarray(np.sqrt(self.fitted.misfit) * covariance[:, rest] @ root)
 
-    def at(self, xi: Floats, near: Damped | None = None) -> Damped:
-        """Build the damped model at one value of xi; the programs of dashpots start from the model `near`.
+    def at(self, xi: Floats) -> Damped:
+        """Build the damped model at one value of xi.
 
         Raises
         ------
@@ -145,9 +132,9 @@ class UncertainFrame:
         root = self.fitted.root
         theta = self.fitted.theta + root @ xi[: root.shape[1]]
         zeta = self.ratios.values * np.exp(self.ratios.std * xi[root.shape[1] :])
-        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta), near)
+        return self.damped(theta, dataclasses.replace(self.ratios, values=zeta))
 
-    def damped(self, theta: Floats, ratios: Ratios, near: Damped | None = None) -> Damped:
+    def damped(self, theta: Floats, ratios: damping.Ratios) -> Damped:
         """Build the damped model of given parameters and ratios.
 
         Dashpots and Rayleigh's factors belong to the state of the measured ratios. Modal damping has the same ratios in
@@ -168,14 +155,12 @@ class UncertainFrame:
             tested = self._state(ratios.tested, theta)
             real = modes(tested.system.M, tested.system.K)
             if self.kind == "story":
-                start = None if near is None or near.dashpots is None else near.dashpots.values
-                priors = experiment.damping.priors
-                dashpots = story_dashpots(real, tested.story_stiffness, ratios, self.backend, priors, start)
+                dashpots = damping.story_dashpots(real, tested.story_stiffness, ratios, self.backend)
                 C = stiffness_matrix(dashpots.values)
             else:
-                factors = rayleigh(real, ratios, self.backend)
+                factors = damping.rayleigh(real, ratios, self.backend)
                 C = factors[0] * M + factors[1] * K
-        model = DampedModel(M, C, K, state.gain, experiment.frame.story_heights, self.fitted.mass_known)
+        model = damping.DampedModel(M, C, K, state.gain, experiment.frame.story_heights, self.fitted.mass_known)
         return Damped(model, dashpots, factors)
 
     def _state(self, configuration: Configuration, theta: Floats) -> State:
@@ -188,34 +173,36 @@ def modal_matrix(M: Floats, real: Modes, ratios: Floats) -> Floats:
     return (turned * (2 * ratios * np.sqrt(real.eigenvalues))) @ turned.T
 
 
-FARTHEST_SECANT = 0.5
-"""Largest relative change of a mass or stiffness in a difference quotient; a shorter step replaces a larger change."""
+def with_modes(at: Callable[[float], T], size: float) -> tuple[T, float]:
+    """Build frames at this distance, or nearer until they have modes; return the distance, too."""
+    while True:
+        try:
+            return at(size), size
+        except NoModesError:
+            size *= 0.25
 
 
-def propagated(frame: UncertainFrame, function: Callable[[Damped], Floats]) -> tuple[Damped, Floats]:
-    """Return the frame as fitted, and the standard deviations of an array that is a function of the frame.
+def propagated(
+    frame: UncertainFrame, function: Callable[[Damped], dict[str, Floats]]
+) -> tuple[Damped, dict[str, Floats]]:
+    """Return the frame as fitted, and the standard deviations of arrays that are functions of the frame.
 
     The standard deviations are nan if the noise is unknown.
     """
     centre = frame.at(np.zeros(frame.size))
+    values = function(centre)
     if not frame.uncertain:
-        return centre, np.full_like(function(centre), np.nan)
-    variance: Floats | float = 0.0
-    for direction, length in enumerate(_lengths(frame)):
-        xi = np.zeros(frame.size)
-        xi[direction] = length
-        slope = (function(frame.at(xi, centre)) - function(frame.at(-xi, centre))) / (2 * length)
-        variance = variance + slope**2
-    return centre, np.sqrt(variance)
+        return centre, {name: np.full_like(each, np.nan) for name, each in values.items()}
 
+    def either_side(xi: Floats, size: float) -> list[dict[str, Floats]]:
+        return [function(frame.at(sign * size * xi)) for sign in (1.0, -1.0)]
 
-def _lengths(frame: UncertainFrame) -> Floats:
-    """Return the step along each direction, in standard deviations."""
-    fitted = frame.fitted
-    n = 2 * fitted.experiment.stories
-    share = np.max(np.abs(fitted.root[:n]) / fitted.theta[:n, None], axis=0, initial=0.0)
-    steps = np.minimum(1.0, FARTHEST_SECANT / np.maximum(share, FARTHEST_SECANT))
-    return np.concatenate([steps, np.ones(frame.size - len(steps))])
+    variance = {name: np.zeros_like(each) for name, each in values.items()}
+    for xi in np.eye(frame.size):
+        (above, below), size = with_modes(partial(either_side, xi), 1.0)
+        for name in values:
+            variance[name] += ((above[name] - below[name]) / (2 * size)) ** 2
+    return centre, {name: np.sqrt(each) for name, each in variance.items()}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -253,61 +240,32 @@ class IdentifiedDamping(Shown):
     )
 
 
-def parts_of(damped: Damped) -> Floats:
-    """Return the parameters of the damping in one vector: ratios, then dashpots or Rayleigh's factors."""
-    parts = [damped.model.ratios]
-    if damped.dashpots is not None:
-        parts.append(damped.dashpots.values)
-    if damped.rayleigh is not None:
-        parts.append(damped.rayleigh)
-    return np.concatenate(parts)
+def parts_of(damped: Damped) -> dict[str, Floats]:
+    """Return the parameters of the damping that apply: ratios, dashpots, Rayleigh's factors."""
+    dashpots = None if damped.dashpots is None else damped.dashpots.values
+    parts = {"ratios": damped.model.ratios, "dashpots": dashpots, "rayleigh": damped.rayleigh}
+    return {name: values for name, values in parts.items() if values is not None}
 
 
-def described(frame: UncertainFrame, damped: Damped, std: Floats) -> IdentifiedDamping:
+def described(frame: UncertainFrame, damped: Damped, std: Mapping[str, Floats]) -> IdentifiedDamping:
     """Return the damping with standard deviations of `parts_of`."""
-    n = len(damped.model.M)
-    ratios, own = std[:n], std[n:]
     remarks = [*frame.ratios.assumed()]
     if frame.ratios.tested.name != frame.configuration.name:
         remarks.append(f'the damping ratios were measured in "{frame.ratios.tested.name}"')
-    if frame.fitted.experiment.damping.priors and frame.kind != "story":
-        remarks.append(f"the priors on story_damping have no part in {frame.kind} damping")
     measured = np.where(frame.ratios.measured, frame.ratios.values, np.nan)
-    factors, dashpots, dashpot_std = damped.rayleigh, None, None
+    dashpots, dashpot_std = None, None
     if damped.dashpots is not None:
         dashpots = damped.dashpots.values
-        dashpot_std = np.where(damped.dashpots.determined, own, np.nan)
+        dashpot_std = np.where(damped.dashpots.determined, std["dashpots"], np.nan)
         if damped.dashpots.open:
             remarks.append(
                 f"the measured damping ratios leave open {', and '.join(damped.dashpots.open)}; what is left open is "
                 "set in proportion to the story stiffness"
             )
-    if frame.kind != "modal":
-        remarks += _missed(frame, damped, measured)
     return IdentifiedDamping(
-        frame.kind, damped.model.ratios, ratios, dashpots, dashpot_std, factors,
-        None if factors is None else own, measured, tuple(remarks),
+        frame.kind, damped.model.ratios, std["ratios"], dashpots, dashpot_std, damped.rayleigh, std.get("rayleigh"),
+        measured, tuple(remarks),
     )  # fmt: skip
-
-
-def _missed(frame: UncertainFrame, damped: Damped, measured: Floats) -> list[str]:
-    """Report the measured ratios that this kind of damping cannot reproduce; name a kind that can."""
-    std = frame.ratios.std * np.maximum(frame.ratios.values, LEAST_RATIO)
-    far = np.flatnonzero(np.abs(damped.model.ratios - np.nan_to_num(measured)) > NORMAL_95 * std)
-    modes = [int(mode) + 1 for mode in far if np.isfinite(measured[mode])]
-    if not modes:
-        return []
-    own = np.maximum(damped.model.ratios, 1e-9)
-    worst = ranking.ranked(modes, lambda mode: abs(np.log(own[mode - 1] / max(measured[mode - 1], 1e-9))))[0]
-    return [
-        f"{WORDS[frame.kind]} cannot give the measured damping ratio{'s' if len(modes) > 1 else ''} of mode "
-        f"{ranged(modes)} (mode {worst}: {percent(float(damped.model.ratios[worst - 1]), 2)} in place of "
-        f"{percent(float(measured[worst - 1]), 2)}); modal damping can"
-    ]
-
-
-WORDS = {"story": "dashpots between the floors", "rayleigh": "Rayleigh damping"}
-"""Kinds of damping that may not reproduce the measured ratios."""
 
 
 def damping_of(
@@ -353,6 +311,7 @@ def damping_of(
     frame = UncertainFrame.of(fitted, state, kind, backends.get(backend))
     if frame.kind == "modal":
         # Modal damping has exactly the measured ratios.
-        return described(frame, frame.at(np.zeros(frame.size)), frame.ratios.values * frame.ratios.std)
+        std = {"ratios": frame.ratios.values * frame.ratios.std}
+        return described(frame, frame.at(np.zeros(frame.size)), std)
     centre, std = propagated(frame, parts_of)
     return described(frame, centre, std)

@@ -5,18 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
-
-from cvxshear.util.errors import InputError
 
 PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""))
-
-DISPLAY_UNITS = {
-    "mass": {"g": 1e-3, "kg": 1.0, "t": 1e3},
-    "force": {"N": 1.0, "kN": 1e3, "MN": 1e6, "GN": 1e9},
-    "length": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
-}
-"""Size of each display unit in kg, N or m."""
 
 SURE = 0.95
 """Probability of a certain conclusion, the usual level of confidence."""
@@ -62,60 +52,24 @@ UNKNOWN = "not determined"
 
 @dataclass(frozen=True)
 class Units:
-    """Units for display; None chooses a unit by the size of the values.
+    """Units for display, by the size of the values.
 
     Parameters
     ----------
-    mass, force, length : str or None
-        One of `DISPLAY_UNITS`. A stiffness has the unit force / length.
     relative : bool, optional
         Whether the total mass is unknown and set to 1. Masses are then shown as fractions of the total, and stiffnesses
         per total mass.
     """
 
-    mass: str | None = None
-    force: str | None = None
-    length: str | None = None
     relative: bool = False
-
-    @staticmethod
-    def parse(text: str | None) -> Units:
-        """Read the units of a text such as "t,kN,mm", in any order.
-
-        Raises
-        ------
-        InputError
-            If a unit is not in `DISPLAY_UNITS`, or two units belong to one quantity.
-        """
-        found: dict[str, Any] = {}
-        for name in [] if text is None else [part.strip() for part in text.split(",") if part.strip()]:
-            quantity = next((key for key, units in DISPLAY_UNITS.items() if name in units), None)
-            if quantity is None:
-                known = ", ".join(unit for units in DISPLAY_UNITS.values() for unit in units)
-                raise InputError(f"there is no display unit {name!r}; there are {known}, such as t,kN,mm")
-            if quantity in found:
-                raise InputError(f"the display units {found[quantity]} and {name} are both of {quantity}; name one")
-            found[quantity] = name
-        return Units(**found)
 
     def of_mass(self, values: Iterable[float]) -> tuple[float, str]:
         """Return the size of the display unit of masses in kg, and its name."""
-        if self.relative:
-            return 1.0, "of the total"
-        return fitting(values, "kg") if self.mass is None else (DISPLAY_UNITS["mass"][self.mass], self.mass)
+        return (1.0, "of the total") if self.relative else fitting(values, "kg")
 
     def of_stiffness(self, values: Iterable[float]) -> tuple[float, str]:
         """Return the size of the display unit of stiffnesses in N/m, and its name."""
-        if self.relative:
-            return 1.0, "1/s² per total mass"
-        if self.force is None and self.length is None:
-            return fitting(values, "N/m")
-        length = self.length or "m"
-        if self.force is None:
-            factor, force = scaled([value * DISPLAY_UNITS["length"][length] for value in values], "N")
-        else:
-            factor, force = DISPLAY_UNITS["force"][self.force], self.force
-        return factor / DISPLAY_UNITS["length"][length], f"{force}/{length}"
+        return (1.0, "1/s² per total mass") if self.relative else fitting(values, "N/m")
 
 
 AUTOMATIC = Units()

@@ -3,6 +3,7 @@
 import hashlib
 import inspect
 import json
+import re
 import subprocess
 import sys
 
@@ -14,7 +15,7 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.backends.base import Tolerances
 from cvxshear.cli import app
-from cvxshear.planning import Declared, Recorded
+from cvxshear.planning import Declared
 from cvxshear.records import identify_modes
 from tests.frames import EXAMPLES
 
@@ -70,9 +71,9 @@ def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(run, tmp_path
     assert f"cvxshear loop paper --report {report}" in report.read_text(encoding="utf-8")
     assert figure.read_text(encoding="utf-8").startswith("<?xml")
     assert json.loads(result.read_text())["verdict"] == "explained"
+    assert re.search(r"the weight above takes 1\.200 ± 0\.07\d times P/h from every story's stiffness", out)
     for said in (
         "EXPLAINED",
-        "the weight above takes 1.200 ± 0.074 times P/h from every story's stiffness",
         "99.9 % probable",
         "1.83 %        0.34 %",
         "shear model  with effects",
@@ -80,15 +81,6 @@ def test_the_loop_tells_its_story_and_writes_a_report_and_a_figure(run, tmp_path
         "rivals: none",
     ):
         assert said in out
-
-
-def test_quantities_are_shown_in_the_units_that_were_asked_for(run):
-    _, out, _ = run("identify", "paper", "--method", "two-stage", "--units", "t,kN,mm")
-    assert "mass, t  stiffness, kN/mm" in out
-    assert "0.013045          0.025517" in out
-    status, out, err = run("loop", "paper", "--units", "lb")
-    assert (status, out) == (2, "")
-    assert "there is no display unit 'lb'" in err
 
 
 def test_effects_can_be_restricted_and_assumed(run):
@@ -226,7 +218,7 @@ FUNCTIONS = {
     "identify": [cvxshear.identify],
     "loop": [cvxshear.close_loop],
     "backends": [cvxshear.compare_backends],
-    "plan": [cvxshear.plan, Declared, Recorded],
+    "plan": [cvxshear.plan, Declared],
     "predict": [cvxshear.predict],
     "reconstruct": [cvxshear.reconstruct],
     "modes": [identify_modes],
@@ -234,7 +226,7 @@ FUNCTIONS = {
 """Commands and their equivalent Python functions with the objects that these take."""
 
 OF_THE_COMMAND = {
-    "csv", "figure", "help", "jobs", "json", "out", "output", "quiet", "record", "report", "strict", "units", "xlsx",
+    "csv", "figure", "help", "jobs", "json", "out", "output", "quiet", "record", "report", "strict", "xlsx",
 }  # fmt: skip
 """Options for the files to read and write, and for the display of results."""
 

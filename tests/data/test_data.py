@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cvxshear import Experiment, close_loop, identify
-from cvxshear.cli import main
 from cvxshear.data import Datum, ErrorFigure, Frequencies, Model, NoiseKind, Residual, Shapes, Static, data_of, register
 from cvxshear.data import base as registry_module
 from cvxshear.data.base import largest, numbered
@@ -254,7 +253,7 @@ def test_a_kind_of_datum_of_ones_own_takes_part_in_identify_and_close_loop():
 
 
 @pytest.mark.usefixtures("weighed")
-def test_a_kind_of_datum_of_ones_own_is_found_in_terminal_report_json_and_help(monkeypatch, capsys):
+def test_a_kind_of_datum_of_ones_own_is_found_in_terminal_report_and_json(monkeypatch):
     """The output has its noise, its figure and its error in percent: the frame weighs 10 % less than the cells show."""
     monkeypatch.setattr(Weighed, "std", 100.0)
     result = close_loop(Experiment.from_dict(experiment(MASS, STIFFNESS, configuration(MASS, STIFFNESS))), ["gravity"])
@@ -269,9 +268,6 @@ def test_a_kind_of_datum_of_ones_own_is_found_in_terminal_report_json_and_help(m
     monkeypatch.setattr(Weighed, "declared", False)
     estimated = terminal.text(close_loop(result.experiment, ["gravity"]), width=120)
     assert re.search(r"noise of weights +[\d.]+ ± [\d.]+ N \(estimated", estimated)
-    with pytest.raises(SystemExit):
-        main(["loop", "paper", "--effects", "list"])
-    assert re.search(r"weights +5 N +50 N +load cells of 10 kN", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(

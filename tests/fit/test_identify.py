@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear import Experiment, InfeasibleError, InputError, UnsuitableError, identify
+from cvxshear import Experiment, InfeasibleError, InputError, UnsuitableError, backends, identify
+from cvxshear.fit.efficient import efficient
 from cvxshear.fit.identification import programs_of
 from cvxshear.io.toml import write_measurement
+from cvxshear.measurement.experiment import opened
 from cvxshear.priors import Bounds, Nominal, Ratio, Value
-from cvxshear.response import Fitted, damping_of
+from cvxshear.response import damping_of
 from cvxshear.screening import Screening, refuse_mistakes, screen
 from tests.frames import EXAMPLES, chain, configuration, experiment
 
@@ -33,7 +35,7 @@ TAKE_A_PATH = {
     "screen": screen,
     "refuse_mistakes": refuse_mistakes,
     "check": lambda source: Screening.of(source).to_dict(),
-    "damping_of": lambda source: str(damping_of(source, Fitted.of_identification(identify(source)))),
+    "damping_of": lambda source: str(damping_of(source, efficient(opened(source), backends.get("auto")))),
 }
 """Public functions that take an experiment, with all other arguments fixed."""
 

@@ -43,12 +43,6 @@ def most_wrong(count):
     return int(stats.binom.ppf(LEVEL, count, 1.0 - BARELY)) - 1
 
 
-def test_the_limit_fails_a_loop_that_is_barely_right_and_passes_a_good_one():
-    count = len(trials())
-    assert stats.binom.cdf(most_wrong(count), count, 1.0 - BARELY) <= LEVEL
-    assert stats.binom.cdf(most_wrong(count), count, 0.005) > 0.85
-
-
 def test_what_is_there_is_found_exactly_and_nothing_is_claimed_where_there_is_nothing(outcomes):
     """An additional named effect counts as wrong unless the verdict is `ambiguous`: then its probability is below 95
     %."""

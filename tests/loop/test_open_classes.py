@@ -71,30 +71,6 @@ def test_the_integral_over_a_parameter_is_that_of_likelihood_and_prior(centre, s
     assert log_tailed_interval(-np.inf, np.inf, 0.0, std, at, size, 4.0) == pytest.approx(exact, abs=2e-3)
 
 
-@pytest.mark.parametrize("effect", open_classes(), ids=lambda effect: effect.name)
-def test_the_derivatives_of_an_open_class(effect):
-    rng, mass, stiffness = frame(1)
-    given = Experiment.from_dict({
-        "frame": {"total_mass": float(mass.sum())},
-        "configuration": [
-            measured_in(mass, stiffness, rng, name=name, added=a * np.ones(N)) for name, a in (("a", 0), ("b", 2))
-        ],
-    })  # fmt: skip
-    bound = effect.bound(given)
-    placed = LocatedEffect(bound, bound.places(given)[0])
-    own = 1e-3 * rng.standard_normal(len(bound.parameters)) * bound.sizes(SCALE) * 30
-    misfit = Misfit(given, (placed,))
-    theta = np.concatenate([mass, stiffness, own])
-    J = misfit.evaluate(theta).J
-    for _ in range(2):
-        d = rng.standard_normal(len(theta)) * np.concatenate([mass, stiffness, np.ones(len(own)) * bound.sizes(SCALE)])
-        step = 1e-6
-        # The derivative leaves out the part along the shape's scale, which is orthogonal to the residual.
-        up, down = (misfit.evaluate(theta + sign * step * d) for sign in (1, -1))
-        slope = (up.objective - down.objective) / (2 * step)
-        assert 2 * misfit.evaluate(theta).r @ (J @ d) == pytest.approx(slope, rel=1e-4)
-
-
 def test_every_symmetric_stiffness_matrix_is_a_network_of_springs():
     """N stories and N(N-1)/2 other springs are independent, and a symmetric matrix has this number of entries."""
     rng, mass, stiffness = frame(2)

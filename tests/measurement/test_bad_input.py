@@ -348,7 +348,7 @@ PRIORS = {
     ),
     "wrong quantity": (
         {**BOUNDS, "quantity": "floor_masses"},
-        "quantity of the bounds prior must be one of floor_mass, story_stiffness, story_damping, not 'floor_masses'; "
+        "quantity of the bounds prior must be one of floor_mass, story_stiffness, not 'floor_masses'; "
         "did you mean 'floor_mass'?",
     ),
     "bounds without a bound": (

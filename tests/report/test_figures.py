@@ -50,6 +50,7 @@ def assert_readable(figure):
     assert found
     width, height = figure.bbox.size
     for text, box in found:
+        assert "mathdefault" not in text
         inside = box.x0 >= -1 and box.y0 >= -1 and box.x1 <= width + 1 and box.y1 <= height + 1
         assert inside, f"{text!r} is cut off"
     for (text, a), (other, b) in itertools.combinations(found, 2):

@@ -107,14 +107,6 @@ def test_a_record_file_in_place_of_an_experiment(folder):
     assert given.experiment.name == "shaken"
 
 
-def test_identify_reports_damping(folder, capsys):
-    status, out, _ = run(capsys, "identify", "frame.toml", "--json", "-")
-    assert status == 0
-    assert json.loads(out)["damping"]["kind"] == "modal"
-    status, out, _ = run(capsys, "identify", "paper", "--json", "-")
-    assert json.loads(out)["damping"] is None
-
-
 def test_files_and_figures(folder, capsys):
     wanted = ["s.npz", "h.svg", "p.png"]
     status, _, _ = run(

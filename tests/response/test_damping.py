@@ -11,7 +11,7 @@ from cvxshear.fit.efficient import efficient
 from cvxshear.model import modes
 from cvxshear.response import Fitted, damping_of
 from cvxshear.response.damping import Ratios, story_dashpots
-from cvxshear.response.uncertain import UncertainFrame, propagated
+from cvxshear.response.uncertain import UncertainFrame, parts_of, propagated
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import modes_of
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, sampled
@@ -74,10 +74,10 @@ def test_deviations_are_those_of_samples(kind):
     def numbers(damped):
         return damped.dashpots.values if kind == "story" else damped.rayleigh
 
-    _, std = propagated(frame, numbers)
+    _, std = propagated(frame, parts_of)
     drawn = sampled(frame, numbers, 150, np.random.default_rng(3)).std(axis=0)
     # With 150 samples, the sampled deviation itself is known to 6 %.
-    np.testing.assert_allclose(std, drawn, rtol=0.18)
+    np.testing.assert_allclose(std["dashpots" if kind == "story" else kind], drawn, rtol=0.18)
 
 
 def test_what_few_modes_leave_open_is_named():
@@ -89,42 +89,6 @@ def test_what_few_modes_leave_open_is_named():
     assert any("no damping ratio was measured of mode 4" in remark for remark in found.remarks)
     assert np.isnan(found.story_dashpot_std).any()
     np.testing.assert_allclose(found.ratios[:3], ratios[:3], rtol=0.02)
-
-
-def test_priors_on_dashpots_are_kept():
-    mass, stiffness, dashpots = damped_frame(3)
-    ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
-    known = {"kind": "value", "quantity": "story_damping", "at": 2, "value": 1.2 * dashpots[1]}
-    least = {"kind": "bounds", "quantity": "story_damping", "lower": (1.1 * dashpots).tolist()}
-    for prior in (known, least):
-        experiment, estimate = estimated(declared(mass, stiffness, ratios, prior=[prior], damping={"kind": "story"}))
-        assert experiment.priors == ()
-        found = damping_of(experiment, estimate)
-        assert found.story_dashpot[1] >= 1.1 * dashpots[1] * (1 - 1e-9)
-    assert np.all(found.story_dashpot >= 1.1 * dashpots * (1 - 1e-9))
-    experiment, estimate = estimated(declared(mass, stiffness, ratios, prior=[known]))
-    exact = damping_of(experiment, estimate, kind="story")
-    assert exact.story_dashpot[1] == pytest.approx(1.2 * dashpots[1])
-    assert any("no part in modal damping" in remark for remark in damping_of(experiment, estimate).remarks)
-
-
-def test_soft_priors_settle_what_the_modes_leave_open():
-    mass, stiffness, dashpots = damped_frame(3)
-    ratios = pole_ratios(*matrices(mass, stiffness, dashpots))
-    prior = [{"kind": "nominal", "quantity": "story_damping", "values": dashpots.tolist(), "std": 0.05}]
-    experiment, estimate = estimated(declared(mass, stiffness, ratios, modes=[1, 2], prior=prior))
-    found = damping_of(experiment, estimate, kind="story")
-    assert not any("leave open" in remark for remark in found.remarks)
-    np.testing.assert_allclose(found.story_dashpot, dashpots, rtol=0.03)
-
-
-def test_ratios_that_dashpots_cannot_give_are_told():
-    """Ratios that fall with frequency require negative dashpots."""
-    mass, stiffness, _ = damped_frame(3)
-    experiment, estimate = estimated(declared(mass, stiffness, [0.05, 0.01, 0.001]))
-    found = damping_of(experiment, estimate, kind="story")
-    assert np.all(found.story_dashpot >= 0)
-    assert any("cannot give the measured damping ratios of mode 1" in remark for remark in found.remarks)
 
 
 def test_the_kind_is_declared():
@@ -179,7 +143,7 @@ def test_defaults_of_deviations_are_told():
     np.testing.assert_allclose(found.ratios_std, 0.2 * 0.01, rtol=0.02)
 
 
-def test_ratios_of_some_modes_and_what_a_kind_cannot_give():
+def test_ratios_of_some_modes():
     mass, stiffness, _ = damped_frame(3)
     table = declared(mass, stiffness, [0.05, 0.01, 0.05])
     table["configuration"][0]["damping_ratios"] = [0.05, float("nan"), 0.3]
@@ -189,11 +153,6 @@ def test_ratios_of_some_modes_and_what_a_kind_cannot_give():
     np.testing.assert_array_equal(np.isnan(found.measured), [False, True, False])
     assert found.ratios[1] == pytest.approx(0.175)
     assert any("are the ratios in percent" in remark for remark in found.remarks)
-    table["configuration"][0]["damping_ratios"] = [0.05, 0.001, 0.05]
-    experiment = cvxshear.Experiment.from_dict(table)
-    found = damping_of(experiment, efficient(experiment, backends.get("auto")), kind="rayleigh")
-    assert any("Rayleigh damping cannot give the measured damping ratio" in remark for remark in found.remarks)
-    assert not any("Rayleigh damping can" in remark.rsplit(";", 1)[-1] for remark in found.remarks)
     table["configuration"][0]["damping_ratios"] = [float("nan")] * 3
     with pytest.raises(InputError, match="must have a number for one mode at least"):
         cvxshear.Experiment.from_dict(table)

@@ -205,7 +205,7 @@ def test_larger_motions_and_smaller_gains_look_alike():
     usual, larger = (frame.model(np.array([0.0] * 6 + gains)) for gains in ([0.0] * 3, [-5.0, -5.0, 5.0]))
     np.testing.assert_allclose(larger.gain[[0, 2]] * larger.input_gain, usual.gain[[0, 2]])
     assert larger.input_gain == pytest.approx(np.exp(0.05))
-    setting = Setting(np.array([1, 3]), 0.01, 0, True, 10.0, 50.0, np.array([3.0, 2.0, 1.0]), usual.M)
+    setting = Setting(np.array([1, 3]), 0.01, 0, 10.0, np.array([3.0, 2.0, 1.0]), usual.M)
     noise = Noise(np.array([0.01, 0.02]), 0.05, 0.0)
     a, b = (dynamics(model, noise, setting) for model in (usual, larger))
     excitation = np.random.default_rng(2).standard_normal((200, 2))
@@ -257,13 +257,13 @@ def test_what_the_modes_say_is_linear_in_small_changes(uncertain):
 
 def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncertain):
     """The unknowns are numbers w times columns; the modes measure some of them with errors of one."""
-    frame = VariedFrame.around(uncertain, [1, 3], excited=True)
+    frame = VariedFrame.around(uncertain, [1, 3])
     prior = FramePrior.around(uncertain, frame, 4)
     (N, D, W, X), size = frame.sizes, sum(frame.sizes)
     form_std, changed = 0.03, (1, 3, 6)
     assert [prior.changes[each].kind for each in changed] == ["story", "dashpot", "gain"]
     root = np.linalg.cholesky(prior.identified)
-    nuisances = np.full(W, 0.1)
+    nuisances = np.full(W, 0.001)
     modal = np.isfinite(frame.nuisance_share)
     nuisances[modal] = np.sqrt(1.0 + (form_std / frame.nuisance_share[modal]) ** 2 / modal.sum())
     tests = linalg.block_diag(root, np.diag([*nuisances, *np.full(X, form_std)]))
@@ -279,7 +279,7 @@ def test_the_prior_is_a_sum_of_independent_normal_numbers_given_the_modes(uncert
     own[size:, size:] = np.eye(4)
     own[1, 1] += 0.25**2
     own[N + N, N + N] += 1.0
-    own[size - X - 3, size - X - 3] += 5.0**2
+    own[size - X - 3, size - X - 3] += 0.05**2
     found = prior.gaussian(changed, form_std)
     np.testing.assert_allclose(found.covariance, in_tests @ posterior @ in_tests.T + own, atol=1e-9)
     np.testing.assert_allclose(found.mean, in_tests @ posterior @ seen.T @ prior.measured.data, atol=1e-9)

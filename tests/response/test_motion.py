@@ -6,7 +6,7 @@ from scipy import signal
 
 from cvxshear.records.motion import band_limited
 from cvxshear.response import DampedModel, DrivenRecord, DrivenRun, Response, response
-from cvxshear.response.peaks import peaks_of
+from cvxshear.response.predicted import peaks_of
 from cvxshear.util.errors import InputError
 from tests.response.common import damped_frame, integrated, matrices, shaking, state_space
 

@@ -18,7 +18,7 @@ from cvxshear.report.blocks import describe
 from cvxshear.report.responses import series
 from cvxshear.response import DampedModel, Fitted, Models, predict, response
 from cvxshear.response.compare import compared, peak
-from cvxshear.response.peaks import peaks_of
+from cvxshear.response.predicted import peaks_of
 from cvxshear.response.sources import state_of
 from cvxshear.response.state_space import Response
 from cvxshear.util.errors import InputError

@@ -6,13 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from cvxshear.records.data_frames import FEWEST_SAMPLES
 from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
-from cvxshear.response.recording import RecordedRun, Recording, SensorRecord, earlier, recording_of, sensor_line
-from cvxshear.response.sensor_checks import widening
+from cvxshear.response.frame_motion import widening
+from cvxshear.response.recording import RecordedRun, Recording, SensorRecord, earlier, recording_of
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.errors import InputError
 
@@ -23,28 +22,6 @@ def test_bands_are_widened_by_what_sensors_missed():
 
     assert widening([]) == widening([check(1.0), check(1.5)]) == 1.0
     assert widening([check(6.0), check(2.0)]) == pytest.approx(np.sqrt(5.0))
-
-
-def test_the_envelope_is_the_strength_around_a_sample_in_powers_of_two():
-    """The motion is four times stronger in its second half; a gap takes the strength of its neighbors."""
-    period, rate = 0.5, 100.0
-    half = 10 * round(4.0 * period * rate)
-    motion = np.repeat([1.0, 4.0], half) * np.tile([1.0, -1.0], half)
-    measured = np.column_stack([motion, 3.0 * motion])
-    measured[half // 2 : half // 2 + 5] = np.nan
-    quiet = np.column_stack([np.tile([1e-9, -1e-9], 500)] * 2)
-    recording = Recording(
-        (RecordedRun(measured, np.zeros(2 * half), "a"), RecordedRun(quiet, np.zeros(1000), "b")),
-        rate,
-        np.array([1, 3]),
-        "base",
-    )
-    strong, weak = recording.envelopes(period)
-    # Mean squares of each run, and of all samples together.
-    whole = (half + 16 * half) / (2 * half + 1000)
-    for place, level in ((half // 2, 1.0), (half // 4, 1.0), (half + half // 2, 4.0)):
-        assert strong[place] == 2.0 ** np.round(np.log2(level / np.sqrt(whole)))
-    assert np.all(weak == 1 / 16)
 
 
 @pytest.fixture
@@ -96,7 +73,8 @@ def sensors(samples=600, **more):
     time = np.arange(samples) / 100
     runs = [np.column_stack([np.sin(7 * time + k) for k in range(3)]) for k in (0.0, 1.0)]
     channels = Channel("a", 1), Channel("b", 2), Channel("d", 3)
-    return SensorRecord(channels, (runs[0], runs[1][:300]), (np.ones(samples), 2 * np.ones(300)), 100.0, "base", **more)
+    both = RecordedRun(runs[0], np.ones(samples), "r"), RecordedRun(runs[1][:300], 2 * np.ones(300), "s")
+    return SensorRecord(channels, both, 100.0, "base", **more)
 
 
 def told(kind, message, **numbers):
@@ -121,22 +99,9 @@ def test_what_is_found_for_sure_is_taken_out_and_all_of_it_is_said():
     assert [each.name for each in found.channels] == ["b", "d"]
     said = "before", "a is dead", "b is reversed", "d in g", "perhaps", "the ground is reversed", "askew"
     assert found.remarks == said
-    for before, after in zip(record.measured, found.measured, strict=True):
-        np.testing.assert_allclose(after, before[:, 1:] * [-1.0, 9.8])
-    np.testing.assert_allclose(found.excitations[1], -2.0)
-    np.testing.assert_array_equal(found.late, np.zeros((2, 2)))
-    assert found.late_remarks == ("", "")
-
-
-@pytest.mark.parametrize(("seconds", "taken"), [(0.0026, True), (0.0024, False), (-0.0026, True)])
-def test_a_delay_of_a_quarter_of_a_sample_is_taken_out(seconds, taken):
-    found = sensors().corrected([told("clock offset", "d is late; taken out", channel="d", seconds=seconds)], [])
-    assert found.late.tolist() == [[0.0, 0.0], [0.0, 0.0], [seconds * taken, 0.0]]
-    assert found.late_remarks == ("", "", "d is late; taken out" if taken else "")
-    assert found.remarks[0].endswith("; taken out" if taken else "so short a delay may be chance and is left in")
-    time = np.arange(600) / 100
-    inner = slice(100, 500)
-    np.testing.assert_allclose(found.measured[0][inner, 2], np.sin(7 * (time + taken * seconds) + 2)[inner], atol=1e-4)
+    for before, after in zip(record.runs, found.runs, strict=True):
+        np.testing.assert_allclose(after.measured, before.measured[:, 1:] * [-1.0, 9.8])
+    np.testing.assert_allclose(found.runs[1].excitation, -2.0)
 
 
 def test_clocks_that_drift_do_so_over_all_runs_and_a_late_input_is_early_sensors():
@@ -145,31 +110,25 @@ def test_clocks_that_drift_do_so_over_all_runs_and_a_late_input_is_early_sensors
     late = told("clock offset", "the ground is late", channel="input", seconds=0.02, corrected=True)
     not_sure = told("clock drift", "perhaps", channel="b", seconds=0.5, drift=1.0, corrected=False)
     found = record.corrected([drift, late, not_sure], [])
-    np.testing.assert_allclose(found.late, [[-0.01, 0.002], [-0.02, 0.0], [-0.02, 0.0]])
-    assert found.late_remarks == ("a drifts; taken out", *["the ground is late; taken out"] * 2)
-    assert found.remarks[2] == "perhaps"
+    assert found.remarks == ("a drifts; taken out", "the ground is late; taken out", "perhaps")
     # The second run begins six seconds after the first.
     time = np.arange(300) / 100
     inner = slice(100, 200)
     moved = np.sin(7 * (time - 0.01 + 0.002 * (6.0 + time)))
-    np.testing.assert_allclose(found.measured[1][inner, 0], moved[inner], atol=1e-4)
-    same = earlier(record.measured[0][:, 0], np.zeros(2), 100.0, 0)
+    np.testing.assert_allclose(found.runs[1].measured[inner, 0], moved[inner], atol=1e-4)
+    np.testing.assert_allclose(found.runs[1].measured[inner, 1], np.sin(7 * (time - 0.02) + 1.0)[inner], atol=1e-4)
+    same = earlier(record.runs[0].measured[:, 0], np.zeros(2), 100.0, 0)
     assert np.isnan(same).sum() == 48
-    np.testing.assert_allclose(same[inner], record.measured[0][inner, 0], atol=1e-9)
+    np.testing.assert_allclose(same[inner], record.runs[0].measured[inner, 0], atol=1e-9)
 
 
 def test_floors_have_the_motion_of_their_sensors_along_the_test():
     """Floor 2 has two sensors, one at 30 degrees; their projections are averaged, and a sensor across is omitted."""
     channels = Channel("a", 1, direction=90.0), Channel("b", 2), Channel("c", 2, direction=30.0), Channel("d", 5)
     measured = np.array([[9.0, 2.0, 3.0, 7.0], [9.0, np.nan, 3.0, 7.0]])
-    record = SensorRecord(channels, (measured,), (np.zeros(2),), 100.0, "base")
-    floors, motions, late, said = record.by_floor()
+    floors, (run,) = SensorRecord(channels, (RecordedRun(measured, np.zeros(2), "r"),), 100.0, "base").by_floor()
     assert floors.tolist() == [2, 5]
-    np.testing.assert_allclose(motions[0], [[1.0 + 1.5 / np.cos(np.pi / 6), 7.0], [np.nan, 7.0]])
-    assert (late.tolist(), said) == ([[0.0, 0.0], [0.0, 0.0]], ("", ""))
-    delays = np.arange(8.0).reshape(4, 2)
-    record = SensorRecord(channels, (measured,), (np.zeros(2),), 100.0, "base", late=delays, late_remarks=tuple("wxyz"))
-    assert (record.by_floor()[2].tolist(), record.by_floor()[3]) == ([[2.0, 3.0], [6.0, 7.0]], ("x", "z"))
+    np.testing.assert_allclose(run.measured, [[1.0 + 1.5 / np.cos(np.pi / 6), 7.0], [np.nan, 7.0]])
 
 
 def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
@@ -180,27 +139,15 @@ def test_pieces_are_stretches_in_which_all_recorded_that_are_long_enough():
     excitation = np.ones(samples)
     channels = Channel("a", 1), Channel("b", 2)
 
-    def pieces(driven, excitation):
-        found = SensorRecord(channels, (values, values[:5]), (excitation, excitation[:5]), 100.0, driven).pieces()
-        return [(place, part.start, part.stop) for place, part in found]
+    def pieces(excitation):
+        runs = RecordedRun(values, excitation, "r"), RecordedRun(values[:5], excitation[:5], "s")
+        return [(place, part.start, part.stop) for place, part in SensorRecord(channels, runs, 100.0, "base").pieces()]
 
     expected = [(0, 0, FEWEST_SAMPLES), (0, FEWEST_SAMPLES + 1, 2 * FEWEST_SAMPLES + 5),
                 (0, 2 * FEWEST_SAMPLES + 6, samples)]  # fmt: skip
-    assert pieces("base", excitation) == expected
+    assert pieces(excitation) == expected
     still = np.where(np.arange(samples) < FEWEST_SAMPLES, 0.0, 1.0)
-    assert pieces("base", still) == expected[1:]
-    assert pieces("none", still) == expected
-
-
-def test_every_channel_counts_as_much_for_the_envelope_however_large_it_is():
-    """Three channels grow sixteenfold, a larger one is steady: mean squares of 0.26 and 1.74 of the rms."""
-    half = 2000
-    sign = np.tile([1.0, -1.0], half)
-    growing = np.repeat([1.0, 16.0], half) * sign
-    measured = np.column_stack([growing, growing, 0.1 * growing, 300.0 * sign])
-    recording = Recording((RecordedRun(measured, np.zeros(2 * half), "a"),), 100.0, np.array([1, 2, 3, 4]), "base")
-    (found,) = recording.envelopes(0.5)
-    assert (found[half // 2], found[half + half // 2]) == (0.5, 1.0)
+    assert pieces(still) == expected[1:]
 
 
 def test_a_run_is_parted_at_its_long_gaps():
@@ -230,7 +177,6 @@ def recorded(**more):
 def test_a_recording_is_cut_and_does_without_channels():
     whole = recorded()
     assert (whole.force_floor, whole.step) == (2, 0.02)
-    assert whole.without_base_line() is whole
     run = whole.runs[0]
     np.testing.assert_array_equal(run.drive, np.column_stack([run.excitation, run.excitation]))
     limited = whole.band_limited()
@@ -248,52 +194,7 @@ def test_a_recording_is_cut_and_does_without_channels():
     )
 
 
-def blocks_of(motion):
-    """Count samples of four periods; the rms change between samples is 2 pi over a period times the rms."""
-    return round(4 * 2 * np.pi * np.sqrt(np.mean(motion**2) / np.mean(np.diff(motion) ** 2)))
-
-
-@pytest.mark.parametrize(("times", "kept"), [(3.9, False), (4.1, True)])
-def test_a_line_is_the_sensors_beyond_four_deviations_of_the_mean(times, kept):
-    """The deviation of the mean comes from sums over blocks of four periods."""
-    time = np.linspace(-1.0, 1.0, 3000)
-    motion = np.sin(0.3 * np.arange(3000)) * (1.5 + time)
-    run = RecordedRun(np.column_stack([motion, motion + 1.0]), motion, "a")
-    recording = Recording((run,), 100.0, np.array([1, 2]), "base")
-    left = motion - np.polyval(np.polyfit(time, motion, 1), time)
-    sums = np.add.reduceat(left, np.arange(0, 3000, blocks_of(left)))
-    chance = np.linalg.norm(sums) / 3000
-    size = slope_for(motion, time, times * chance)
-    (found,) = recording.less([np.column_stack([-size * time, 0.0 * time])]).lines([np.zeros((3000, 2))])
-    assert np.any(found[:, 0]) == kept
-    np.testing.assert_allclose(found[:, 1].mean(), 1.0 + motion.mean(), atol=1e-6)
-
-
-def slope_for(motion, time, largest):
-    """Return the slope of an added line that gives the line through the motion this largest value."""
-    slope, level = np.polyfit(time, motion, 1)
-    return largest - abs(level) - slope
-
-
-@pytest.mark.parametrize(("start", "weighed"), [(0.45, False), (0.55, True)])
-def test_a_line_through_a_motion_that_begins_amid_is_weighed_by_what_is_quiet(start, weighed):
-    """If the first sample has half of the rms or more, each sample is weighted by its inverse squared strength."""
-    samples = 6000
-    time = np.linspace(-1.0, 1.0, samples)
-    strong = np.where(time < 0, start, np.sqrt(2 - start**2))
-    motion = np.sqrt(2) * strong * np.sin(0.5 * np.arange(samples) + np.pi / 4) + 0.3 + 0.1 * time
-    line = sensor_line(motion)
-    plain = np.polyval(np.polyfit(time, motion, 1), time)
-    width = blocks_of(motion - plain)
-    sizes = np.sqrt(ndimage.uniform_filter1d((motion - plain) ** 2, width, mode="nearest"))
-    weights = 1.0 / np.maximum(sizes, np.sqrt(np.mean((motion - plain) ** 2)) / 16)
-    own = np.polyval(np.polyfit(time, motion, 1, w=weights), time)
-    np.testing.assert_allclose(line, own if weighed else plain, atol=1e-9)
-    assert np.max(np.abs(own - plain)) > 1e-5
-    np.testing.assert_array_equal(sensor_line(np.zeros(50)), 0.0)
-
-
-@pytest.mark.parametrize("driven", ["base", "force", "none"])
+@pytest.mark.parametrize("driven", ["base", "force"])
 def test_records_and_motions_are_read_alike(monkeypatch, driven):
     """This test takes the sensors for sound; other tests cover their faults."""
     monkeypatch.setattr(SensorRecord, "set_right", lambda self, stories: self)
@@ -301,17 +202,14 @@ def test_records_and_motions_are_read_alike(monkeypatch, driven):
     y, drive = rng.standard_normal((200, 2)), rng.standard_normal(200)
     floor = 2 if driven == "force" else 0
     channels = Channel("a", 1), Channel("b", 3)
-    own = None if driven == "none" else drive
-    record = TimeRecord(channels, runs=(Run(y, own, floor, "r"),), sampling_rate=50.0, input=driven)
-    found = [recording_of(record)]
-    if driven != "none":
-        found.append(recording_of(DrivenRecord((DrivenRun(drive, floor, y, "r"),), 50.0, driven, np.array([1, 3]))))
-    for each in found:
+    record = TimeRecord(channels, runs=(Run(y, drive, floor, "r"),), sampling_rate=50.0, input=driven)
+    motion = DrivenRecord((DrivenRun(drive, floor, y, "r"),), 50.0, driven, np.array([1, 3]))
+    for each in (recording_of(record), recording_of(motion)):
         (run,) = each.runs
         assert (each.input, each.floors.tolist(), each.sampling_rate) == (driven, [1, 3], 50.0)
         assert (run.floor, run.name, each.force_floor) == (floor, "r", floor)
         np.testing.assert_array_equal(run.measured, y)
-        np.testing.assert_array_equal(run.excitation, np.zeros(200) if driven == "none" else drive)
+        np.testing.assert_array_equal(run.excitation, drive)
     if driven == "force":
         several = dataclasses.replace(record, runs=(Run(y, drive, 1, "r"), Run(y, drive, 2, "s")))
         with pytest.raises(InputError, match="the force acts on several floors"):

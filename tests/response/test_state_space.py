@@ -15,7 +15,7 @@ HEIGHTS = np.array([3.0, 2.8, 2.5])
 GAIN, STORY_FORCE, STEP = np.array([1.0, 1.1, 0.9]), np.array([5.0, 3.0, 2.0]), 0.03
 INPUT = 0.97
 NOISE = Noise(np.array([0.1, 0.2]), 0.04, 0.7)
-CASES = {"base": (0, True), "force": (2, True), "unknown ground": (0, False)}
+CASES = {"base": 0, "force": 2}
 
 
 def frame():
@@ -25,23 +25,21 @@ def frame():
 
 
 def setting(case):
-    force_floor, measured = CASES[case]
-    return Setting(np.array([1, 3]), STEP, force_floor, measured, 6.0, 2.5, STORY_FORCE, frame().M)
+    return Setting(np.array([1, 3]), STEP, CASES[case], 6.0, STORY_FORCE, frame().M)
 
 
 def slope(case, x, p):
-    """Return x' of displacements, velocities, relative story forces and the ground, and the total accelerations."""
-    model, (force_floor, measured) = frame(), CASES[case]
+    """Return x' of displacements, velocities and relative story forces, and the total accelerations."""
+    model, force_floor = frame(), CASES[case]
     u, v, f = x[:3], x[3:6], x[6:9]
     missed = INPUT * STORY_FORCE * f
     on_floors = missed - np.append(missed[1:], 0.0) - model.K @ u - model.C @ v
-    ground = INPUT * p if measured else x[9]
+    ground = INPUT * p
     if force_floor:
         on_floors[force_floor - 1] += INPUT * p
         ground = 0.0
     total = on_floors / MASS
-    rates = [v, total - ground, -6.0 * f] + ([] if measured else [np.array([-2.5 * x[9]])])
-    return np.concatenate(rates), total
+    return np.concatenate([v, total - ground, -6.0 * f]), total
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -58,47 +56,44 @@ def test_a_step_is_the_solution_of_the_differential_equations(case):
         return solved.y[:, -1]
 
     np.testing.assert_allclose(found.A, np.array([stepped(unit, 0.0, 0.0) for unit in np.eye(n)]).T, atol=1e-8)
-    if case != "unknown ground":
-        np.testing.assert_allclose(found.before, stepped(np.zeros(n), 1.0, 0.0), atol=1e-9)
-        np.testing.assert_allclose(found.after, stepped(np.zeros(n), 0.0, 1.0), atol=1e-9)
-        p = np.array([0.3, -1.0, 2.0])
-        np.testing.assert_allclose(found.driven(straight(p))[1], found.before * -1.0 + found.after * 2.0)
+    np.testing.assert_allclose(found.before, stepped(np.zeros(n), 1.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(found.after, stepped(np.zeros(n), 0.0, 1.0), atol=1e-9)
+    p = np.array([0.3, -1.0, 2.0])
+    np.testing.assert_allclose(found.driven(straight(p))[1], found.before * -1.0 + found.after * 2.0)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_sensors_and_outputs_show_what_the_equations_say(case):
-    found, (force_floor, _) = dynamics(frame(), NOISE, setting(case)), CASES[case]
+    found, force_floor = dynamics(frame(), NOISE, setting(case)), CASES[case]
     x, p = np.random.default_rng(1).standard_normal(setting(case).states), 0.7
     _, total = slope(case, x, p)
     np.testing.assert_allclose(found.H @ x + found.direct * p, (GAIN * total)[[0, 2]])
     np.testing.assert_allclose(found.R, [0.01, 0.04])
     acting = INPUT * p * (np.arange(1, 4) == force_floor)
     story = [np.sum((acting - MASS * total)[i:]) for i in range(3)]
-    # The outputs include the base moment if heights are known, and the ground acceleration if it is estimated.
-    expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story, HEIGHTS @ story, *x[9:]]
+    # The outputs include the base moment, because heights are known.
+    expected = [*total, *x[:3], *np.diff(x[:3], prepend=0.0), *story, HEIGHTS @ story]
     np.testing.assert_allclose(found.outputs.of(x[None], np.array([[9.0, p]]))[0], expected)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_noise_has_the_deviations_that_were_asked_for(case):
-    """The stationary noise is 1/25 of the rms story force and 0.7 m/s2 of the ground; a step adds the integral of e^At.
+    """The stationary noise is 1/25 of the rms story force; a step adds the integral of e^At.
 
     An error of 0.7 in the excitation's sensor acts in the two steps that share its sample.
     """
     found = dynamics(frame(), NOISE, setting(case))
     np.testing.assert_allclose(found.P0, linalg.solve_discrete_lyapunov(found.A, found.Q), rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.P0))[6:], [0.04] * 3 + [0.7] * (case == "unknown ground"))
+    np.testing.assert_allclose(np.sqrt(np.diag(found.P0))[6:], [0.04] * 3)
     n = len(found.A)
     rates = np.array([slope(case, unit, 0.0)[0] for unit in np.eye(n)]).T
     density = np.zeros(n)
     density[6:9] = 2 * 6.0 * 0.04**2
-    density[9:] = 2 * 2.5 * 0.7**2
     nodes, weights = np.polynomial.legendre.leggauss(12)
     powers = [linalg.expm(rates * STEP * (1 + node) / 2) for node in nodes]
     integral = sum(w * STEP / 2 * (e * density) @ e.T for w, e in zip(weights, powers, strict=True))
-    own = np.zeros(n) if case == "unknown ground" else 0.7 * (found.before + found.after)
-    np.testing.assert_allclose(found.Q_input, np.outer(own, own), rtol=1e-12)
-    np.testing.assert_allclose(found.Q - found.Q_input, integral, rtol=1e-6, atol=1e-12)
+    own = 0.7 * (found.before + found.after)
+    np.testing.assert_allclose(found.Q, integral + np.outer(own, own), rtol=1e-6, atol=1e-12)
     settled = linalg.solve_discrete_are(found.A.T, found.H.T, found.Q, np.diag(found.R))
     np.testing.assert_allclose(Filter.settled(found).P, settled, rtol=1e-5, atol=1e-10)
 

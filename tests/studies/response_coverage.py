@@ -20,7 +20,7 @@ from cvxshear import backends
 from cvxshear.fit.efficient import efficient
 from cvxshear.records.motion import DrivenRun
 from cvxshear.response import DampedModel, Fitted, response
-from cvxshear.response.peaks import peaks_of
+from cvxshear.response.predicted import peaks_of
 from cvxshear.response.uncertain import UncertainFrame, propagated
 from cvxshear.util.parallel import each
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, sampled, shaking
@@ -45,7 +45,7 @@ def uncertain(stories, kind, seed):
 
 def peaks(damped, drive):
     found = peaks_of([(response(damped.model, drive, STEP), {})]).values
-    return np.concatenate([found[name] for name in QUANTITIES])
+    return {"peaks": np.concatenate([found[name] for name in QUANTITIES])}
 
 
 def true_peaks(stories, drive):
@@ -59,7 +59,7 @@ def deviation(seed, stories, kind):
     """Return errors of the predicted peaks in stated standard deviations."""
     drive = DrivenRun(shaking(1000, STEP))
     centre, std = propagated(uncertain(stories, kind, seed), partial(peaks, drive=drive))
-    return (peaks(centre, drive) - true_peaks(stories, drive)) / std
+    return (peaks(centre, drive)["peaks"] - true_peaks(stories, drive)) / std["peaks"]
 
 
 def coverage(stories, kind, trials, jobs=1):
@@ -73,7 +73,8 @@ def linear_over_sampled(stories, kind, samples=400):
     function = partial(peaks, drive=DrivenRun(shaking(1000, STEP)))
     frame = uncertain(stories, kind, 0)
     _, std = propagated(frame, function)
-    return std / sampled(frame, function, samples, np.random.default_rng(1)).std(axis=0)
+    drawn = sampled(frame, lambda damped: function(damped)["peaks"], samples, np.random.default_rng(1))
+    return std["peaks"] / drawn.std(axis=0)
 
 
 def main(trials=500, jobs=1):

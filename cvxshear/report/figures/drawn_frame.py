@@ -31,9 +31,6 @@ LABEL_DISTANCE = 0.07
 THICKEST = 7.0
 """Width of the columns of the largest story stiffness, points; other columns are proportional."""
 
-MOST_MARKS = 6
-"""Largest number of marked effects in one state; the table lists all."""
-
 
 @dataclass(frozen=True)
 class _Columns:
@@ -174,7 +171,7 @@ def _marks(result: LoopResult, state: str | None, *, first: bool) -> list[_Mark]
                 for each in rivals
                 if each.placed.place.state == state
             ]
-    return found[:MOST_MARKS]
+    return found
 
 
 def networks(result: LoopResult) -> list[tuple[AddedEffect, list[tuple[int, int]]]]:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from cvxshear.data import Model, Shapes, kinds
 from cvxshear.fit.efficient import Estimate
@@ -125,9 +125,6 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
 """Line style of the shear model's shape."""
 
-HALF_WIDTH = 0.16
-"""Half the width of the drawn frame, in units of the largest entry of a shape."""
-
 
 @figure(
     "shapes",
@@ -139,7 +136,7 @@ HALF_WIDTH = 0.16
 def shapes(result: LoopResult) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
 
-    Each measured mode: dots with error bars are measured, the dashed line is the shear model, the frame is the
+    Each measured mode: dots with error bars are measured, the dashed line is the shear model, the solid line is the
     final model.
 
     Each configuration and measured mode has one panel.
@@ -151,7 +148,7 @@ def shapes(result: LoopResult) -> Figure:
     groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
     for (axes, place), first, last in zip(drawn, before, after, strict=True):
-        _displaced_frame(axes, z, first, last)
+        _shape_panel(axes, z, first, last)
         if place % columns == 0:
             axes.set_ylabel(label)
     figure.supxlabel("sway (largest measured entry = 1)", fontsize=8.5)
@@ -160,13 +157,10 @@ def shapes(result: LoopResult) -> Figure:
     return figure
 
 
-def _displaced_frame(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> None:
+def _shape_panel(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> None:
     base = np.concatenate([[0.0], z])
-    sway = np.concatenate([[0.0], after.modelled])
     axes.axvline(0, color="#C8C8C8", lw=0.5)
-    for side in (-HALF_WIDTH, HALF_WIDTH):
-        axes.plot(sway + side, base, color=style.AFTER, lw=1.0)
-    axes.hlines(z, after.modelled - HALF_WIDTH, after.modelled + HALF_WIDTH, color=style.AFTER, lw=1.6)
+    axes.plot(np.concatenate([[0.0], after.modelled]), base, color=style.AFTER, lw=1.6)
     axes.plot(np.concatenate([[0.0], before.modelled]), base, **SHEAR)
     style.error_bars(axes, after.measured, z[after.floors - 1], after.std, zorder=5)
     axes.axhline(0, color=style.GREY, lw=0.8)
@@ -376,6 +370,9 @@ def functions(*results: ModalResult) -> Figure:
                 lines, np.abs(made[shown, output, column]), color=style.BEFORE, ls="--", lw=1.1, label="of the modes"
             )
             axes.set_yscale("log")
+            # Names may contain dollars, so that no text is parsed as a formula.
+            axes.yaxis.set_major_formatter(LogFormatter())
+            axes.yaxis.set_minor_formatter(LogFormatter())
             _dress(axes, result, f"floor {seen.floors[output]}{_against(seen, int(column))}", several=len(results) > 1)
     style.legend(figure, groups[0][0], 2)
     return figure

@@ -11,7 +11,7 @@ from cvxshear.report.figures import style
 from cvxshear.report.figures.style import figure
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
-from cvxshear.response.peaks import RESPONSES
+from cvxshear.response.predicted import RESPONSES
 from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95, listed, scaled
 from cvxshear.util.typing import Floats, Ints
@@ -178,10 +178,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     axes.errorbar(
         peaks, middle, xerr=NORMAL_95 * std, fmt="o", color=style.AFTER, ms=4, capsize=2, label="reconstructed"
     )
-    if result.predicted_peaks is not None:
-        axes.plot(
-            factor * result.predicted_peaks.values[name], middle, "x", color=style.BEFORE, ms=5, label="predicted"
-        )
+    axes.plot(factor * result.predicted_peaks.values[name], middle, "x", color=style.BEFORE, ms=5, label="predicted")
     for story in result.changed:
         at = peaks[story - 1], middle[story - 1]
         axes.annotate(_change(result, story), at, (0, 4), textcoords="offset points", fontsize=7)

@@ -54,10 +54,7 @@ LINE = 0.18
 """Height of a line of text, inch."""
 
 MOST_PANELS = 4
-"""Largest number of states, floors, stories or tests with their own panel; the tables list all."""
-
-SHAPES_A_ROW = 5
-"""Number of panels of mode shapes in one row of a page."""
+"""Largest number of panels in a row, and of states, floors or stories with their own panel; the tables list all."""
 
 LONGEST_NAME = 26
 """Largest number of letters of a name in a figure."""
@@ -195,7 +192,7 @@ def even_columns(most: int, fitting: int) -> int:
 
 def shape_figure(counts: Sequence[int], stories: int) -> tuple[int, Figure]:
     """Make a figure for groups of mode-shape panels; return the number of columns and the figure."""
-    columns = even_columns(max(counts), SHAPES_A_ROW)
+    columns = even_columns(max(counts), MOST_PANELS)
     rows = sum(-(-count // columns) for count in counts)
     # A panel has its title of three lines, and a line for each story.
     return columns, new_figure(PAGE_WIDTH, LINE * (rows * (float(np.clip(stories, 9, 17)) + 3.5) + 5))
