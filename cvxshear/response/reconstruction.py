@@ -37,6 +37,9 @@ from cvxshear.util.typing import Floats, Ints, Json
 SIGN_KNOWN = float(special.ndtri(SURE))
 """Minimum change of a reported story, in standard deviations: its sign is certain."""
 
+GAIN_OFF = 3.0, 0.005
+"""Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
+
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
 5 ms late gives 5, and a yielding story 4 to 50."""
@@ -203,10 +206,11 @@ class Reconstruction(Shown):
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
         names.append(f"the sensor of the {sources.DRIVING[self.recording.input]}")
+        deviations, least = GAIN_OFF
         return tuple(
             (name, float(value), float(std))
-            for name, value, std, chance in zip(names, *self.frame.gains, self.frame.probability("gain"), strict=True)
-            if self.names_changes and chance >= SURE and abs(value) > SIGN_KNOWN * std
+            for name, value, std in zip(names, *self.frame.gains, strict=True)
+            if self.names_changes and abs(value) > max(deviations * std, least)
         )
 
     @property
