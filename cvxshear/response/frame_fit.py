@@ -27,8 +27,8 @@ from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 FITTED_SAMPLES, PROBED_SAMPLES = 10_000, 2_000
-"""Samples of the strongest segment of each run for the last fit, and for the first one and the choice of directions. The
-time of a fit is proportional to this number; model errors limit the accuracy with more samples."""
+"""Samples of the strongest segment of each run for the last fit, and for the first one and the choice of directions.
+The time of a fit is proportional to this number; model errors limit the accuracy with more samples."""
 
 LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
 """Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record

@@ -40,7 +40,7 @@ SAID = (
 
 
 LEAST_DELAY = 0.25
-"""Least delay that is removed, in samples; a shorter delay is only reported. The delay is estimated from the phases of
+"""Least delay that is removed, in samples; a shorter one may be chance. The delay is estimated from the phases of
 the modes, and there may be only three. With 10 % noise on the base motion, a sound record may show a delay of 0.08
 samples."""
 
@@ -414,7 +414,7 @@ class SensorRecord:
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
             elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
-                message = f"{message.removesuffix('; taken out')}; so short a delay may be chance and is left in"
+                continue
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"
