@@ -39,6 +39,13 @@ SAID = (
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
 
+BLOCK_PERIODS = 4.0
+"""Periods of a motion whose sums vary independently of the next ones."""
+
+BY_CHANCE = 4.0
+"""Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
+deviations, doubled because a line is largest at its ends."""
+
 LEAST_DELAY = 0.25
 """Least delay that is removed, in samples; a shorter one may be chance. The delay is estimated from the phases of
 the modes, and there may be only three. With 10 % noise on the base motion, a sound record may show a delay of 0.08
@@ -158,18 +165,11 @@ class Recording:
         runs = (dataclasses.replace(run, **each) for run, each in zip(self.runs, every, strict=True))
         return dataclasses.replace(self, runs=tuple(runs))
 
-    def detrended(self) -> Recording:
-        """Subtract the straight lines through the base acceleration and through each channel; a force stays.
-
-        Raises
-        ------
-        InputError
-            If the base acceleration is only a straight line.
-        """
-        found = self.without_lines([np.zeros_like(run.measured) for run in self.runs])
+    def without_base_line(self) -> Recording:
+        """Subtract the straight line from a measured base acceleration; raise InputError if no motion remains."""
         if self.input != "base":
-            return found
-        found = found.replaced(excitation=(run.excitation - trend(run.excitation) for run in self.runs))
+            return self
+        found = self.replaced(excitation=(run.excitation - trend(run.excitation) for run in self.runs))
         for run, whole in zip(found.runs, self.runs, strict=True):
             if np.abs(run.excitation).max() <= np.sqrt(ROUNDING) * np.abs(whole.excitation).max():
                 raise InputError(f"{self.name}, {run.name}: the input channel shows no motion but a straight line")
@@ -178,9 +178,10 @@ class Recording:
     def without_lines(self, expected: Sequence[Floats]) -> Recording:
         """Subtract the straight line through each channel minus its expected accelerations, (samples, m) per run.
 
-        The vibration itself has a line, too: the last, incomplete cycle has a nonzero mean.
+        The vibration itself has a line, too: the last, incomplete cycle has a nonzero mean. A line that a motion of the
+        channel's period may leave by chance stays.
         """
-        lines = (trend(run.measured - own) for run, own in zip(self.runs, expected, strict=True))
+        lines = (_certain_lines(run.measured - own) for run, own in zip(self.runs, expected, strict=True))
         return self.replaced(measured=(run.measured - line for run, line in zip(self.runs, lines, strict=True)))
 
     def band_limited(self) -> Recording:
@@ -200,6 +201,23 @@ class Recording:
             excitation=(run.excitation[part] for run, part in pairs),
             between=(run.drive[part, 0] for run, part in pairs),
         )
+
+
+def _certain_lines(left: Floats) -> Floats:
+    """Fit a straight line to each column, shape (samples, m); zeros where chance may leave this line.
+
+    The variance of the mean is estimated from sums over blocks of `BLOCK_PERIODS` periods. A harmonic has the period
+    2 pi (rms of the motion) / (rms of its derivative).
+    """
+    lines = trend(left)
+    for column, values in enumerate((left - lines).T):
+        level = rms(values)
+        step = max(rms(np.diff(values)), level / len(values))
+        width = max(1, round(BLOCK_PERIODS * 2 * np.pi * level / step)) if level else 1
+        summed = np.add.reduceat(np.nan_to_num(values), np.arange(0, len(values), width))
+        chance = float(np.linalg.norm(summed)) / max(int(np.isfinite(values).sum()), 1)
+        lines[:, column] *= np.max(np.abs(lines[:, column])) > BY_CHANCE * chance
+    return lines
 
 
 def rms(values: Floats) -> float:
