@@ -15,7 +15,7 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.backends.base import Tolerances
 from cvxshear.cli import app
-from cvxshear.planning import Declared, Recorded
+from cvxshear.planning import Declared
 from cvxshear.records import identify_modes
 from tests.frames import EXAMPLES
 
@@ -218,7 +218,7 @@ FUNCTIONS = {
     "identify": [cvxshear.identify],
     "loop": [cvxshear.close_loop],
     "backends": [cvxshear.compare_backends],
-    "plan": [cvxshear.plan, Declared, Recorded],
+    "plan": [cvxshear.plan, Declared],
     "predict": [cvxshear.predict],
     "reconstruct": [cvxshear.reconstruct],
     "modes": [identify_modes],
