@@ -31,9 +31,6 @@ GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": 
 USUAL_MODES = 4
 """Default number of modes of a plan: ambient tests of buildings commonly give four."""
 
-MOST_TESTS = 50
-"""Largest number of tests; the time of the program grows with it."""
-
 PARTS = (0.5, 1.0)
 """Added masses of the grid, as fractions of the limit of a floor."""
 
@@ -338,7 +335,7 @@ def plan(
     InputError
         If an option is not valid; the message names the option, its value and the remedy.
     """
-    count = checks.whole(tests, "tests", least=1, most=MOST_TESTS)
+    count = checks.whole(tests, "tests", least=1)
     by = CRITERIA[checks.choice(criterion, list(CRITERIA), "criterion")]
     quantities = GOALS[checks.choice(goal, list(GOALS), "goal")]
     design = source if isinstance(source, Design) else read_design(source, fresh=fresh)

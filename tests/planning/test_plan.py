@@ -120,7 +120,7 @@ def test_the_file_to_fill_in_is_the_plan(file, tmp_path):
     ("options", "message"),
     [
         ({"sensors": 5}, "sensors = 5 must lie between 1 and 4"),
-        ({"tests": 0}, "tests = 0 must lie between 1"),
+        ({"tests": 0}, "tests = 0 must be at least 1"),
         ({"tests": "some"}, "tests must be a whole number"),
         ({"tests": 30, "added_mass": 3.0}, "tests = 30 are more than the"),
         ({"modes": 5}, "modes = 5 must lie between 1 and 4"),
