@@ -78,7 +78,7 @@ def test_a_channel_is_turned_that_moves_against_where_most_move_with_their_predi
 def test_lines_beside_an_expected_motion_are_taken_off():
     """The vibration itself, with an incomplete cycle at its end, has a line; the expected motion explains it."""
     time = np.linspace(-1.0, 1.0, 4000)
-    motion, line = np.sin(20 * time + 0.3), 0.3 + 0.2 * time
+    motion, line = np.sin(200 * time + 0.3), 0.3 + 0.2 * time
     run = RecordedRun(np.column_stack([motion + line, motion]), motion + 2 * line, "a")
     recording = Recording((run,), 100.0, np.array([1, 2]), "base")
     (found,) = recording.without_lines([np.column_stack([motion, motion])]).runs
