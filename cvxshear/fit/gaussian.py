@@ -144,12 +144,14 @@ class SizeMarginal:
         inverse = np.linalg.inv(root)
         inverse = np.swapaxes(inverse, 1, 2) @ inverse
         gradient = self._left + change @ self._gradient
-        step = -(inverse @ gradient[:, :, None])[:, :, 0]
+        # H may be nearly singular: its inverse would lose all digits of the fit.
+        scaled = np.linalg.solve(root, gradient[:, :, None])
+        step = -np.linalg.solve(np.swapaxes(root, 1, 2), scaled)[:, :, 0]
         log_det = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
         prior = np.sum((points / self.widths) ** 2, axis=1)
         left = self._chi2 + 2.0 * step @ self._gradient.T + np.einsum("ni,gij,nj->ng", step, self._information, step)
         known = np.einsum("nij,gji->ng", inverse, self._information)
-        chi2 = change @ self._chi2 + np.sum(gradient * step, axis=1) + self._left @ self._left
+        chi2 = change @ self._chi2 - np.sum(scaled[:, :, 0] ** 2, axis=1) + self._left @ self._left
         values = -0.5 * (chi2 + log_det + prior) - u @ self._counts
         return values, slope * (weight * (left + known) - self._counts) - points / self.widths**2
 
