@@ -40,9 +40,9 @@ LARGEST_LOG_CHANGE = 20.0
 LOG_SIZES = np.linspace(-4.0, 4.0, 33)
 """Points of the integral over one log size, in units of its width (one for Student's t)."""
 
-INTEGRAL_REACH, POINTS = 12.0, 401
-"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and number of its
-points. The tails of Student's t need a longer reach than a Gaussian."""
+INTEGRAL_REACH = 12.0
+"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations: the tails of Student's
+t need a longer one than a Gaussian."""
 
 SECOND_MODE = 5.0
 """Largest log probability above the optimum. A higher point shows that the optimum is only a lower second mode, which
@@ -257,7 +257,7 @@ def log_interval(lower: ArrayLike, upper: ArrayLike, slope: ArrayLike, std: Arra
 
 
 def log_tailed_interval(
-    lower: float, upper: float, slope: float, std: float, deviation: float, size: float, tail: float
+    lower: float, upper: float, slope: float, std: float, deviation: float, size: float, tail: float, points: int = 401
 ) -> float:
     """Return the log integral of a parameter with Student's prior, which replaces Laplace's Gaussian integral.
 
@@ -276,9 +276,11 @@ def log_tailed_interval(
         Deviation of the optimum from the null value.
     size, tail : float
         Size and degrees of freedom of the prior.
+    points : int, optional
+        Number of points of the integral.
     """
     reach = np.arcsinh(np.clip(np.array([lower, upper]) / std, -np.sinh(INTEGRAL_REACH), np.sinh(INTEGRAL_REACH)))
-    y = np.linspace(reach[0], reach[1], POINTS)
+    y = np.linspace(reach[0], reach[1], points)
     t = std * np.sinh(y)
     r, _ = tailed((deviation + t) / size, tail)
     here, unit_slope = tailed(np.array([deviation / size]), tail)
