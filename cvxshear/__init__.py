@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 name_module("show", "cvxshear.report.terminal")
 name_module("read", "cvxshear.io.modes")
-name_module("solve", "cvxshear.backends.installed")
+name_module("solve", "cvxshear.backends.solvers")
 
 __all__ = [
     "Comparison",

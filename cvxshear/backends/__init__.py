@@ -8,8 +8,7 @@
 from cvxshear.backends.base import Backend, Recorder, SolvedProgram
 from cvxshear.backends.benchmark import BackendResult, BenchmarkProgram, Comparison, ProgramKind, compare
 from cvxshear.backends.canonical import Answer, Canonical
-from cvxshear.backends.installed import available, get, listed, register
-from cvxshear.backends.solvers import Cvxpy, Qpsolvers, Solver
+from cvxshear.backends.solvers import Cvxpy, Qpsolvers, Solver, available, get, listed, register
 from cvxshear.programs import Acceptance, Certificate, Solution
 
 __all__ = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.backends.base import Backend
-from cvxshear.backends.installed import available, get
+from cvxshear.backends.solvers import available, get
 from cvxshear.programs import LeastSquares, Solution
 from cvxshear.programs.certificate import Acceptance
 from cvxshear.util import checks

@@ -29,9 +29,6 @@ from cvxshear.programs.certificate import Assembled, Point, length
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
-ACTIVE_SETS = 10
-"""Largest number of active sets that are tried; a good guess needs one or two."""
-
 CORRECTIONS = 2
 """Number of corrections of the answer by the closed form. The second one corrects the rounding of the first, so that
 constraints hold to the last digits of their terms."""
@@ -103,13 +100,15 @@ class UnsettledError(Exception):
     """The inequalities that hold the minimizer could not be found."""
 
 
-def minimizer(program: Assembled, near: Point) -> Minimizer:
+def minimizer(program: Assembled, near: Point, most_sets: int = 10) -> Minimizer:
     """Find the minimizer of a program, close to an answer.
 
     Parameters
     ----------
     program : Assembled
     near : Point
+    most_sets : int, optional
+        Largest number of active sets that are tried; a good guess needs one or two.
 
     Raises
     ------
@@ -119,7 +118,7 @@ def minimizer(program: Assembled, near: Point) -> Minimizer:
     if not len(program.h):
         return _minimizer_on(program, near.x, np.zeros(0, dtype=bool))[0]
     active = _guessed(program, near)
-    for _ in range(ACTIVE_SETS):
+    for _ in range(most_sets):
         found, local = _minimizer_on(program, near.x, active)
         satisfied = _satisfied(program, found)
         following = np.where(active, found.point.w >= -_multiplier_errors(program, local, active), ~satisfied)

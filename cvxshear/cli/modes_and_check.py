@@ -48,13 +48,12 @@ def new(
     Parameters
     ----------
     more
-        More files of the record that --record begins, or patterns such as 'hit*.csv'.
+        More files of the record that --record begins.
     output
         Write it here; default: print it.
     stories
         How many stories the frame has; default: 3.
     """
-    from cvxshear.io.modes import called
     from cvxshear.io.templates import record_template, template, template_from
 
     given = [
@@ -68,10 +67,7 @@ def new(
         raise InputError(f"{output} is there already; name a new file, or delete the old one first")
     folder = Path(output).parent if output is not None else Path()
     if record is not None:
-        files = [file for name in (record, *(more or ())) for file in called(name)]
-        if not files:
-            raise InputError(f"{record}: no file is called so")
-        text = record_template(files, folder)
+        text = record_template([record, *(more or ())], folder)
     else:
         text = template_from(modes, folder) if modes is not None else template(3 if stories is None else stories)
     if output is None:
@@ -127,7 +123,7 @@ def modes(
     Parameters
     ----------
     records
-        Record files (TOML), or patterns such as 'day-1/*.toml'.
+        Record files (TOML).
     output
         Write a measurement file here, a configuration each.
     method
@@ -232,15 +228,10 @@ def records_in_json(tests: Sequence[IdentifiedRecord]) -> Json:
 
 
 def _files(names: Sequence[str], written: str | None = None) -> list[str]:
-    """Resolve names and patterns to record files, and check that `written` overwrites none of them."""
-    from cvxshear.io.modes import record_files
-
-    files, left_out = record_files(names)
-    for path in left_out:
-        sys.stderr.write(f"cvxshear: {path} is left out: it has no table [record]\n")
+    """Return each record file once, and check that `written` overwrites none of them."""
     if written is not None:
-        check_output(written, keep=files)
-    return [str(file) for file in files]
+        check_output(written, keep=names)
+    return list(dict.fromkeys(names))
 
 
 def _kept(found: Sequence[IdentifiedRecord | CvxshearError]) -> list[IdentifiedRecord]:

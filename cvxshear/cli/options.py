@@ -24,29 +24,8 @@ if TYPE_CHECKING:
 Writer = Callable[[], None]
 """Writes one file of a result that is known."""
 
-OTHERS_ENDINGS = (".toml", ".csv", ".xlsx", ".mat", ".uff", ".html", ".htm", ".svg", ".png", ".pdf")
-"""Forbidden endings of a JSON file: a typing error must not replace a file of another kind."""
-
-
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
 """Keys of a command's context for its written and read files; options are checked in the typed order."""
-
-
-def output_file(*endings: str) -> Callable[[typer.Context, typer.CallbackParam, str | None], str | None]:
-    """Make the check of an option that names an output file; the check runs before the command.
-
-    Parameters
-    ----------
-    *endings : str
-        Allowed endings. Without endings, the file is JSON and may have any ending outside `OTHERS_ENDINGS`.
-    """
-
-    def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
-        if path is not None and path != "-" and not context.resilient_parsing:
-            claim(context, option.opts[0], path, endings)
-        return path
-
-    return check
 
 
 def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) -> None:
@@ -59,7 +38,7 @@ def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) 
         Option that names the file.
     path : str
     endings : sequence of str
-        As for `output_file`.
+        Allowed endings.
 
     Raises
     ------
@@ -68,8 +47,6 @@ def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) 
     """
     try:
         check_output(path, endings=endings)
-        if not endings and Path(path).suffix.lower() in OTHERS_ENDINGS:
-            raise InputError(f"{path} has the ending of another kind of file; JSON is written to a .json")
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     written = context.meta.setdefault(WRITTEN, [])
@@ -173,15 +150,22 @@ File = Annotated[str, typer.Argument(metavar="FILE", callback=input_files)]
 Files = Annotated[list[str], typer.Argument(metavar="FILE...", callback=input_files)]
 
 
-def writes(*names: str, what: str = "", metavar: str = "OUT", endings: Iterable[str] = ()) -> Any:
-    """Declare an option that names an output file."""
-    return typer.Option(*names, help=what, metavar=metavar, callback=output_file(*endings))
+def writes(*names: str, endings: Sequence[str], what: str = "", metavar: str = "OUT") -> Any:
+    """Declare an option that names an output file with one of these endings, which is checked before the command."""
+
+    def check(context: typer.Context, option: typer.CallbackParam, path: str | None) -> str | None:
+        if path is not None and path != "-" and not context.resilient_parsing:
+            claim(context, option.opts[0], path, endings)
+        return path
+
+    return typer.Option(*names, help=what, metavar=metavar, callback=check)
 
 
 FIGURES = (".svg", ".png", ".pdf")
 
 JsonOut = Annotated[
-    str | None, writes("--json", what="Write the result as JSON to this file, '-' for standard output.")
+    str | None,
+    writes("--json", what="Write the result as JSON to this file, '-' for standard output.", endings=(".json",)),
 ]
 ReportOut = Annotated[
     str | None, writes("--report", what="Write a report, one HTML file.", metavar="OUT.html", endings=(".html", ".htm"))

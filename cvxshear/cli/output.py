@@ -145,7 +145,7 @@ def present() -> datetime:
 
 
 def _digest(file: str) -> str | None:
-    """Return the SHA-256 of a file's bytes; None for a pattern or an unreadable file."""
+    """Return the SHA-256 of a file's bytes; None for an unreadable file."""
     from cvxshear.io.formats import LIMIT, read_bytes
     from cvxshear.io.toml import built_in_text, is_built_in
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear.backends import Solver
-    from cvxshear.planning import TestNoise
 
 Samples = Annotated[int, typer.Option(min=2)]
 
@@ -31,10 +30,6 @@ def plan(
     modes: str | None = None,
     frequency_std: float | None = None,
     mode_shape_std: float | None = None,
-    duration: float | None = None,
-    excitation: str | None = None,
-    damping: float | None = None,
-    sensor_noise: float | None = None,
     goal: str = "all",
     criterion: str = "D",
     fresh: bool = False,
@@ -62,14 +57,6 @@ def plan(
         Expected relative standard deviation of frequencies; default: the value in FILE's tests, or 0.002.
     mode_shape_std
         Expected standard deviation of shape entries over the largest; default: the value in FILE's tests, or 0.01.
-    duration
-        Seconds recorded in each test, from which the noise follows instead.
-    excitation
-        ambient, shaker or hammer; with --duration.
-    damping
-        Fraction of critical; with --duration.
-    sensor_noise
-        Noise of a channel over its standard deviation; with --duration.
     goal
         masses, stiffnesses or all.
     criterion
@@ -82,7 +69,9 @@ def plan(
     from cvxshear import planning, screening
 
     files_of = outputs.prepared(planning.Plan)
-    noise = _noise((frequency_std, mode_shape_std), duration, (excitation, damping, sensor_noise))
+    stds = {"frequency_std": frequency_std, "mode_shape_std": mode_shape_std}
+    given = {name: value for name, value in stds.items() if value is not None}
+    noise = planning.Declared(**given) if given else None
     wanted = numbers(modes, "--modes", "a number of modes such as 3, or which, such as 1,2,4", int)
     masses = numbers(added_mass, "--added-mass", "kg, such as 40, or one a floor, such as 0,20,40")
     measured = planning.measurement_of(file)
@@ -97,28 +86,6 @@ def plan(
         files.append(lambda: planning.write_template(output, result))
     said = {**result.to_dict(), **screening.in_json(doubts)}
     deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)
-
-
-def _noise(
-    declared: tuple[float | None, float | None],
-    duration: float | None,
-    record: tuple[str | None, float | None, float | None],
-) -> TestNoise | None:
-    """Make the expected noise from the options; None if no option concerns the noise."""
-    from cvxshear.planning import Declared, Recorded
-
-    stds = zip(("frequency_std", "mode_shape_std"), declared, strict=True)
-    given = {name: value for name, value in stds if value is not None}
-    parts = zip(("excitation", "damping", "sensor_noise"), record, strict=True)
-    of_record = {name: value for name, value in parts if value is not None}
-    if duration is None:
-        if of_record:
-            raise InputError("--excitation, --damping and --sensor-noise need --duration, the seconds recorded")
-        return Declared(**given) if given else None
-    if given:
-        raise InputError("give --duration, from which the noise follows, or --frequency-std and --mode-shape-std")
-    # The options have the names of the fields of `Recorded`, which checks the values; mypy cannot match their types.
-    return Recorded(**{"excitation": "ambient", "duration": duration, **of_record})  # type: ignore[arg-type]
 
 
 def _one_or_many(found: list[Any] | None) -> Any:

@@ -1,8 +1,6 @@
 """From record files to one measurement: their modes, a configuration each, and what they say of the frame."""
 
 import dataclasses
-import glob
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,7 +13,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.record import Finding
 from cvxshear.records.result import IdentifiedRecord, ModalResult, merged, scale_unknown
-from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.util.errors import CvxshearError, NoSolutionError
 from cvxshear.util.parallel import Progress, each
 from cvxshear.util.typing import Json
 from cvxshear.util.writing import check_output
@@ -24,47 +22,6 @@ UNKNOWN_SCALE = (
     "nothing tells how heavy the frame is: total_mass = 1 is written in its place, and masses and stiffnesses come out "
     "per kilogram of the frame; give [frame] total_mass in a record file"
 )
-
-
-def called(name: str | Path) -> list[Path]:
-    """List the files that a pattern matches, ordered by the numbers in their names; a plain name is one file."""
-    if Path(name).exists() or not glob.has_magic(str(name)):
-        return [Path(name)]
-    matched = sorted(glob.glob(str(name), recursive=True), key=_by_number)
-    return [Path(path) for path in matched if Path(path).is_file()]
-
-
-def record_files(names: Iterable[str | Path]) -> tuple[list[Path], list[Path]]:
-    """Find the record files of names and patterns.
-
-    Parameters
-    ----------
-    names : iterable of str or Path
-        Files, or patterns with `*`, `?` or `[...]`.
-
-    Returns
-    -------
-    files : list of Path
-        Each file once; the files of a pattern in the order of the numbers in their names.
-    left_out : list of Path
-        Files that a pattern matches and that hold no table [record].
-
-    Raises
-    ------
-    InputError
-        If a pattern matches no record file, or a file that it matches cannot be read.
-    """
-    files: list[Path] = []
-    left_out: list[Path] = []
-    for name in names:
-        found = called(name)
-        if found != [Path(name)]:
-            left_out += [path for path in found if not is_record_file(path)]
-            found = [path for path in found if path not in left_out]
-            if not found:
-                raise InputError(f"{name}: no record file is called so; a record file is TOML with a table [record]")
-        files += [path for path in found if path not in files]
-    return files, left_out
 
 
 def identify_modes_many(
@@ -180,11 +137,6 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
         comments.append(f"Modes of {modes.name} by {modes.method}; standard deviations: {modes.uncertainty}")
         comments.extend(f"{modes.name}: {finding.kind}: {finding.message}" for finding in modes.findings)
     write_measurement(path, declared, comments)
-
-
-def _by_number(path: str) -> list[tuple[int, str]]:
-    """Return a sorting key that puts run 2 before run 10."""
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", path)]
 
 
 def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:

@@ -22,7 +22,7 @@ from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop import comparison, conclusion, hypotheses
 from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
-from cvxshear.loop.posterior import Posterior
+from cvxshear.loop.posterior import Posterior, from_the_first_state
 from cvxshear.loop.results import VERDICTS, LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
@@ -81,8 +81,9 @@ def _concluded(
     wanted : sequence of Effect
     messages : sequence of str
     """
+    looked_for = found[0].fitter.hypotheses
     models = [model for each in judging for model in (*each.visited.values(), *each.other_optima)]
-    posterior = Posterior(models, found[0].fitter.hypotheses)
+    posterior = Posterior(from_the_first_state(models, looked_for, found[0].fitter.experiment), looked_for)
     fits = comparison.verdict_fits(judging, posterior.within(posterior.numberings[0].changes), found[0].fitter)
     fitters = list(dict.fromkeys(each.fitter for each in (*found, *judging)))
     effort = sum(each.fits for each in fitters), sum(each.programs for each in fitters)

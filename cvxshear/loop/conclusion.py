@@ -12,7 +12,7 @@ from cvxshear.effects import Effect, LocatedEffect, masses
 from cvxshear.fit.efficient import Estimate, parameter_names
 from cvxshear.loop import comparison, hypotheses, next_test, results
 from cvxshear.loop.fitter import ModelClass
-from cvxshear.loop.posterior import ADDED, RIVAL, Posterior
+from cvxshear.loop.posterior import ADDED, RIVAL, Posterior, counted_from_the_first
 from cvxshear.loop.search import REPORTED, Search, fits_alike
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import quantities, ranking
@@ -62,7 +62,12 @@ def conclude(
     negligible = significant and _negligible(final)
     by_set = {model.effects: model.estimate for model in reversed(here.models)}
     rivals = [estimate for rival in _rival_sets(here, added) if (estimate := by_set[rival]) is not None]
-    granted = (*_granted(search, found), *_granted_of_the_scale(search, found), *_granted_of_bounds(fitter.experiment))
+    granted = (
+        *_granted(search, found),
+        *_granted_of_the_frame(added, fitter.experiment),
+        *_granted_of_the_scale(search, found),
+        *_granted_of_bounds(fitter.experiment),
+    )
     return results.LoopResult(
         experiment=fitter.experiment,
         backend=fitter.backend.name,
@@ -89,6 +94,9 @@ def _twins(search: Search, found: ModelClass, posterior: Posterior) -> dict[Loca
     """List the twins of each effect of a set: exact twins, and the dual if only frequencies were measured."""
     experiment = search.fitter.experiment
     twins = {placed: search.twins(found, placed) for placed in found.effects}
+    if counted_from_the_first(experiment):
+        first = experiment.states[0]
+        twins = {each: [twin for twin in twins[each] if twin.place.state != first] for each in twins}
     if not hypotheses.dual_fits_as_well(experiment):
         return twins
     known = [item.placed for item in search.fitter.hypotheses]
@@ -113,11 +121,22 @@ def _verdict(
     if not added and not numbering.changes:
         answered = final.dof > 0 and numbering.probability >= NUMBERED and posterior.something() < ADDED
         return "adequate" if answered else "ambiguous"
-    sure = min([numbering.probability, *(item.probability for item in added)]) >= quantities.SURE
+    sure = min([numbering.probability, *(item.probability for item in _of_the_finding(added))]) >= quantities.SURE
     twins = any(rival.twin for item in added for rival in item.rivals)
     if not sure or twins or final.dof <= 0:
         return "ambiguous"
     return "located" if any(item.placed.effect.kind == hypotheses.OPEN for item in added) else "explained"
+
+
+def _of_the_finding(added: Sequence[results.AddedEffect]) -> Sequence[results.AddedEffect]:
+    """List the effects that decide whether the finding is sure.
+
+    If states differ, their changes are the finding. An effect of the frame in all states then counts only if something
+    else may be there in its place.
+    """
+    if all(item.placed.place.state is None for item in added):
+        return added
+    return [item for item in added if item.placed.place.state is not None or item.rivals]
 
 
 def _negligible(final: Estimate) -> bool:
@@ -261,6 +280,14 @@ def _granted(search: Search, found: ModelClass) -> Iterator[str]:
         yield statement.format(state=_quoted(names))
 
 
+def _granted_of_the_frame(added: Sequence[results.AddedEffect], experiment: Experiment) -> Iterator[str]:
+    """Yield which of two states is taken for the frame itself, if the other has changed and neither is declared."""
+    first, *others = experiment.states
+    changed = {item.placed.place.state for item in added} & set(others)
+    if counted_from_the_first(experiment) and changed:
+        yield f'that "{first}" is the frame itself ([frame] reference may name the other state)'
+
+
 def _granted_of_the_scale(search: Search, found: ModelClass) -> Iterator[str]:
     """Yield the quantities that all masses scale with, unless an exact total mass is declared."""
     experiment = search.fitter.experiment
@@ -300,7 +327,7 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
     if not final.fit.converged:
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():
-        yield f"{placed.label}: these data tell nothing of it, its odds are what they were before"
+        yield f"{placed.label}: these data tell nothing of it; masses and stiffnesses are averaged without it"
     failed = [model for model in search.visited.values() if model.failure is not None]
     if failed:
         yield f"{len(failed)} of {len(search.visited)} sets of effects could not be fitted ({failed[0].failure})"

@@ -22,8 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear import effects as known_effects
-from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, open_classes
+from cvxshear.effects import Effect, LocatedEffect, Place, catalogue, open_classes, refuse_faulty, refuse_repeated
 from cvxshear.measurement.experiment import Configuration, ExpectedEffect, Experiment
 from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.util import checks, errors
@@ -178,14 +177,14 @@ def able_to_take_part(wanted: Sequence[Effect], experiment: Experiment) -> tuple
     InputError
         If two effects share one name, or the only effect is unusable.
     """
-    known_effects.refuse_repeated(wanted)
+    refuse_repeated(wanted)
     own = {id(effect) for effect in (*catalogue(), *open_classes())}
     sound: list[Effect] = []
     messages = []
     for effect in wanted:
         try:
             if id(effect) not in own:
-                known_effects.refuse_faulty(effect, experiment)
+                refuse_faulty(effect, experiment)
             sound.append(effect)
         except errors.InputError as error:
             if len(wanted) == 1:

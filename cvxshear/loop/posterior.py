@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from cvxshear.fit import gauss_newton, results
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Changes, Hypothesis, NumberingProbability, log_odds
+from cvxshear.loop.search import fits_alike
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import decorators, ranking
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
@@ -289,19 +292,26 @@ class Posterior:
         return found
 
     def averaged(self) -> results.IdentifiedFrame:
-        """Masses and stiffnesses averaged over the sets, with the scatter within and between them."""
+        """Masses and stiffnesses averaged over the sets, with the scatter within and between them.
+
+        Sets with an effect that the data do not determine (gravity, as a rule) do not count: such an effect only
+        divides each stiffness into parts, and the average is what is left of it.
+        """
+        untold = self.untold()
+        counts = np.array([model.effects.isdisjoint(untold) for model in self.models])
+        weights = self.of_sets * counts if counts.any() else self.of_sets
         frames = [model.estimate.expected_frame for model in self.models if model.estimate is not None]
-        mass = self._mixture([frame.floor_mass for frame in frames], [frame.floor_mass_std for frame in frames])
-        stiffness = self._mixture(
+
+        def mixture(values: Sequence[Floats], stds: Sequence[Floats]) -> tuple[Floats, Floats]:
+            x, s, share = np.array(values), np.array(stds), weights[:, None] / weights.sum()
+            mean = np.sum(share * x, axis=0)
+            return mean, np.sqrt(np.sum(share * (s**2 + (x - mean) ** 2), axis=0))
+
+        mass = mixture([frame.floor_mass for frame in frames], [frame.floor_mass_std for frame in frames])
+        stiffness = mixture(
             [frame.story_stiffness for frame in frames], [frame.story_stiffness_std for frame in frames]
         )
         return results.IdentifiedFrame(mass[0], stiffness[0], mass[1], stiffness[1])
-
-    def _mixture(self, values: Sequence[Floats], stds: Sequence[Floats]) -> tuple[Floats, Floats]:
-        x, s = np.array(values), np.array(stds)
-        weights = self.of_sets[:, None] / self.of_sets.sum()
-        mean = np.sum(weights * x, axis=0)
-        return mean, np.sqrt(np.sum(weights * (s**2 + (x - mean) ** 2), axis=0))
 
 
 def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
@@ -314,6 +324,44 @@ def _distinct(models: Iterable[ModelClass]) -> list[ModelClass]:
             others.append(model)
             kept.append(model)
     return kept
+
+
+def from_the_first_state(
+    models: Iterable[ModelClass], looked_for: Sequence[Hypothesis], experiment: Experiment
+) -> list[ModelClass]:
+    """Unite the sets that differ only in which of two states is the frame itself.
+
+    Without a declared reference, a story that is softer in the second state is as well stiffer in the first. That is
+    one finding, with the probability of both. It is told from the first state, as long as both sets fit alike.
+    """
+    found = list(models)
+    if not counted_from_the_first(experiment):
+        return found
+    first, second = experiment.states
+    known = {(item.placed.effect.name, item.placed.place): item.placed for item in looked_for}
+
+    def told(placed: LocatedEffect) -> LocatedEffect:
+        if placed.place.state != first or placed.place.test is not None:
+            return placed
+        return known.get((placed.effect.name, dataclasses.replace(placed.place, state=second)), placed)
+
+    best = {(each.effects, each.changes): each for each in sorted(found, key=lambda model: model.score)}
+    united: dict[int, tuple[ModelClass, list[float]]] = {}
+    for model in found:
+        other = best.get((frozenset(map(told, model.effects)), model.changes), model)
+        kept = other if fits_alike(model, other) else model
+        united.setdefault(id(kept), (kept, []))[1].append(model.score)
+    return [
+        dataclasses.replace(kept, log_prior=float(np.logaddexp.reduce(scores)) - kept.log_evidence)
+        if scores[1:]
+        else kept
+        for kept, scores in united.values()
+    ]
+
+
+def counted_from_the_first(experiment: Experiment) -> bool:
+    """Whether changes are told from the first state: there are two, and none is declared as the frame itself."""
+    return experiment.frame.reference is None and len(experiment.states) == 2
 
 
 def replacement(

@@ -191,8 +191,7 @@ class Search:
         assert base is not None, "the shear model was fitted"
         proposals = []
         for effects, frame in starts:
-            present = [item.placed for item in self.fitter.hypotheses if item.placed in effects]
-            plain = self.fitter.proposal(base, (*self.fitter.assumed, *present))
+            plain = self._proposal(base, effects)
             start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
             proposals.append(dataclasses.replace(plain, starts=(start,)))
         return self._record(self.fitter.models(_best_starts(proposals)))
@@ -210,14 +209,14 @@ class Search:
             for other in self.candidates(best)
             if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
         ]
-        order = [item.placed for item in self.fitter.hypotheses]
-        proposals = [
-            self.fitter.proposal(best.estimate, (*self.fitter.assumed, *(each for each in order if each in effects)))
-            for effects in sets
-            if effects not in self.visited
-        ]
+        proposals = [self._proposal(best.estimate, effects) for effects in sets if effects not in self.visited]
         self._record(self.fitter.models(proposals))
         return self.best is not best
+
+    def _proposal(self, start: Estimate, effects: Set) -> FitProposal:
+        """Propose a fit of a set, started from a fit."""
+        present = [item.placed for item in self.fitter.hypotheses if item.placed in effects]
+        return self.fitter.proposal(start, (*self.fitter.assumed, *present))
 
     def visit_ties(self) -> None:
         """Visit beside each of the best sets the exchanges of one effect that tie beside another of them.
@@ -227,7 +226,6 @@ class Search:
         """
         tied = [effects for effects, model in self.visited.items() if model.score >= self.best.score - TIE]
         moves = {(one - other, other - one): None for one in tied for other in tied}
-        order = [item.placed for item in self.fitter.hypotheses]
         proposals: dict[Set, FitProposal] = {}
         for model in self.beam:
             if model.effects not in tied or model.estimate is None:
@@ -237,8 +235,7 @@ class Search:
                 if max(len(gone), len(new)) > 1 or not gone <= model.effects or new & model.effects:
                     continue
                 if effects not in self.visited and effects not in proposals:
-                    present = [*self.fitter.assumed, *(each for each in order if each in effects)]
-                    proposals[effects] = self.fitter.proposal(model.estimate, present)
+                    proposals[effects] = self._proposal(model.estimate, effects)
         self._record(self.fitter.models(list(proposals.values())))
 
     def visit_twins(self) -> None:
@@ -285,8 +282,7 @@ class Search:
             return model.estimate
         near = self.best.estimate
         assert near is not None, "the shear model was fitted"
-        order = [*self.fitter.assumed, *(item.placed for item in self.fitter.hypotheses if item.placed in effects)]
-        (found,) = self.fitter.models([self.fitter.proposal(near, order)], FULL)
+        (found,) = self.fitter.models([self._proposal(near, effects)], FULL)
         self._record([found])
         if found.estimate is None:
             assert found.failure is not None

@@ -82,7 +82,7 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
 
 
 ENTRIES_OF_A_COPY = 3
-"""Equal entries that make a row a copy of another: where floors are missing two modes may share one or two."""
+"""Least count of equal numbers that makes a shape or a test a copy of another: one or two can be equal by rounding."""
 
 
 def repeated_rows(shapes: Floats, *, whole: bool) -> tuple[int, int] | None:

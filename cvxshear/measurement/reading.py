@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cvxshear.measurement.configuration import ENTRIES_OF_A_COPY
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
@@ -29,10 +30,6 @@ FARTHER = 3.0
 
 CERTAIN = 5.0
 """The sign of an entry is certain if its distance from zero exceeds this number of standard deviations."""
-
-NUMBERS_OF_A_COPY = 3
-"""Least count of equal numbers that makes two tests copies: rounding explains one or two equal frequencies, not
-three."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,12 +174,12 @@ def repeated_configurations(experiment: Experiment) -> tuple[tuple[str, ...], ..
     -------
     tuple of tuple of str
         Names of the configurations of each group of two or more, in the order of the file. The tests of a group have
-        the same added mass, modes, floors, frequencies and mode shapes, with at least `NUMBERS_OF_A_COPY` measured
+        the same added mass, modes, floors, frequencies and mode shapes, with at least `ENTRIES_OF_A_COPY` measured
         numbers.
     """
     groups: dict[tuple[bytes, ...], list[str]] = {}
     for each in experiment.configurations:
-        if len(each.frequencies) + int(np.isfinite(each.mode_shapes).sum()) < NUMBERS_OF_A_COPY:
+        if len(each.frequencies) + int(np.isfinite(each.mode_shapes).sum()) < ENTRIES_OF_A_COPY:
             continue
         parts = (each.added_mass, each.modes, each.measured_floors, each.frequencies, each.mode_shapes)
         groups.setdefault(tuple(np.asarray(part).tobytes() for part in parts), []).append(each.name)

@@ -12,7 +12,6 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from cvxshear import backends
 from cvxshear.backends import Backend
@@ -21,7 +20,6 @@ from cvxshear.io.toml import load
 from cvxshear.measurement.experiment import Configuration, Experiment, Frame
 from cvxshear.paper.scatter import NoiseStudy, noise_study
 from cvxshear.paper.setups import paper_setups, three_story
-from cvxshear.util.quantities import NORMAL_95, SURE
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
@@ -314,8 +312,7 @@ def noise_sections(samples: Sequence[int], seed: int) -> Iterator[PaperSection]:
     """
     for count in samples:
         study = noise_study(paper_setups(), ("two-stage",), count, seed=seed)
-        table = tuple(_table_3(study))
-        yield PaperSection(f"Table 3: error of the mean, {count:,} samples", table, (_chance(table),))
+        yield PaperSection(f"Table 3: error of the mean, {count:,} samples", tuple(_table_3(study)))
     yield _figure_6(noise_study(paper_setups(map(float, PRINTED["figure_6"])), ("two-stage",), seed=seed))
 
 
@@ -328,18 +325,6 @@ def _table_3(study: NoiseStudy) -> Iterator[PaperRow]:
             bias, std_error, by_chance = (100 * float(each) for each in figures)
             where = f"Table 3, σ = {sigma}"
             yield PaperRow(f"{name}, %", where, printed[place], bias, std_error=std_error, chance=by_chance)
-
-
-def _chance(table: Sequence[PaperRow]) -> str:
-    """Say whether the largest of the differences is as large as chance makes it in one case of twenty."""
-    distances = np.abs([row.distance for row in table if row.distance is not None])
-    farthest = float(np.max(distances))
-    by_chance = 1.0 - (1.0 - 2.0 * stats.norm.sf(farthest)) ** len(table)
-    return note(
-        "chance", samples=PRINTED["noise"]["samples"], rows=len(table), beyond=int(np.sum(distances > NORMAL_95)),
-        unlikely=round(NORMAL_95, 2), expected=(1 - SURE) * len(table), farthest=farthest,
-        explains="explains" if by_chance > 1 - SURE else "does not explain",
-    )  # fmt: skip
 
 
 def _figure_6(study: NoiseStudy) -> PaperSection:

@@ -2,9 +2,9 @@
 
 from cvxshear.planning.design import Design, measurement_of, read_design
 from cvxshear.planning.planner import ExpectedAccuracy, Plan, plan, predicted, write_template
-from cvxshear.planning.tested_model import Declared, Recorded, TestNoise
+from cvxshear.planning.tested_model import Declared
 
 __all__ = [
-    "Declared", "Design", "ExpectedAccuracy", "Plan", "Recorded", "TestNoise", "measurement_of", "plan", "predicted",
-    "read_design", "write_template",
+    "Declared", "Design", "ExpectedAccuracy", "Plan", "measurement_of", "plan", "predicted", "read_design",
+    "write_template",
 ]  # fmt: skip

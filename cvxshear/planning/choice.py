@@ -39,9 +39,6 @@ KNOWN_EXACTLY = 1e-12
 IMPROVES = 1e-9
 """Least relative gain of an exchange; a smaller gain is rounding."""
 
-AT_ONCE = 2_000_000
-"""Largest number of entries of the information matrices that are formed together: 16 MB."""
-
 ARBITRARY = 0.01
 """Largest relative difference of best and worst choice that counts as equal; the noise is not known to one percent."""
 
@@ -357,9 +354,12 @@ def _best_of_all(problem: Candidates, number: int, by: Criterion) -> Choice:
     return Choice(np.array(every[best]), float(values[best]), float(values[best]), float(values.max()))
 
 
-def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criterion) -> Floats:
-    """Evaluate the criterion of each of many choices, shape (len(choices),)."""
-    step = max(1, AT_ONCE // problem.base.size)
+def values_of(problem: Candidates, choices: Sequence[Sequence[int]], by: Criterion, at_once: int = 2_000_000) -> Floats:
+    """Evaluate the criterion of each of many choices, shape (len(choices),).
+
+    `at_once` is the largest number of entries of the information matrices that are formed together: 16 MB.
+    """
+    step = max(1, at_once // problem.base.size)
     parts = []
     for first in range(0, len(choices), step):
         some = choices[first : first + step]

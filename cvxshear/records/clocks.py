@@ -24,7 +24,8 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 FAULTY = 0.02
-"""Probability beforehand that a clock is late, that it drifts, and that a channel carries no motion: one in fifty."""
+"""Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a channel carries no
+motion, is reversed or in another's place, and that a mode was missed."""
 LONGEST_DELAY = 2.6
 """Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. All are as probable."""
 SHORTEST_DELAY = 0.5
@@ -372,30 +373,23 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
         against = reference if clock != reference else max(
             (k for k in left if k != clock), key=lambda k: float(common[k])
         )  # fmt: skip
-        if fault.slope:
-            findings.append(clock_drift(clocks[clock], clocks[against], start, fault.slope, fault.slope_std))
-        else:
-            findings.append(clock_offset(clocks[clock], clocks[against], start, fault.std))
+        findings.append(_corrected(clocks[clock], clocks[against], fault, start))
     if silent:
         record = only(record, [column for column in range(len(names)) if column not in silent])
     return (in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
 
 
-def clock_drift(name: str, reference: str, start: float, slope: float, std: float) -> Finding:
-    """Report a clock that drifted, and has been set right."""
-    numbers = {"channel": name, "reference": reference, "seconds": start, "drift": slope, "drift_std": std}
-    numbers["corrected"] = True
-    return finding(
-        "clock drift", numbers, slow="slow" if slope > 0 else "fast", by=abs(slope),
-        std=quantities.significant(1e6 * std, 2), start=abs(start), late="late" if start > 0 else "early",
-    )  # fmt: skip
-
-
-def clock_offset(name: str, reference: str, seconds: float, std: float) -> Finding:
-    """Report a clock that was late, or early, by the phases of the whole band, and has been set right."""
-    numbers = {"channel": name, "reference": reference, "seconds": seconds, "std": std, "corrected": True}
-    late, spread = "late" if seconds > 0 else "early", quantities.significant(1e3 * std, 2)
-    return finding("clock offset", numbers, by=abs(seconds), late=late, spread=spread)
+def _corrected(name: str, reference: str, fault: ClockFault, start: float) -> Finding:
+    """Report a clock that was late, early or drifted, by the phases of the whole band, and has been set right."""
+    numbers = {"channel": name, "reference": reference, "seconds": start, "corrected": True}
+    late = "late" if start > 0 else "early"
+    if fault.slope:
+        numbers |= {"drift": fault.slope, "drift_std": fault.slope_std}
+        slow, std = "slow" if fault.slope > 0 else "fast", quantities.significant(1e6 * fault.slope_std, 2)
+        return finding("clock drift", numbers, slow=slow, by=abs(fault.slope), std=std, start=abs(start), late=late)
+    numbers |= {"std": fault.std}
+    spread = quantities.significant(1e3 * fault.std, 2)
+    return finding("clock offset", numbers, by=abs(start), late=late, spread=spread)
 
 
 def _window(length: int, *, decaying: bool) -> Floats:

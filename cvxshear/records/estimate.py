@@ -268,19 +268,22 @@ def settle_truncation(record: Record, setting: Replication, values: picking.Valu
     left = np.abs(np.exp(values.eigenvalues * length))
     if left.max() < NOTICEABLE:
         return []
-    if record.truncated is not None:
-        return [_leakage(record.truncated, "as declared", length, left)]
-    angles = {}
-    for truncated in (True, False):
-        source.wrapped = not truncated
-        angles[truncated] = _phase_off(setting, values, left)
-    truncated = angles[True] <= angles[False]
-    source.wrapped = not truncated
-    why = (
-        f"told from the residues' phases, {angles[truncated]:.1f} degrees from real where the other reading leaves "
-        f"{angles[not truncated]:.1f}"
-    )
-    return [_leakage(truncated, why, length, left)]
+    truncated, why = record.truncated, "as declared"
+    if truncated is None:
+        angles = {}
+        for wrapped in (False, True):
+            source.wrapped = wrapped
+            angles[wrapped] = _phase_off(setting, values, left)
+        source.wrapped = wrapped = angles[True] < angles[False]
+        truncated = not wrapped
+        why = (
+            f"told from the residues' phases, {angles[wrapped]:.1f} degrees from real where the other reading leaves "
+            f"{angles[not wrapped]:.1f}"
+        )
+    kind = "those of responses cut off there" if truncated else "samples of the true functions"
+    mode = ranking.first_largest(left) + 1
+    numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
+    return [finding("leakage", numbers, kind=kind, why=why)]
 
 
 def _phase_off(setting: Replication, values: picking.Values, left: Floats) -> float:
@@ -291,13 +294,6 @@ def _phase_off(setting: Replication, values: picking.Values, left: Floats) -> fl
     weight = np.abs(products) ** 2
     weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
     return rms_phase(products, weight)
-
-
-def _leakage(truncated: bool, why: str, length: float, left: Floats) -> Finding:
-    mode = ranking.first_largest(left) + 1
-    kind = "those of responses cut off there" if truncated else "samples of the true functions"
-    numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
-    return finding("leakage", numbers, kind=kind, why=why)
 
 
 def assembled(

@@ -7,13 +7,12 @@ center far beyond the sensors, U is their mean.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import scipy
 
 from cvxshear.records import prepare
-from cvxshear.records.clocks import SEGMENT, with_right_clocks
+from cvxshear.records.clocks import FAULTY, SEGMENT, with_right_clocks
 from cvxshear.records.prepare import AnyRecord, only, scaled
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
@@ -133,19 +132,22 @@ def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
     others = np.flatnonzero(record.floors != names[0].floor)
     weights, placed = center_weights(record.channels, group)
-    center, turned, together, against = np.zeros(4)
-    shown = np.zeros(len(group))
+    count = len(group)
+    whole, common = np.zeros((2, count, count))
     for run in record.runs:
-        values, rest = run.responses[:, group], None
+        values = moving = run.responses[:, group]
         if isinstance(run, Run):
-            values = values - values.mean(axis=0)
-            rest = run.responses[:, others] - run.responses[:, others].mean(axis=0) if len(others) else None
-        center += _mean_square((values @ weights)[:, None])
-        turned += _mean_square(values - (values @ weights)[:, None])
-        middle = values.mean(axis=1, keepdims=True)
-        shown += np.mean(np.abs(_moving_with(rest, values)) ** 2, axis=0)
-        together += _mean_square(_moving_with(rest, middle))
-        against += _mean_square(_moving_with(rest, values - middle))
+            values = moving = values - values.mean(axis=0)
+            if len(others):
+                rest = run.responses[:, others] - run.responses[:, others].mean(axis=0)
+                moving = rest @ np.linalg.lstsq(rest, values, rcond=None)[0]
+        whole += (values.conj().T @ values).real / len(values)
+        common += (moving.conj().T @ moving).real / len(values)
+    shown, together = np.diag(common), float(common.mean())
+    # Mean squares of the sensors' differences from their mean, and from the center's motion.
+    against = float(np.trace(common)) - count * together
+    center = float(weights @ whole @ weights)
+    turned = float(np.trace(whole) - 2 * np.sum(whole @ weights)) + count * center
     what = "what moves with the other floors is" if len(others) else "the motion is"
     least, most = names[int(np.argmin(shown))], names[int(np.argmax(shown))]
     ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
@@ -169,34 +171,20 @@ def _rotation(record: Record, group: Ints) -> Finding:
     )
     called = [item.name for item in names]
     numbers = {"floor": names[0].floor, "channels": called, "share": share, "placed": placed}
-    return finding("rotation/sensors", numbers, count=len(names), names=", ".join(called), how=how, said=said)
-
-
-def _mean_square(values: Any) -> float:
-    """Sum over the samples of the mean square of the columns."""
-    return float(np.mean(np.sum(np.abs(values) ** 2, axis=0)))
-
-
-def _moving_with(others: Floats | None, values: Any) -> Any:
-    """Project each column on the other floors' motions; without other floors, return it unchanged."""
-    if others is None:
-        return values
-    return others @ np.linalg.lstsq(others, values, rcond=None)[0]
+    return finding("rotation/sensors", numbers, count=count, names=", ".join(called), how=how, said=said)
 
 
 QUIET = 0.5
 """Fraction of the lowest frequency where a floor moves twice as far as the base. At lower frequencies the floors move
 with the base."""
-FEWEST_LINES_BELOW = 3
-"""Lines below the first resonance for the signs of a record with base motion."""
 COHERENT_LINE = 0.8
 """Coherence with the base of lines that count."""
 FALLING = 0.9
 """A channel's ratio to the base falls if the upper half of such lines has less than this fraction of the lower half."""
 SAME_RATIO = 0.2
 """Relative standard deviation of a level at low frequency, and of a ratio to another unit."""
-REVERSED, OTHER_UNIT = 0.02, 0.005
-"""Probabilities beforehand that a channel is reversed, and that it is in another unit than declared."""
+OTHER_UNIT = 0.005
+"""Probability beforehand that a channel is in another unit than declared."""
 NEITHER = 1e-6
 """Density of levels that neither explains: one channel in a thousand, of a level up to a thousand."""
 
@@ -259,12 +247,12 @@ def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     level, std = gains
     units = {size: name for name, size in reversed(quantities.IN_SI["acceleration"].items())}
     factors = np.array([sign * size for sign in (1.0, -1.0) for size in sorted(units, key=lambda size: size != 1.0)])
-    priors = np.where(factors > 0, 1.0, REVERSED) * np.where(np.abs(factors) == 1.0, 1.0, OTHER_UNIT)
+    priors = np.where(factors > 0, 1.0, FAULTY) * np.where(np.abs(factors) == 1.0, 1.0, OTHER_UNIT)
     # Rows: the input as declared, and reversed; then the channels; then the factors that mend a channel.
     spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))
     off = (np.outer([1.0, -1.0], level)[:, :, None] - 1.0 / factors) / spread
     likely = np.exp(-0.5 * off**2) / spread * priors + NEITHER
-    turned = int(odds.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, REVERSED]))[1] >= quantities.SURE)
+    turned = int(odds.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, FAULTY]))[1] >= quantities.SURE)
     findings, changes = [], {}
     if turned:
         findings.append(finding("sign/input", {"channel": "input", "corrected": True}))
@@ -348,12 +336,12 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
     amplified = frequencies[heard[0] + np.flatnonzero((relative > 2.0).any(axis=1))[:1]]
     lines = heard[frequencies[heard] < QUIET * amplified.sum()]
     half = len(lines) // 2
-    if len(lines) < FEWEST_LINES_BELOW:
+    rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / amplified) ** 2])
+    if len(lines) <= rows.shape[1]:
         return None
     # Above a resonance that the table leaves out motions fall as frequency rises, and have another sign.
     if np.median(size[lines[-half:]].sum(axis=0) / size[lines[:half]].sum(axis=0)) < FALLING:
         return None
-    rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / amplified) ** 2])
     fit, left, *_ = np.linalg.lstsq(rows, transfer[lines].real, rcond=None)
     scatter = left / (len(lines) - 2) if left.size else np.var(transfer[lines].real, axis=0)
     return fit[0], np.sqrt(scatter * np.linalg.inv(rows.T @ rows)[0, 0])

@@ -133,7 +133,7 @@ def identify_modes(
     picked = () if pick is None else tuple(checks.vector(pick, "pick", above=0.0).tolist())
     if picked and count is not None:
         raise InputError("give either count or pick: the modes picked by hand are as many as they are")
-    method = prepare.default_method(record) if method is None else method
+    method = prepare.suited_methods(record)[0] if method is None else method
     checks.choice(method, prepare.MODAL_METHODS, "method")
     wanted = _wanted(record, count, picked)
     criteria = criteria or pole_sweep.Criteria()

@@ -14,15 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.records.examination import OTHER_UNIT, REVERSED, in_unit, unit_in_truth
+from cvxshear.records.clocks import FAULTY
+from cvxshear.records.examination import OTHER_UNIT, in_unit, unit_in_truth
 from cvxshear.records.record import Channel, Finding, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
-PRIOR_EXCHANGED = 0.02
-"""Probability beforehand that a channel is in another's place."""
-PRIOR_MISSED = 0.03
-"""Probability beforehand that the lowest mode found is the second, and that the next one found is the third."""
 SPREAD_OF_STIFFNESS = 0.7
 """Standard deviation of the logarithm of a story's flexibility about the median story's: a factor of two either way."""
 SHAPE_ERROR = 0.03
@@ -89,9 +86,9 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     pairs = list(itertools.combinations(range(count), 2))
     # All channels but some reversed is the same as those reversed.
     prior = [(ChannelMistake("sound"), 1.0)]
-    prior += [(ChannelMistake("sign", (i,)), REVERSED) for i in range(count if count > 2 else 1)]
-    prior += [(ChannelMistake("sign", pair), REVERSED**2) for pair in (pairs if count > 4 else ())]
-    prior += [(ChannelMistake("swapped channels", pair), PRIOR_EXCHANGED / (count - 1)) for pair in pairs]
+    prior += [(ChannelMistake("sign", (i,)), FAULTY) for i in range(count if count > 2 else 1)]
+    prior += [(ChannelMistake("sign", pair), FAULTY**2) for pair in (pairs if count > 4 else ())]
+    prior += [(ChannelMistake("swapped channels", pair), FAULTY / (count - 1)) for pair in pairs]
     prior += [
         (ChannelMistake("unit", (i,), factor), OTHER_UNIT)
         for i in range(count)
@@ -101,7 +98,7 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
         [_likelihood(frequencies, item.undone(shapes), floors, stories, numbers) for numbers in FREQUENCY_RATIOS]
         for item, _ in prior
     ]
-    of_numbers = np.log([1.0 if numbers == (1, 2) else PRIOR_MISSED for numbers in FREQUENCY_RATIOS])
+    of_numbers = np.log([1.0 if numbers == (1, 2) else FAULTY for numbers in FREQUENCY_RATIOS])
     log_priors = np.log([[before] for _, before in prior]) + of_numbers
     probabilities = odds.weigh(np.ravel(likely), log_priors.ravel()).reshape(log_priors.shape)
     found = [

@@ -166,11 +166,6 @@ LONGEST_PULSE = 0.25
 """Part of a run between its first and last hit that asks to part them: half of it would otherwise go unused."""
 
 
-def default_method(record: Record) -> str:
-    """Return the method that suits the record's input."""
-    return _suited(record)[0]
-
-
 def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_sweep.Source:
     """Bring the record's data into the form the method needs.
 
@@ -193,7 +188,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_swee
     """
     checks.choice(method, MODAL_METHODS, "method")
     checks.whole(blocks, "blocks", least=4, most=200)
-    suited = _suited(record)
+    suited = suited_methods(record)
     if method not in suited:
         kind = "frequency response functions" if isinstance(record, FrfRecord) else f'input = "{record.input}"'
         raise UnsuitableError(f'method "{method}" cannot use {kind}; use "{suited[0]}"')
@@ -211,7 +206,7 @@ def source_of(record: Record, method: str, *, blocks: int = BLOCKS) -> pole_swee
     return _driven(record, blocks)
 
 
-def _suited(record: Record) -> tuple[str, ...]:
+def suited_methods(record: Record) -> tuple[str, ...]:
     """List the methods that can use the record's input, the one that suits it best first."""
     if isinstance(record, FrfRecord):
         return ("era",)
@@ -246,18 +241,11 @@ def _refuse_several_hits(record: TimeRecord) -> None:
 
 def _decays(record: TimeRecord) -> frf.ImpulseSource:
     record = decimated(without_offset(record))
-    decays, _ = releases_of(record)
-    impulse = pole_sweep.Impulse(decays, 0, np.zeros(decays.shape[2], dtype=np.int64))
+    starts = [_release(run.responses) for run in record.runs]
+    samples = min(run.samples - start for run, start in zip(record.runs, starts, strict=True))
+    decays = [run.responses[start : start + samples] for run, start in zip(record.runs, starts, strict=True)]
+    impulse = pole_sweep.Impulse(np.stack(decays, axis=2), 0, np.zeros(len(decays), dtype=np.int64))
     return frf.ImpulseSource(impulse, record.sampling_rate, releases=True)
-
-
-def releases_of(record: TimeRecord) -> tuple[Floats, Ints]:
-    """Cut the decay out of each run, shape (samples, channels, runs); the sample that it begins with comes second."""
-    runs = without_offset(record).runs
-    starts = np.array([_release(run.responses) for run in runs])
-    samples = min(run.samples - start for run, start in zip(runs, starts, strict=True))
-    pieces = [run.responses[start : start + samples] for run, start in zip(runs, starts, strict=True)]
-    return np.stack(pieces, axis=2), starts
 
 
 def _release(responses: Floats) -> int:
@@ -309,7 +297,7 @@ def _cuts(record: TimeRecord, blocks: int, before: int, after: int) -> Iterator[
 LINES = 512
 """Lines of a continuous record over the range that is shown: fine enough to see, averaged as often as that allows."""
 FEWEST_SEGMENTS = 8
-"""Of a continuous record; with fewer averages its coherence says nothing."""
+"""Of a continuous record; with fewer averages its functions are mostly noise."""
 LAG_WINDOW = 0.01
 """Value of the exponential window on covariances at the last lag; the window reduces noise."""
 
@@ -330,9 +318,6 @@ class Functions:
         Floor of each force, 0 the ground; for half-spectra the reference floors.
     driven : bool
         Whether an input was measured.
-    coherence : array, shape (lines, outputs, inputs), or None
-        Coherence of each response with the input or, without a measured input, with the reference; None without
-        averages.
     quantity : str
         What the responses are.
     decay : float
@@ -344,26 +329,13 @@ class Functions:
     floors: Ints
     inputs: Ints
     driven: bool
-    coherence: Floats | None
     quantity: str
     decay: float = 0.0
 
     def up_to(self, highest: float) -> Functions:
         """Leave out the lines above a frequency, Hz."""
         kept = self.frequencies <= highest
-        coherence = None if self.coherence is None else self.coherence[kept]
-        return dataclasses.replace(
-            self, frequencies=self.frequencies[kept], values=self.values[kept], coherence=coherence
-        )
-
-    @property
-    def indicator(self) -> Floats:
-        """Complex mode indicator function, shape (lines, min(outputs, inputs)): the singular values at each line.
-
-        Shih, Tsuei, Allemang and Brown 1988. For half-spectra the singular values of their Hermitian part stand
-        for those of the spectra (Brincker, Zhang and Andersen 2001).
-        """
-        return np.asarray(np.linalg.svd(self.values, compute_uv=False))
+        return dataclasses.replace(self, frequencies=self.frequencies[kept], values=self.values[kept])
 
 
 def measured_functions(record: Record, highest: float) -> Functions:
@@ -383,11 +355,10 @@ def measured_functions(record: Record, highest: float) -> Functions:
     if isinstance(record, FrfRecord):
         spectra, _ = frf.table_spectra(record)
         lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
-        found = _of_spectra(record, spectra, lines, averaged=False)
+        found = _of_spectra(record, spectra, lines)
     elif struck(record):
         spectra, samples = frf.hit_spectra(without_offset(record))
-        several = min(np.unique([item.floor for item in spectra], return_counts=True)[1]) > 1
-        found = _of_spectra(record, spectra, _lines(samples, rate), averaged=several)
+        found = _of_spectra(record, spectra, _lines(samples, rate))
     elif record.input in ("force", "base"):
         record, segment = detrended(record), _segment(record, highest)
         spectra = []
@@ -395,44 +366,36 @@ def measured_functions(record: Record, highest: float) -> Functions:
             assert run.excitation is not None
             cross, power = welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
             spectra.append(frf.Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
-        found = _of_spectra(record, spectra, _lines(segment, rate), averaged=True)
+        found = _of_spectra(record, spectra, _lines(segment, rate))
     else:
         found = _of_undriven(detrended(record), _segment(record, highest))
     return found.up_to(highest)
 
 
-def _of_spectra(record: Record, spectra: list[frf.Spectra], lines: Floats, *, averaged: bool) -> Functions:
+def _of_spectra(record: Record, spectra: list[frf.Spectra], lines: Floats) -> Functions:
     """Functions of a driven record, summed over what was recorded at each driving floor."""
     floors = np.unique([item.floor for item in spectra]).astype(np.int64)
-    values, coherence = [], []
+    values = []
     for floor in floors:
         hits = [item for item in spectra if item.floor == floor]
-        cross = np.sum([hit.response_force for hit in hits], axis=0)
         force = np.sum([hit.force_force for hit in hits], axis=0)[:, None]
-        response = np.sum([hit.response_response for hit in hits], axis=0)
-        values.append(cross / force)
-        coherence.append(_ratio(np.abs(cross) ** 2, force * response))
-    functions, seen = np.stack(values, axis=2)[1:], np.stack(coherence, axis=2)[1:] if averaged else None
+        values.append(np.sum([hit.response_force for hit in hits], axis=0) / force)
     decay = 0.0 if record.exponential_window is None else 1.0 / record.exponential_window
-    return Functions(lines[1:], functions, record.floors, floors, True, seen, record.quantity, decay)
+    return Functions(lines[1:], np.stack(values, axis=2)[1:], record.floors, floors, True, record.quantity, decay)
 
 
 def _of_undriven(record: TimeRecord, segment: int) -> Functions:
-    """Half-spectra and coherence against the highest floor."""
-    reference = len(record.channels) - 1
-    spectra = [welch(run.responses, reference, record.sampling_rate, segment) for run in record.runs]
-    cross, power = (np.sum([item[part] for item in spectra], axis=0) for part in (0, 1))
+    """Half-spectra against the highest floor."""
+    reference, rate = len(record.channels) - 1, record.sampling_rate
+    cross = np.sum([welch(run.responses, reference, rate, segment)[0] for run in record.runs], axis=0)
     lags = np.fft.irfft(cross, axis=0)[: segment // 2]
     # Positive lags alone, the sharp cut at the end softened; the zero lag counts half.
     lags[0] *= 0.5
     decay = -np.log(LAG_WINDOW) / len(lags)
     window = np.exp(-decay * np.arange(len(lags)))
     halves = np.fft.rfft(lags * window[:, None], n=segment, axis=0)
-    coherence = _ratio(np.abs(cross) ** 2, power[:, [reference]] * power)
-    coherence[:, reference] = np.nan
-    lines, functions, seen = _lines(segment, record.sampling_rate)[1:], halves[1:, :, None], coherence[1:, :, None]
-    against, a_second = record.floors[[reference]], float(decay * record.sampling_rate)
-    return Functions(lines, functions, record.floors, against, False, seen, record.quantity, a_second)
+    lines, against = _lines(segment, rate)[1:], record.floors[[reference]]
+    return Functions(lines, halves[1:, :, None], record.floors, against, False, record.quantity, float(decay * rate))
 
 
 def _lines(samples: int, rate: float) -> Floats:
@@ -452,7 +415,3 @@ def welch(columns: Floats, reference: int, rate: float, segment: int) -> tuple[C
     _, cross = scipy.signal.csd(columns[:, [reference]], columns, rate, nperseg=part, nfft=segment, axis=0)
     _, power = scipy.signal.welch(columns, rate, nperseg=part, nfft=segment, axis=0)
     return np.asarray(cross), np.asarray(power)
-
-
-def _ratio(above: Floats, below: Floats) -> Floats:
-    return np.asarray(np.divide(above, below, out=np.zeros_like(above), where=below > 0))

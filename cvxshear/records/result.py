@@ -34,15 +34,6 @@ OVERLOOKED_KIND = "overlooked mode"
 """The kind of the findings that put the numbers of modes in doubt."""
 
 
-def other_modes(findings: Sequence[Finding]) -> list[Json]:
-    """Alternative mode numbers of a record, as in `other_modes` of a measurement file."""
-    return [
-        {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
-        for item in findings
-        if item.kind == OVERLOOKED_KIND
-    ]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class ModalResult(Shown):
     """Modes of one record.
@@ -203,11 +194,17 @@ class ModalResult(Shown):
         result |= {
             "measured_floors": self.floors.tolist(),
             "modes": self.modes.tolist(),
-            **({"other_modes": others} if (others := other_modes(self.findings)) else {}),
+            "other_modes": [
+                {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
+                for item in self.findings
+                if item.kind == OVERLOOKED_KIND
+            ],
             "frequencies": self.frequencies.tolist(),
             "mode_shapes": self.mode_shapes.tolist(),
             "mass_normalized": self.mass_normalized,
         }
+        if not result["other_modes"]:
+            del result["other_modes"]
         if np.all(np.isfinite(self.frequency_std)):
             result["frequency_std"] = self.written_frequency_std.tolist()
         if np.all(np.isfinite(self.entry_std)):

@@ -93,17 +93,12 @@ def grid(result: Plan) -> list[str]:
 
 
 def expected_modes(result: Plan) -> blocks.Table:
-    """Tabulate the modes of the first test, and their expected accuracy if it differs between modes."""
-    modes = result.expected_modes
-    given = {
-        "mode": [str(each.mode) for each in modes],
-        "frequency, Hz": [quantities.significant(each.frequency) for each in modes],
-        "std of it": quantities.percents([each.frequency_std for each in modes]),
-        "std of a shape's entry": quantities.percents([each.mode_shape_std for each in modes]),
-    }
-    # The sentence about the noise gives every value that is equal for all modes.
-    shown = {name: cells for name, cells in given.items() if name == "mode" or len(set(cells)) > 1}
-    return blocks.table("expected-modes", f"expected modes ({result.names[0]})", shown)
+    """Tabulate the modes of the first test."""
+    test = result.model.expected(result.tests[0]).test
+    return blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
+        "mode": [str(mode) for mode in test.modes],
+        "frequency, Hz": [quantities.significant(float(frequency)) for frequency in test.frequencies],
+    })  # fmt: skip
 
 
 def added_masses(result: Plan) -> blocks.Table:

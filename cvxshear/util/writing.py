@@ -65,20 +65,13 @@ def escaped(text: str, *, surrogates: bool = False) -> str:
 
 
 def shell_line(arguments: Iterable[str]) -> str:
-    r"""Write a command for a shell; unprintable characters become \xNN inside $'...' (bash, zsh)."""
-    return " ".join(shlex.quote(each) if each.isprintable() else f"$'{_shell_escaped(each)}'" for each in arguments)
-
-
-def _shell_escaped(text: str) -> str:
-    quoted = text.replace("\\", "\\\\").replace("'", "\\'")
-    return "".join(
-        each if each.isprintable() else "".join(f"\\x{byte:02x}" for byte in os.fsencode(each)) for each in quoted
-    )
+    """Write a command for a shell; unprintable characters become their escapes."""
+    return shlex.join(map(printable, arguments))
 
 
 def json_text(value: object, *, indent: int = 2, ascii_only: bool = False) -> str:
     """Write a value as JSON, each row of numbers in one line; nan raises an error."""
-    mark, rows, marks = secrets.token_hex(8), [], dict[int, str]()
+    mark, rows, marks = secrets.token_hex(8), list[str](), dict[int, str]()
 
     def marked(item: object) -> object:
         # json writes indented text in Python, number by number, and a row without line breaks in C.

@@ -10,7 +10,7 @@ import pytest
 from cvxshear import InputError, NoSolutionError, UnsuitableError, backends
 from cvxshear.backends import Backend
 from cvxshear.backends.canonical import canonical
-from cvxshear.backends.installed import Auto
+from cvxshear.backends.solvers import Auto
 from cvxshear.programs import LeastSquares
 
 NAMES = backends.available()

@@ -4,14 +4,14 @@ residuals do not show."""
 import dataclasses
 import itertools
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy import linalg
 
 from cvxshear import InfeasibleError, NoSolutionError, backends
-from cvxshear.backends import canonical
-from cvxshear.backends import minimizer as closed
+from cvxshear.backends import base, canonical
 from cvxshear.backends.base import accurate
 from cvxshear.backends.minimizer import minimizer
 from cvxshear.programs import LeastSquares
@@ -263,7 +263,7 @@ def test_the_same_bound_said_twice_holds_the_minimizer_like_one():
 
 
 def test_an_answer_whose_inequalities_cannot_be_told_is_refused(monkeypatch):
-    monkeypatch.setattr(closed, "ACTIVE_SETS", 0)
+    monkeypatch.setattr(base, "minimizer", partial(minimizer, most_sets=0))
     with pytest.raises(NoSolutionError, match=r"active inequalities cannot be determined"):
         backends.get("clarabel").solve(bounded(0)[0])
 

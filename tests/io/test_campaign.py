@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cvxshear
-from cvxshear.io.modes import identify_modes_many, record_files, write_merged
+from cvxshear.io.modes import identify_modes_many, write_merged
 from cvxshear.records import IdentifiedRecord, from_arrays, merged
 from cvxshear.util.errors import InputError, NoSolutionError
 from tests.io.campaign import ADDED, MASSES, SOFTER, STIFFNESSES, frame, write_records
@@ -143,14 +143,3 @@ def test_a_mass_that_nobody_gave():
     assert merged(alone)["frame"]["total_mass"] == 1.0
     loaded = [alone[0], dataclasses.replace(alone[1], added_mass=[0.0, 2.0])]
     assert "total_mass" not in merged(loaded)["frame"]
-
-
-def test_patterns(tmp_path):
-    for name in ("run-10.toml", "run-2.toml"):
-        (tmp_path / name).write_text("[record]\n")
-    (tmp_path / "test.toml").write_text("[frame]\n")
-    files, left_out = record_files([str(tmp_path / "*.toml"), tmp_path / "run-2.toml"])
-    assert [path.name for path in files] == ["run-2.toml", "run-10.toml"]
-    assert [path.name for path in left_out] == ["test.toml"]
-    with pytest.raises(InputError, match="no record file is called so"):
-        record_files([str(tmp_path / "x*.toml")])

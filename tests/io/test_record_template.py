@@ -229,7 +229,11 @@ def test_functions(run, tmp_path):
         functions = two_story_frf(frequencies, 0.01, floor)
         parts = np.column_stack([frequencies, *(part for each in functions.T for part in (each.real, each.imag))])
         csv(tmp_path / f"set-{floor}.csv", ["freq", "floor1_re", "floor1_im", "floor2_re", "floor2_im"], parts)
-    assert run("new", "--record", tmp_path / "set-*.csv", "-o", tmp_path / "r.toml") == (0, "", "")
+    assert run("new", "--record", tmp_path / "set-1.csv", tmp_path / "set-2.csv", "-o", tmp_path / "r.toml") == (
+        0,
+        "",
+        "",
+    )
     assert "from the order of the files: the floor" in (tmp_path / "r.toml").read_text()
     result, _ = modes_from_file(tmp_path / "r.toml")
     np.testing.assert_allclose(result.frequencies, TWO_STORY_FREQUENCIES, rtol=1e-3)

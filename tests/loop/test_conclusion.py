@@ -49,6 +49,17 @@ def test_declared_inequalities_are_assumptions_of_the_verdict():
     assert "5" in said[0]
 
 
+def test_stiffnesses_are_averaged_without_gravity_that_the_data_do_not_tell():
+    """In one test, gravity equals a change of every stiffness (P / h); its prior probability is one half."""
+    tall = measured(frame={"total_mass": 24.0, "story_heights": 0.5})
+    result = close_loop(tall, effects=["gravity"])
+    (gravity,) = result.candidates
+    assert gravity.probability == pytest.approx(0.5, abs=0.2)
+    np.testing.assert_allclose(result.averaged.story_stiffness, result.frame.story_stiffness, rtol=1e-3)
+    np.testing.assert_allclose(result.averaged.story_stiffness_std, result.frame.story_stiffness_std, rtol=0.1)
+    assert any("gravity" in each for each in result.information)
+
+
 @pytest.mark.parametrize(
     ("frame", "added", "keys", "word"),
     [

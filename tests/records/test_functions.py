@@ -1,4 +1,4 @@
-"""Test measured functions against dynamic stiffness, coherence against its closed form, and manually chosen poles."""
+"""Test measured functions against dynamic stiffness, and manually chosen poles."""
 
 from __future__ import annotations
 
@@ -44,14 +44,6 @@ def test_the_modes_make_the_same_functions(hammer):
     assert np.sqrt(np.mean(error**2)) < 0.03
 
 
-def test_the_indicator_peaks_at_the_modes(hammer):
-    seen = hammer.functions
-    largest = seen.indicator[:, 0]
-    peaks = seen.frequencies[1:-1][(largest[1:-1] > largest[:-2]) & (largest[1:-1] > largest[2:])]
-    for frequency in hammer.frequencies:
-        assert np.abs(peaks - frequency).min() < 0.02
-
-
 def test_half_spectra_of_an_ambient_record_are_made_of_its_modes():
     result = identify_modes(ambient_record(PAPER_FRAME, 0, noise=0.01, duration=600.0), functions=True)
     seen = result.functions
@@ -61,14 +53,12 @@ def test_half_spectra_of_an_ambient_record_are_made_of_its_modes():
     assert np.linalg.norm(left) < 0.15 * np.linalg.norm(seen.values[within])
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.5, 1.0])
-def test_coherence_is_the_share_of_the_response_that_the_input_makes(noise):
+def test_a_force_without_a_frame_has_a_constant_function():
     random = np.random.default_rng(3)
     force = random.standard_normal(40_000)
-    response = 2.0 * force + 2.0 * noise * random.standard_normal(len(force))
+    response = 2.0 * force + 2.0 * random.standard_normal(len(force))
     record = TimeRecord((Channel("a", 1),), runs=(Run(response[:, None], force, 1),), sampling_rate=50.0, input="force")
     seen = measured_functions(record, 20.0)
-    assert np.mean(seen.coherence) == pytest.approx(1 / (1 + noise**2), abs=0.02)
     assert np.mean(seen.values.real) == pytest.approx(2.0, rel=0.02)
     assert seen.frequencies.max() <= 20.0
 

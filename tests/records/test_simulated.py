@@ -87,12 +87,6 @@ def test_accuracy_of_twenty_ambient_minutes(noise: float):
     assert np.abs(found.shape_errors).max() < 0.02
 
 
-def test_subspace_method_is_as_accurate():
-    found = scatter("base", noise=0.05, seeds=1, method="subspace", duration=600.0)
-    assert np.abs(found.frequency_errors).max() < 0.0003
-    assert np.abs(found.shape_errors).max() < 0.008
-
-
 def test_stated_deviations_hold():
     # The deviation ratio of eight short records scatters by a quarter. The median of nine ratios scatters less.
     found = scatter("base", noise=0.05, seeds=8, duration=120.0)

@@ -292,7 +292,7 @@ REFUSED = {
     "a report that is no page": (["loop", "paper", "--report", "a.pdf"], "--report: a.pdf must end in .html or .htm"),
     "a figure that is none": (["loop", "paper", "--figure", "a.doc"], "--figure: a.doc must end in .svg or .png or"),
     "JSON under another's name": (
-        ["identify", "paper", "--json", "m.toml"], "--json: m.toml has the ending of another kind of file",
+        ["identify", "paper", "--json", "m.toml"], "--json: m.toml must end in .json",
     ),
     "no folder": (["loop", "paper", "--report", "none/a.html"], "--report: none/a.html cannot be written: there is no"),
     "the input, by a link": (["identify", "m.toml", "--json", "link.json"], "--json: link.json would be written over"),
