@@ -24,9 +24,6 @@ parameters make every fit take minutes."""
 STANDS_OUT = 3.0
 """Smallest distance from zero, in standard deviations, of an entry that is named as a place of a model error."""
 
-MOST_NAMED = 3
-"""Largest number of entries that a sentence names, the most significant first."""
-
 
 class OpenClass(Effect):
     """Violation of a statement of the shear model that the catalogue does not describe.
@@ -82,12 +79,12 @@ class OpenClass(Effect):
         """Return name and place of the catalogue's effect that equals one entry alone, or None."""
         return None
 
-    def conspicuous(self, values: Floats, std: Floats) -> list[int]:
-        """List the significant entries, the most significant first."""
+    def conspicuous(self, values: Floats, std: Floats, most: int = 3) -> list[int]:
+        """List the significant entries, the most significant first and not more than a sentence can name."""
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.nan_to_num(np.abs(values) / std)
         order = [i for i in ranking.order(z) if z[i] >= STANDS_OUT]
-        return order[:MOST_NAMED]
+        return order[:most]
 
 
 def pairs(stories: int, *, ground: bool) -> list[tuple[int, int]]:

@@ -37,11 +37,6 @@ class Scale:
     heights: Floats
 
     @property
-    def elevations(self) -> Floats:
-        """Elevations of the floors, shape (N,)."""
-        return np.cumsum(self.heights)
-
-    @property
     def sway(self) -> float:
         """Displacement of the top under a unit force there, m/N, for equal stories."""
         return len(self.heights) / self.story_stiffness
@@ -205,11 +200,6 @@ class State:
     def heights(self) -> Floats:
         """Story heights, shape (N,), m; ones if not declared."""
         return heights_of(self.experiment)
-
-    @property
-    def elevations(self) -> Floats:
-        """Elevations of the floors, shape (N,), m."""
-        return np.cumsum(self.heights)
 
 
 def summed(values: Floats, units: Floats) -> Floats:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import integrate, special
+from scipy import integrate, linalg, special
 
 from cvxshear.util.typing import Floats
 
@@ -40,9 +40,9 @@ LARGEST_LOG_CHANGE = 20.0
 LOG_SIZES = np.linspace(-4.0, 4.0, 33)
 """Points of the integral over one log size, in units of its width (one for Student's t)."""
 
-INTEGRAL_REACH, POINTS = 12.0, 401
-"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations, and number of its
-points. The tails of Student's t need a longer reach than a Gaussian."""
+INTEGRAL_REACH = 12.0
+"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations: the tails of Student's
+t need a longer one than a Gaussian."""
 
 SECOND_MODE = 5.0
 """Largest log probability above the optimum. A higher point shows that the optimum is only a lower second mode, which
@@ -127,36 +127,42 @@ class SizeMarginal:
         u, slope = np.array(found).T
         return u, slope
 
-    def log_density(self, points: Floats) -> tuple[Floats, Floats]:
-        """Compute log p(data, u(v)), without those terms, at points v of shape (n, g), and its derivatives, (n, g)."""
-        found = [self.log_factors(v) for v in points]
-        u, slope = np.array([each[0] for each in found]), np.array([each[1] for each in found])
+    def negative(self, v: Floats) -> tuple[float, Floats]:
+        """Compute minus log p(data, u(v)), without these terms, and its derivative by v."""
+        u, slope = self.log_factors(v)
         weight = np.exp(-2.0 * np.clip(u - self.here, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE))
         change = weight - 1.0
         H = np.eye(self._information.shape[1]) + np.tensordot(change, self._information, 1)
         try:
+            factor = linalg.cho_factor(H, check_finite=False)
+        except linalg.LinAlgError:
+            return np.inf, np.zeros(len(v))
+        gradient = self._left + change @ self._gradient
+        step = -linalg.cho_solve(factor, gradient, check_finite=False)
+        log_det = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
+        prior = float(np.sum((v / self.widths) ** 2))
+        value = -0.5 * (change @ self._chi2 + gradient @ step + self._left @ self._left + log_det + prior)
+        value -= self._counts @ u
+        left = self._chi2 + 2.0 * self._gradient @ step + np.einsum("i,gij,j->g", step, self._information, step)
+        inverse = linalg.cho_solve(factor, np.eye(len(H)), check_finite=False)
+        known = np.einsum("ij,gji->g", inverse, self._information)
+        return -float(value), -(slope * (weight * (left + known) - self._counts) - v / self.widths**2)
+
+    def values(self, points: Floats) -> Floats:
+        """log p(data, u(v)), without those terms, at points v, shape (n, g): all at once, as one at a time is slow."""
+        u = np.array([self.log_factors(v)[0] for v in points])
+        change = np.exp(-2.0 * np.clip(u - self.here, -LARGEST_LOG_CHANGE, LARGEST_LOG_CHANGE)) - 1.0
+        H = np.eye(self._information.shape[1]) + np.tensordot(change, self._information, 1)
+        try:
             root = np.linalg.cholesky(H)
         except np.linalg.LinAlgError:
-            if len(points) == 1:
-                return np.full(1, -np.inf), np.zeros_like(points)
-            values, slopes = zip(*(self.log_density(v[None]) for v in points), strict=True)
-            return np.concatenate(values), np.concatenate(slopes)
-        inverse = np.linalg.inv(root)
-        inverse = np.swapaxes(inverse, 1, 2) @ inverse
+            return np.array([-self.negative(v)[0] for v in points])
         gradient = self._left + change @ self._gradient
-        step = -(inverse @ gradient[:, :, None])[:, :, 0]
+        scaled = np.linalg.solve(root, gradient[..., None])[..., 0]
         log_det = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
         prior = np.sum((points / self.widths) ** 2, axis=1)
-        left = self._chi2 + 2.0 * step @ self._gradient.T + np.einsum("ni,gij,nj->ng", step, self._information, step)
-        known = np.einsum("nij,gji->ng", inverse, self._information)
-        chi2 = change @ self._chi2 + np.sum(gradient * step, axis=1) + self._left @ self._left
-        values = -0.5 * (chi2 + log_det + prior) - u @ self._counts
-        return values, slope * (weight * (left + known) - self._counts) - points / self.widths**2
-
-    def negative(self, v: Floats) -> tuple[float, Floats]:
-        """Compute minus `log_density` and its derivative at one point."""
-        values, slopes = self.log_density(v[None])
-        return -float(values[0]), -slopes[0]
+        gained = np.sum(scaled**2, axis=1) - self._left @ self._left
+        return np.asarray(0.5 * (gained - change @ self._chi2 - log_det - prior) - u @ self._counts)
 
     def curvature(self, v: Floats) -> Floats:
         """Compute minus the second derivatives of log p(data, u), by differences of the first, shape (g, g).
@@ -165,8 +171,8 @@ class SizeMarginal:
         """
         change = 1e-3
         steps = change * np.eye(len(v))
-        rows = (self.log_density(v - steps)[1] - self.log_density(v + steps)[1]) / (2 * change)
-        values, vectors = np.linalg.eigh(0.5 * (rows + rows.T))
+        rows = [(self.negative(v + step)[1] - self.negative(v - step)[1]) / (2 * change) for step in steps]
+        values, vectors = np.linalg.eigh(0.5 * (np.array(rows) + np.array(rows).T))
         least = max(0.1 / float(np.max(self.widths)) ** 2, 1e-12 * float(values[-1]))
         return np.asarray((vectors * np.maximum(values, least)) @ vectors.T)
 
@@ -176,14 +182,14 @@ class SizeMarginal:
         nodes, weights = np.polynomial.hermite.hermgauss(NODES.get(len(v), 1))
         points = np.array(list(itertools.product(nodes, repeat=len(v))))
         logs = np.array([sum(each) for each in itertools.product(np.log(weights) + nodes**2, repeat=len(v))])
-        values = self.log_density(v + points @ root.T)[0] + logs
+        values = self.values(v + points @ root.T) + logs
         log_det = float(np.linalg.slogdet(root)[1])
         return float(special.logsumexp(values)) + log_det - float(np.sum(np.log(self.widths * np.sqrt(2 * np.pi))))
 
     def over_grid(self) -> tuple[float, float]:
         """Return, for a single size, the log of its integral over a grid and the log of its most probable factor."""
         points = self.widths[0] * LOG_SIZES
-        values = self.log_density(points[:, None])[0]
+        values = self.values(points[:, None])
         integral = float(np.logaddexp.reduce(values) - np.logaddexp.reduce(-0.5 * LOG_SIZES**2))
         return integral, self._sizes[0].log_factor(float(points[np.argmax(values)]))[0]
 
@@ -257,7 +263,7 @@ def log_interval(lower: ArrayLike, upper: ArrayLike, slope: ArrayLike, std: Arra
 
 
 def log_tailed_interval(
-    lower: float, upper: float, slope: float, std: float, deviation: float, size: float, tail: float
+    lower: float, upper: float, slope: float, std: float, deviation: float, size: float, tail: float, points: int = 401
 ) -> float:
     """Return the log integral of a parameter with Student's prior, which replaces Laplace's Gaussian integral.
 
@@ -276,9 +282,11 @@ def log_tailed_interval(
         Deviation of the optimum from the null value.
     size, tail : float
         Size and degrees of freedom of the prior.
+    points : int, optional
+        Number of points of the integral.
     """
     reach = np.arcsinh(np.clip(np.array([lower, upper]) / std, -np.sinh(INTEGRAL_REACH), np.sinh(INTEGRAL_REACH)))
-    y = np.linspace(reach[0], reach[1], POINTS)
+    y = np.linspace(reach[0], reach[1], points)
     t = std * np.sinh(y)
     r, _ = tailed((deviation + t) / size, tail)
     here, unit_slope = tailed(np.array([deviation / size]), tail)

@@ -37,7 +37,7 @@ PHASES = 50
 lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure."""
 SEGMENT = 20.0
 """s; long beside the longest delay, short enough that a record has many."""
-CLOCK_PARTS = 10
+CLOCK_PARTS = 8
 """Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself."""
 NOISE_FLOOR = 10.0
 """Times the tenth of a channel's lines that hold least: below it a line counts little."""

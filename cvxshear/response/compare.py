@@ -15,7 +15,7 @@ import scipy
 
 from cvxshear.records.motion import DrivenRecord, DrivenRun, trend
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.recording import Recording, rms
+from cvxshear.response.recording import Recording, earlier, rms
 from cvxshear.response.state_space import Response, response
 from cvxshear.util.quantities import CHANNEL_UNITS, ranged
 from cvxshear.util.results import InJson
@@ -343,9 +343,12 @@ def readings_of(model: DampedModel, recording: Recording) -> list[Recording]:
 def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     """Return a recording corrected by the prediction of the identified model.
 
-    A channel is inverted if it alone moves opposite to its prediction. Other contradictions are added to the remarks.
+    A channel is inverted if it alone moves opposite to its prediction. A removed delay is restored if the sensor was
+    nearer to its prediction with the delay: dampers shift phases as clocks do, and the model includes dampers. Other
+    contradictions are added to the remarks.
     """
     shown = [seen(model, each, recording.floors) for each in predicted_responses(model, recording)]
+    recording = _with_delays(recording, shown)
     measured = np.concatenate([run.measured - trend(run.measured) for run in recording.runs])
     predicted = np.where(np.isfinite(measured), np.concatenate([own - trend(own) for own in shown]), 0.0)
     measured = np.nan_to_num(measured)
@@ -360,3 +363,28 @@ def as_predicted(model: DampedModel, recording: Recording) -> Recording:
     remarks = (*recording.remarks, *said, *([contradicted] if contradicted else []))
     turned = recording.replaced(measured=(signs * run.measured for run in recording.runs))
     return dataclasses.replace(turned, remarks=remarks)
+
+
+def _with_delays(recording: Recording, predicted: Sequence[Floats]) -> Recording:
+    """Restore the delays of sensors that are nearer to their prediction with the delay."""
+    late = np.zeros((len(recording.floors), 2)) if recording.late is None else recording.late
+    measured, remarks = [run.measured.copy() for run in recording.runs], list(recording.remarks)
+    for column in np.flatnonzero(late.any(axis=1)):
+        started, delayed = 0, []
+        for values in measured:
+            delayed.append(earlier(values[:, column], -late[column], recording.sampling_rate, started))
+            started += len(values)
+        own = [values[:, column] for values in predicted]
+        if _misfit(delayed, own) < _misfit([values[:, column] for values in measured], own):
+            for values, with_delay in zip(measured, delayed, strict=True):
+                values[:, column] = with_delay
+            message = recording.late_remarks[column]
+            remarks = [each for each in remarks if each != message]
+            if recording.late_remarks.count(message) > 1:
+                # A delay of the input belongs to all sensors; the other sensors may stay corrected.
+                remarks.append(f"{message}; left in for floor {recording.floors[column]}")
+    return dataclasses.replace(recording.replaced(measured=measured), remarks=tuple(remarks))
+
+
+def _misfit(measured: Sequence[Floats], predicted: Sequence[Floats]) -> float:
+    return sum(rms(seen - trend(seen) - own + trend(own)) for seen, own in zip(measured, predicted, strict=True))

@@ -23,18 +23,19 @@ from cvxshear.response.damping import DampedModel
 from cvxshear.response.innovations import Directions, PredictionErrors
 from cvxshear.response.sources import covariance_root
 from cvxshear.util.decorators import cached_property
+from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
 FITTED_SAMPLES, PROBED_SAMPLES = 10_000, 2_000
-"""Samples of the strongest segment of each run for the fit, and for the choice of its directions. The time of a fit is
-proportional to this number; model errors limit the accuracy with more samples."""
+"""Samples of the strongest segment of each run for the last fit, and for the first one and the choice of directions.
+The time of a fit is proportional to this number; model errors limit the accuracy with more samples."""
 
-LEAST_INFORMATION = 0.5
-"""Minimum information, relative to the prior, for a direction to be fitted. A record with less information reduces the
-variance by less than a fifth, and the prior of the direction remains."""
+LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
+"""Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
+with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
 
-FITTED = Accuracy(step=0.1, most_steps=20)
-"""Accuracy of the fit; four to eight steps are usual."""
+FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, most_steps=12)
+"""Accuracy of the last and of the first fit; four to eight steps are usual."""
 
 MOST_REFITS = 4
 """Maximum number of selections of the changes, and of fits that fill in gaps and spikes for the next one. An error of a
@@ -262,7 +263,7 @@ def fit_frame(
     backend : Backend
         Solver of the steps.
     start : ndarray, shape (P,), optional
-        End of an earlier fit; by default, the identified frame.
+        End of an earlier fit; without `start`, a rough fit to a short part comes first.
     free : bool, optional
         Whether the frame is fitted; otherwise only the noise is fitted.
     """
@@ -276,8 +277,16 @@ def fit_frame(
         covariance = prior.gaussian(*answer.prior).covariance
         along, evidence = at.posterior.along, -0.5 * at.objective
         return FittedFrame(errors, prior, at.p, covariance, (answer,), 1.0, converged, along, evidence)
+    if start is None:
+        along = informative(errors, prior, p, FIRST_INFORMATION)
+        rough = _Posterior(errors.shortened(PROBED_SAMPLES), along, prior.widest)
+        p = rough.maximum(p, backend, FIRST_FITTED)[0].p
     along = informative(errors, prior, p)
-    answer = frame_prior.possible_answers(errors.linearised(p, along), prior, p)[0]
+    # The start must be near the right answer. Otherwise the fit would change the masses or their scale in place of a
+    # story, and rarely return, because base motion does not determine this scale.
+    likelihood = errors.linearised(p, along)
+    answer = frame_prior.possible_answers(likelihood, prior, p)[0]
+    p = _nearer(errors, likelihood, prior.gaussian(*answer.prior), p)
     for _ in range(MOST_REFITS):
         at, converged = _Posterior(errors, along, prior.gaussian(*answer.prior)).maximum(p, backend)
         p, answers, before = at.p, frame_prior.possible_answers(at.likelihood, prior, at.p), answer
@@ -287,11 +296,25 @@ def fit_frame(
     return _mixed(errors, prior, at, answers, converged)
 
 
-def informative(errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats) -> Directions:
+def _nearer(
+    errors: PredictionErrors, likelihood: frame_prior.Likelihood, prior: frame_prior.Gaussian, p: Floats
+) -> Floats:
+    """Return the most probable point of a linearized likelihood; p if the frame has no modes there."""
+    nearer = np.clip(frame_prior.Linear(likelihood, p, prior).posterior()[0], *errors.bounds(prior))
+    try:
+        errors.model(nearer)
+    except NoModesError:
+        return p
+    return nearer
+
+
+def informative(
+    errors: PredictionErrors, prior: frame_prior.FramePrior, p: Floats, least: float = LEAST_INFORMATION
+) -> Directions:
     """Find the directions on which the record has information, for all possible changes and errors of form."""
     short = errors.shortened(PROBED_SAMPLES)
     root = np.asarray(np.linalg.cholesky(prior.widest.covariance), dtype=np.float64)
-    return short.informed(p, root, LEAST_INFORMATION * np.sqrt(short.samples / errors.samples))
+    return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
 def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, *, free: bool) -> FittedFrame:

@@ -331,11 +331,11 @@ def _from_rest(here: Filter, run: Segment, spread: Floats, whitening: Floats) ->
     """Return whitened innovations from rest, shape (samples m,), after their change by an initial state L z."""
     _, e = here.predicted(run.excitation, run.seen, np.zeros(len(spread)))
     shown, state = whitening @ here.model.H, spread
-    free = np.zeros((len(run.y), *shown.shape))
+    free = np.zeros((len(run.y), len(shown), spread.shape[1]))
     forgotten = ROUNDING * np.max(np.abs(state))
     for row in free:
         row[...] = shown @ state
         state = here.F @ state
         if np.max(np.abs(state)) <= forgotten:
             break
-    return free.reshape(-1, shown.shape[1]), (e @ whitening.T).ravel()
+    return free.reshape(-1, spread.shape[1]), (e @ whitening.T).ravel()

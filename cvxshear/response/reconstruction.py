@@ -21,7 +21,7 @@ from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
 from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.response import frame_motion, sources
-from cvxshear.response.compare import as_predicted, predicted_responses, readings_of
+from cvxshear.response.compare import as_predicted, predicted_responses, readings_of, seen
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.predicted import Peaks, peaks_of
@@ -36,6 +36,9 @@ from cvxshear.util.typing import Floats, Ints, Json
 
 SIGN_KNOWN = float(special.ndtri(SURE))
 """Minimum change of a reported story, in standard deviations: its sign is certain."""
+
+GAIN_OFF = 3.0, 0.005
+"""Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
 
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
@@ -203,10 +206,11 @@ class Reconstruction(Shown):
         """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
         names.append(f"the sensor of the {sources.DRIVING[self.recording.input]}")
+        deviations, least = GAIN_OFF
         return tuple(
             (name, float(value), float(std))
-            for name, value, std, chance in zip(names, *self.frame.gains, self.frame.probability("gain"), strict=True)
-            if self.names_changes and chance >= SURE and abs(value) > SIGN_KNOWN * std
+            for name, value, std in zip(names, *self.frame.gains, strict=True)
+            if self.names_changes and abs(value) > max(deviations * std, least)
         )
 
     @property
@@ -391,7 +395,7 @@ def reconstruct(
     identified = frame.at(np.zeros(frame.size)).model
     recording = recorded = as_predicted(identified, recording)
     if detrend:
-        recording = recording.detrended()
+        recording = recording.without_base_line()
     readings = readings_of(identified, recording)
     done, parts = itertools.count(1), 2 + (len(recording.floors) if leave_out else 0)
 
@@ -399,7 +403,7 @@ def reconstruct(
         if progress is not None:
             progress(next(done), parts)
 
-    work, fitted, smoothed, evidences, fallback = _motion(frame, readings, fit=fit, detrend=detrend)
+    work, fitted, smoothed, evidences, fallback = _motion(frame, readings, identified, fit=fit, detrend=detrend)
     advance()
     predicted = predicted_responses(identified, work.recording)
     checks = []
@@ -426,7 +430,7 @@ _Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed]]
 
 
 def _motion(
-    frame: UncertainFrame, readings: Sequence[Recording], *, fit: bool, detrend: bool
+    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, fit: bool, detrend: bool
 ) -> tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
@@ -441,14 +445,14 @@ def _motion(
     fallback = ""
     if fit:
         try:
-            best, evidences = _most_probable(frame, readings, free=True, detrend=detrend)
+            best, evidences = _most_probable(frame, readings, identified, free=True, detrend=detrend)
             fallback = _implausible(best[1]) if best[0].free else ""
         except (np.linalg.LinAlgError, NoModesError, NoSolutionError):
             fallback = "the fit of the frame failed"
         if not fallback:
             return *best, evidences, ""
     try:
-        best, evidences = _most_probable(frame, readings, free=False, detrend=detrend)
+        best, evidences = _most_probable(frame, readings, identified, free=False, detrend=detrend)
     except (np.linalg.LinAlgError, NoModesError) as error:
         raise UnsuitableError(f"{readings[0].name}: no motion of this frame comes near the record ({error})") from error
     work, fitted, smoothed = best
@@ -473,13 +477,17 @@ def _implausible(fitted: FittedFrame) -> str:
 
 
 def _most_probable(
-    frame: UncertainFrame, readings: Sequence[Recording], *, free: bool, detrend: bool
+    frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, free: bool, detrend: bool
 ) -> tuple[_Fit, list[float]]:
     """Return the most probable fit, and the log evidence of each reading; only one fit is kept, to save memory."""
     best: _Fit | None = None
     evidences = []
     for each in readings:
-        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, each, free=free).fitted(detrend=detrend)
+        reading = each
+        if detrend:
+            moved = predicted_responses(identified, each)
+            reading = each.without_lines([seen(identified, own, each.floors) for own in moved])
+        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, reading, free=free).fitted(detrend=detrend)
         evidences.append(fitted.log_evidence)
         if best is None or fitted.log_evidence > best[1].log_evidence:
             # The states of a long record need much memory; `runs` computes them again with their deviations.

@@ -23,7 +23,7 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
 from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.response import damping
-from cvxshear.response.sources import Fitted, covariance_root
+from cvxshear.response.sources import Fitted
 from cvxshear.util import checks
 from cvxshear.util.errors import NoModesError, UnsuitableError
 from cvxshear.util.results import Shown
@@ -118,8 +118,13 @@ class UncertainFrame:
         if covariance is None:
             return np.zeros((len(self.fitted.theta), 0))
         rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
-        root = np.linalg.pinv(covariance_root(covariance[np.ix_(rest, rest)])).T
-        return np.asarray(np.sqrt(self.fitted.misfit) * covariance[:, rest] @ root)
+        std = np.sqrt(np.maximum(np.diag(covariance)[rest], 0.0))
+        unit = np.where(std > 0, std, 1.0)
+        values, vectors = np.linalg.eigh(covariance[np.ix_(rest, rest)] / np.outer(unit, unit))
+        kept = values > 1e-10 * max(float(values[-1]), 1e-300)
+        scaled = vectors[:, kept] / np.sqrt(values[kept])
+        root: Floats = np.sqrt(self.fitted.misfit) * (covariance[:, rest] / unit) @ scaled
+        return root
 
     def at(self, xi: Floats) -> Damped:
         """Build the damped model at one value of xi.

@@ -168,14 +168,6 @@ def test_beams_of_each_floor_by_themselves(with_others):
     )
 
 
-def test_derivatives_are_symmetric():
-    tested = experiment()
-    effects = [effect for effect, _ in CASES.values()]
-    state = compose(tested, tested.configurations[1], effects, theta(*(value for _, value in CASES.values())))
-    for matrices in (state.system.dM, state.system.dK):
-        np.testing.assert_allclose(matrices, matrices.transpose(0, 2, 1), rtol=0, atol=1e-12 * np.max(np.abs(matrices)))
-
-
 def test_every_effect_of_the_catalogue_is_tested():
     """Every effect is tested, except statements about masses and priors, which change no matrix.
     `tests/loop/test_open_classes.py` tests the forces."""

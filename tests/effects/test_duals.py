@@ -69,13 +69,6 @@ def test_what_has_no_dual():
         assert effect.dual(Place(floor=2), STORIES) is None
 
 
-def test_an_effect_without_anything_to_bind_is_itself():
-    for effect in catalogue():
-        assert effect.kind == "cause"
-        if effect.name not in {"attached_mass", "load_mounting"}:
-            assert effect.bound(bare()) is effect
-
-
 @pytest.mark.parametrize(
     ("more", "as_well"),
     [({}, True), ({"added_mass": [0.0, 0.0, 1.0, 0.0]}, False), ({"mode_shapes": [[0.3, 0.6, 0.8, 1.0]]}, False)],

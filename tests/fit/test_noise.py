@@ -75,7 +75,7 @@ def test_the_marginal_is_the_gaussian_integral_that_it_stands_for():
 
     first, second = marginal.here + np.array([0.3, -0.5]), marginal.here + np.array([-0.6, 0.2])
     expected = direct(first) - direct(second)
-    here, there = marginal.log_density(np.array([first, second]))[0]
+    here, there = marginal.values(np.array([first, second]))
     assert here - there == pytest.approx(expected, rel=1e-6)
     assert [here, there] == pytest.approx([-marginal.negative(each)[0] for each in (first, second)], rel=1e-12)
 

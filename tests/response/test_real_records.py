@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cvxshear.response import reconstruct, reconstruction
+from cvxshear.response import frame_motion, reconstruct
 from tests.records.shared import mini_table, needs_mini_table
 from tests.studies.response_amplitude import crossed, decay, off
 from tests.studies.response_records import models, predicted
@@ -92,8 +92,8 @@ def test_the_middle_floor_from_the_other_two(frame, largest, tmp_path, monkeypat
 
     `tests.studies.response_records.sensors` also omits floors 1 and 3, over the whole record.
     """
-    checked, passed = reconstruction.checked, SimpleNamespace(floor=0, error=0.0, stated=1.0)
-    monkeypatch.setattr(reconstruction, "checked", lambda *given: checked(*given) if given[3] == 1 else passed)
+    checked, passed = frame_motion.checked, SimpleNamespace(floor=0, error=0.0, stated=1.0)
+    monkeypatch.setattr(frame_motion, "checked", lambda *given: checked(*given) if given[3] == 1 else passed)
     file = mini_table(tmp_path, f"{frame}-sine-2.0")
     file.write_text(re.sub(r"(file = .*)\n([\s\S]*)", r"\2\n[[run]]\n\1\nstart = 20.0\nend = 60.0\n", file.read_text()))
     found = reconstruct(models(f"{frame}-northridge"), file)

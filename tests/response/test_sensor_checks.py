@@ -126,8 +126,10 @@ def test_floors_have_the_motion_of_their_sensors_along_the_test():
     """Floor 2 has two sensors, one at 30 degrees; their projections are averaged, and a sensor across is omitted."""
     channels = Channel("a", 1, direction=90.0), Channel("b", 2), Channel("c", 2, direction=30.0), Channel("d", 5)
     measured = np.array([[9.0, 2.0, 3.0, 7.0], [9.0, np.nan, 3.0, 7.0]])
-    floors, (run,) = SensorRecord(channels, (RecordedRun(measured, np.zeros(2), "r"),), 100.0, "base").by_floor()
-    assert floors.tolist() == [2, 5]
+    floors, (run,), firsts = SensorRecord(
+        channels, (RecordedRun(measured, np.zeros(2), "r"),), 100.0, "base"
+    ).by_floor()
+    assert (floors.tolist(), firsts) == ([2, 5], [1, 3])
     np.testing.assert_allclose(run.measured, [[1.0 + 1.5 / np.cos(np.pi / 6), 7.0], [np.nan, 7.0]])
 
 
