@@ -1,16 +1,49 @@
-"""Decorators: a cached property, and NumPy's usual error handling."""
+"""Decorators: a cached property without a lock, and NumPy's usual error handling."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property as cached_property  # noqa: PLC0414
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
+
+if TYPE_CHECKING:
+    # Type checkers know this name; the class below behaves as it does.
+    from functools import cached_property as cached_property  # noqa: PLC0414
+else:
+
+    class cached_property:  # noqa: N801
+        """A property that is computed once for each object and kept in its `__dict__`.
+
+        `functools.cached_property` of Python 3.11 holds one lock for all instances of a class while it computes. A
+        process that is forked meanwhile inherits the lock and waits for it forever. Without a lock, two threads may
+        both compute a value; both values are equal, and one of them stays.
+
+        Parameters
+        ----------
+        function : callable
+            Computes the value from the object.
+        """
+
+        def __init__(self, function: Callable[[Any], Any]) -> None:
+            self.func = function
+            self.__doc__ = function.__doc__
+            self.__module__ = function.__module__
+
+        def __set_name__(self, owner: type, name: str) -> None:
+            self.name = name
+
+        def __get__(self, instance: object | None, owner: type | None = None) -> Any:
+            """Return the value. Python asks only while the object's `__dict__` does not hold it."""
+            if instance is None:
+                return self
+            found = self.func(instance)
+            instance.__dict__[self.name] = found
+            return found
 
 
 def usual_arithmetic(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
