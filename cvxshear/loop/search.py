@@ -280,14 +280,14 @@ class Search:
         model = self.visited.get(effects)
         if model is not None and model.estimate is not None:
             return model.estimate
-        near = self.best.estimate
-        assert near is not None, "the shear model was fitted"
-        (found,) = self.fitter.models([self._proposal(near, effects)], FULL)
-        self._record([found])
-        if found.estimate is None:
-            assert found.failure is not None
-            raise found.failure
-        return found.estimate
+        near = [each.estimate for each in (self.best, self.base) if each.estimate is not None]
+        found = self.fitter.models([self._proposal(estimate, effects) for estimate in near], FULL)
+        self._record(found)
+        model = self.visited[effects]
+        if model.estimate is None:
+            assert model.failure is not None
+            raise model.failure
+        return model.estimate
 
     def candidates(self, model: ModelClass) -> list[LocatedEffect]:
         """List the effects that a set lacks and that the linearised model at its fit can judge."""
