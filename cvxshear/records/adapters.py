@@ -64,7 +64,9 @@ def from_arrays(
         raise InputError(f"mode_shapes has {count} rows, frequencies {len(values)} entries; one row a mode")
     if not np.all(np.isfinite(shapes)):
         row, column = np.argwhere(~np.isfinite(shapes))[0] + 1
-        raise InputError(f"mode_shapes, row {row}, entry {column} is not finite: leave out the floor or the mode")
+        raise InputError(
+            f"mode_shapes, row {row}, entry {column} is not finite, or masked: leave out the floor or the mode"
+        )
     places = np.arange(1, width + 1) if floors is None else np.asarray(floors, dtype=np.int64)
     if places.shape != (width,):
         raise InputError(f"floors must have {width} entries, one a column of mode_shapes, not {places.size}")

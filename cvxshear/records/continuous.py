@@ -35,6 +35,7 @@ from scipy import linalg, signal
 
 from cvxshear.records import frf, pole_sweep
 from cvxshear.util.decorators import cached_property
+from cvxshear.util.errors import NoSolutionError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 
@@ -157,6 +158,8 @@ class SubspaceSource(pole_sweep.Source):
         rows = np.vstack([_on_modes(excitation[:, 0], response, poles) for excitation, response in used])
         modes, columns = len(poles), rows.shape[1] - self.outputs
         fit = np.linalg.lstsq(rows[:, :columns], rows[:, columns:], rcond=None)[0][-2 * modes :]
+        if not np.all(np.isfinite(fit)):
+            raise NoSolutionError("subspace", "the input hardly moves beside the responses; is it the right channel?")
         return (fit[:modes] + 1j * fit[modes:])[:, :, None], np.array([self.floor])
 
 
