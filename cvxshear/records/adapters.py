@@ -65,7 +65,7 @@ def from_arrays(
     if not np.all(np.isfinite(shapes)):
         row, column = np.argwhere(~np.isfinite(shapes))[0] + 1
         raise InputError(
-            f"mode_shapes, row {row}, entry {column} is not finite, or masked: leave out the floor or the mode"
+            f"mode_shapes, row {row}, entry {column} is not finite, or masked: leave out its floor or mode"
         )
     places = np.arange(1, width + 1) if floors is None else np.asarray(floors, dtype=np.int64)
     if places.shape != (width,):
