@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import zlib
 
 from hypothesis import strategies as st
 
@@ -52,10 +51,3 @@ def _edited(content: bytes, kind: str, place: float, other: float, value: int) -
         "junk": (at, at, JUNK[value % len(JUNK)]),
     }[kind]
     return content[:start] + put + content[end:]
-
-
-def deflated(content: bytes, edits: list[tuple[str, float, float, int]]) -> bytes:
-    """Damage a MAT file of version 5 inside its compressed elements, and correct their checksums."""
-    inside = apply(content[128:], edits)
-    packed = zlib.compress(inside)
-    return content[:128] + (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed

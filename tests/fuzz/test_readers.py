@@ -18,7 +18,7 @@ from cvxshear.io.record_file import read_record
 from cvxshear.io.toml import load
 from cvxshear.util.errors import CvxshearError, InputError
 from tests.fuzz import files
-from tests.fuzz.mutations import apply, damaged, deflated
+from tests.fuzz.mutations import apply, damaged
 
 
 def finite(columns: Columns) -> None:
@@ -41,22 +41,21 @@ def recorded(path: Path) -> None:
         assert np.isfinite(each.responses).all()
 
 
-READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], object], Callable]] = {
-    "MAT 5, compressed": ("x.mat", lambda at: files.mat5(at, compressed=True), lambda x: finite(read_mat(x)), apply),
-    "MAT 5, inflated": ("x.mat", lambda at: files.mat5(at, compressed=False), lambda x: finite(read_mat(x)), deflated),
-    "MAT 4": ("x.mat", files.mat4, lambda x: finite(read_mat(x)), apply),
-    "MAT 7.3": ("x.mat", files.mat73, lambda x: finite(read_mat(x)), apply),
-    "UFF": ("x.uff", lambda at: files.universal(at, binary=False), lambda x: finite(read_uff(x)), apply),
-    "UFF, binary": ("x.uff", lambda at: files.universal(at, binary=True), lambda x: finite(read_uff(x)), apply),
-    "CSV": ("x.csv", files.table, lambda x: finite(read_csv(x)), apply),
-    "TOML, measurement": ("x.toml", lambda _: files.measurement(), measured, apply),
-    "TOML, record": ("x.toml", lambda _: files.record_text("sound.csv").encode(), recorded, apply),
+# Not MAT 5: scipy's reader of that version ends the process on some damaged files (docs/reliability.md).
+READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], object]]] = {
+    "MAT 4": ("x.mat", files.mat4, lambda x: finite(read_mat(x))),
+    "MAT 7.3": ("x.mat", files.mat73, lambda x: finite(read_mat(x))),
+    "UFF": ("x.uff", lambda at: files.universal(at, binary=False), lambda x: finite(read_uff(x))),
+    "UFF, binary": ("x.uff", lambda at: files.universal(at, binary=True), lambda x: finite(read_uff(x))),
+    "CSV": ("x.csv", files.table, lambda x: finite(read_csv(x))),
+    "TOML, measurement": ("x.toml", lambda _: files.measurement(), measured),
+    "TOML, record": ("x.toml", lambda _: files.record_text("sound.csv").encode(), recorded),
 }
 
 
 @pytest.mark.parametrize("kind", READERS)
 def test_a_mutated_file_is_read_or_refused(kind, fuzz_budget, tmp_path):
-    name, make, read, mutate = READERS[kind]
+    name, make, read = READERS[kind]
     files.table(tmp_path)
     sound = make(tmp_path)
     path = tmp_path / name
@@ -74,7 +73,7 @@ def test_a_mutated_file_is_read_or_refused(kind, fuzz_budget, tmp_path):
     )
     @given(damaged())
     def check(edits):
-        path.write_bytes(mutate(sound, edits))
+        path.write_bytes(apply(sound, edits))
         try:
             read(path)
             counts["read"] += 1
