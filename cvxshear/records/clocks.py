@@ -284,6 +284,11 @@ class Phases:
         tried = 2 * LONGEST_DELAY * 8 * self.segments.rate * (2 * self._steps_of_drift[1] + 1)
         return self.chance * float(np.sqrt(2.0 * np.log(tried / FAULTY)))
 
+    def nearer(self, seconds: float) -> bool:
+        """Whether the phases of the whole band agree better with a delay than without one."""
+        turned = self.squares.sum(axis=0) * np.exp(2j * self.segments.omega * seconds)
+        return bool(turned.real.sum() > self.squares.real.sum())
+
 
 @dataclass(frozen=True)
 class ClockFault:

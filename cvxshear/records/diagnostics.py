@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from cvxshear.records import clocks, estimate, examination, frf, picking
-from cvxshear.records.record import Finding, FrfRecord, Record, finding
+from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, SENSOR_STD, ModalResult
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.errors import InputError
@@ -95,7 +95,7 @@ def modal_findings(
 
     `wanted` is how many modes were asked for, `turning` the share of rotation at a frequency, Hz.
     """
-    yield from clock_findings(result, full)
+    yield from clock_findings(record, result, full)
     yield from resolution_findings(record, result)
     yield from reciprocity_findings(full, setting)
     yield from hit_findings(record, setting)
@@ -110,10 +110,14 @@ def modal_findings(
         yield finding("std", {"lost": lost}, count=len(setting.source.groups), unit=setting.source.unit)
 
 
-def clock_findings(result: ModalResult, full: estimate.Details) -> Iterator[Finding]:
-    """Clocks whose phase grows linearly with frequency, by more than the data's scatter."""
+def clock_findings(record: Record, result: ModalResult, full: estimate.Details) -> Iterator[Finding]:
+    """Clocks whose phase grows linearly with frequency, by more than the data's scatter.
+
+    Dampers turn the phases of modes, too. The phases of the whole band must agree better with the delay than without.
+    """
     highest = 2 * np.pi * float(full.frequencies.max())
     names = list(result.clock_offsets)
+    segments = clocks.Segments.of(record) if isinstance(record, TimeRecord) else None
     for (name, (late, std)), left, before in zip(
         result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
     ):
@@ -124,6 +128,14 @@ def clock_findings(result: ModalResult, full: estimate.Details) -> Iterator[Find
         gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * clocks.LONGEST))
         if odds.weigh([0.0, gain], np.log([1.0 - clocks.FAULTY, clocks.FAULTY]))[1] < quantities.SURE:
             continue
+        if segments is not None:
+            place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
+            floors = [floor for floor in range(len(record.channels)) if floor != place]
+            if beside == len(record.channels) and floors:
+                # Every resonance turns the phases between the input and a floor; those between two floors it does not.
+                beside = min(floors, key=lambda floor: abs(late_by[floor]))
+            if not segments.against(place, [beside]).nearer(float(late_by[place] - late_by[beside])):
+                continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         yield finding(
             "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
