@@ -304,7 +304,7 @@ class LoopResult(Shown):
     models : tuple of EffectSet
         The sets of a probability of 0.1 % or more, most probable first.
     averaged : IdentifiedFrame
-        The frame averaged over all sets.
+        The frame averaged over all sets but those with an effect that the data do not determine.
     candidates : tuple of Candidate
         All effects that were looked for, most probable first.
     not_considered : dict of str to str

@@ -6,7 +6,8 @@ come first: they lose superfluous effects and are expanded. Then one cause repla
 all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
 and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
 information at zero mass, so such effects are fitted from their own starting points. There are finitely many sets and
-none is fitted or expanded twice, so the search ends; at the latest when its budget is spent.
+none is fitted or expanded twice, so the search ends; at the latest when its budget is spent. Sets that tie are then
+tried with each other's exchanges.
 """
 
 from __future__ import annotations
