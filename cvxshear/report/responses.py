@@ -172,7 +172,8 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
     floors = quantities.numbered("floor", result.after.comparison.floors.tolist())
     where = f"the accelerations of {floors} in this record were missed"
     wide = " (for peaks too much, since the motions fall out of step)" if result.after.comparison.shifts else ""
-    missed = f"{quantities.percent(result.missed, 1)} of each peak"
+    share = quantities.percent(result.missed, 1)
+    missed = f"{'< 0.1 %' if share == '0.0 %' else share} of each peak"
     yield blocks.Sentence(
         f"the deviations hold what the frame leaves uncertain and {missed}, by which {where} beyond that: noise of the "
         f"measured motions, and what the model lacks{wide}"
