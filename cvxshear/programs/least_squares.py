@@ -148,11 +148,13 @@ class LeastSquares:
 
     def active_at(self, point: Point) -> tuple[ActiveConstraint, ...]:
         """List the equalities, and the inequalities with a multiplier greater than their slack in scaled units."""
-        duals, arrays = self.duals_at(point), Assembled(self)
-        lengths = arrays.inequality_lengths
-        held = point.w * lengths > np.maximum(arrays.h - arrays.G @ point.x, 0.0) / lengths
-        found = [("A", row) for row in range(len(arrays.b))]
-        found += [label for label, active in zip(self._labels, held, strict=True) if active]
+        duals = self.duals_at(point)
+        found = [("A", row) for row in range(len(self.equalities[1]))]
+        if np.any(point.w > 0):  # otherwise no inequality holds anything, and a tall frame's rows need not be written
+            arrays = Assembled(self)
+            lengths = arrays.inequality_lengths
+            held = point.w * lengths > np.maximum(arrays.h - arrays.G @ point.x, 0.0) / lengths
+            found += [label for label, active in zip(self._labels, held, strict=True) if active]
         listed = []
         for kind, index in found:
             sources = self.sources.get(kind, ())

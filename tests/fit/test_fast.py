@@ -7,7 +7,6 @@ import subprocess
 import sys
 import textwrap
 from functools import partial
-from pathlib import Path
 
 import joblib
 import numpy as np
@@ -60,8 +59,7 @@ def test_factors_and_rows_have_the_same_answer(stories, noise):
 
 
 LARGE = textwrap.dedent("""
-    import sys
-    from pathlib import Path
+    import sys, tracemalloc
     import numpy as np
     from cvxshear import Configuration, Experiment, Frame, identify
     from cvxshear.model import mass_matrix, modes, stiffness_matrix
@@ -71,24 +69,24 @@ LARGE = textwrap.dedent("""
     found = modes(mass_matrix(mass), stiffness_matrix(stiffness))
     of = Experiment(Frame(stories=n, total_mass=mass.sum()), (Configuration(found.frequencies, found.shapes),))
     keys = {"tolerance": 1e-12} if sys.argv[1] == "two-stage" else {}  # of the mass iteration
+    tracemalloc.start()
     frame = identify(of, sys.argv[1], **keys).frame
-    status = Path("/proc/self/status").read_text().splitlines()
-    print(np.max(np.abs(frame.floor_mass / mass - 1)), np.max(np.abs(frame.story_stiffness / stiffness - 1)),
-          next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM")))
+    peak = tracemalloc.get_traced_memory()[1] / found.shapes.nbytes
+    print(np.max(np.abs(frame.floor_mass / mass - 1)), np.max(np.abs(frame.story_stiffness / stiffness - 1)), peak)
 """)
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of a process is read from /proc")
 @pytest.mark.parametrize("method", ["one-shot", "two-stage"])
-def test_a_thousand_stories_fit_into_300_mb_and_keep_ten_digits(method):
+def test_a_thousand_stories_need_the_memory_of_twenty_four_tables_and_keep_ten_digits(method):
+    """Arrays are counted, 8 MB for one table of shapes: the buffers of a BLAS differ between processors."""
     run = subprocess.run(
         [sys.executable, "-c", LARGE, method], capture_output=True, text=True, check=True,
         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
-    mass, stiffness, megabytes = map(float, run.stdout.split())
+    mass, stiffness, tables = map(float, run.stdout.split())
     assert mass < 1e-10
     assert stiffness < 1e-10
-    assert megabytes < 300
+    assert tables < 24
 
 
 def test_a_tall_frame_has_the_same_modes_from_the_tridiagonal_solver():
