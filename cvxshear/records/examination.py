@@ -5,6 +5,8 @@ direction from its center. Sensors with declared positions give U and t by least
 center far beyond the sensors, U is their mean.
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Callable, Sequence
 
@@ -12,7 +14,7 @@ import numpy as np
 import scipy
 
 from cvxshear.records import prepare
-from cvxshear.records.clocks import FAULTY, SEGMENT, with_right_clocks
+from cvxshear.records.clocks import FAULTY, SEGMENT, with_right_channels
 from cvxshear.records.prepare import AnyRecord, only, scaled
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
@@ -206,6 +208,12 @@ class Examined:
     findings: tuple[Finding, ...]
     turning: Callable[[float], float] | None = None
 
+    def without(self, findings: list[Finding]) -> Examined:
+        """Leave out the channels of further findings."""
+        out = {item.numbers["channel"] for item in findings}
+        kept = [column for column, channel in enumerate(self.record.channels) if channel.name not in out]
+        return dataclasses.replace(self, record=only(self.record, kept), findings=(*self.findings, *findings))
+
 
 def examined(record: Record) -> Examined:
     """Look at a record before anything is identified.
@@ -228,7 +236,7 @@ def examined(record: Record) -> Examined:
     if isinstance(record, FrfRecord):
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors))
-    steady, of_clocks = with_right_clocks(without_spikes(record, findings))
+    steady, of_clocks = with_right_channels(without_spikes(record, findings))
     steady, of_directions = along(steady)
     share = turning(steady)
     steady, of_floors = one_a_floor(steady)

@@ -146,8 +146,13 @@ def identify_modes(
                 turning=looked.turning,
             )  # fmt: skip
             try:
-                repaired = _repaired(looked.record, wanted, attempt, max(picked, default=0.0), accept_swapped)
-                result = _identified(*repaired, method, criteria, wanted, seed, looked.turning)
+                while True:
+                    repaired = _repaired(looked.record, wanted, attempt, max(picked, default=0.0), accept_swapped)
+                    result = _identified(*repaired, method, criteria, wanted, seed, looked.turning)
+                    slow = [item for item in result.findings if item.kind == "low-pass"]
+                    if not slow:
+                        break
+                    looked = looked.without(slow[:1])
             except NoSolutionError as error:
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:

@@ -34,7 +34,7 @@ RecordingSource = str | Path | TimeRecord | DrivenRecord
 
 SAID = (
     "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
-    "swapped channels", "clock offset", "clock drift", "lost samples",
+    "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "gain step",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
@@ -423,7 +423,7 @@ class SensorRecord:
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
-            if finding.kind in ("dead channel", "stuck channel", "lost samples"):
+            if finding.kind in ("dead channel", "stuck channel", "lost samples", "low-pass", "gain step"):
                 out.update(columns)
             elif finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):

@@ -33,7 +33,7 @@ def test_a_sound_record_comes_back_as_it_went_in(kind):
         np.testing.assert_array_equal(before.responses, after.responses)
 
 
-FAULTS = ["delay", "drift", "dead", "stuck", "saturated", "spikes", "without samples"]
+FAULTS = ["delay", "drift", "dead", "stuck", "saturated", "spikes", "without samples", "low-pass", "gain step"]
 
 
 @pytest.mark.parametrize(
@@ -53,6 +53,22 @@ def test_a_fault_of_one_channel_is_named(kind, fault):
         # Three releases have short motions. The stated deviation of the drift gives the tolerance.
         within = 3e6 * first.numbers["drift_std"] if kind == "free_decay" else 5.0
         assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=within)
+    if fault == "low-pass":
+        assert first.numbers["corner"] == pytest.approx(case.size, rel=0.15)
+    if fault == "gain step":
+        assert np.log(first.numbers["factor"]) == pytest.approx(np.log(case.size), rel=0.2)
+
+
+@pytest.mark.parametrize("kind", INPUTS)
+def test_a_mild_low_pass_is_told_by_the_phases_of_the_modes(kind):
+    """Its corner is at the highest frequency: straight lines leave a degree or two of its phases."""
+    case = next(
+        case
+        for seed in range(60, 90)
+        if 0.35 < (case := case_of(seed, kind, "low-pass")).size / case.record.sampling_rate < 0.5
+    )
+    outcome, why = judged(case)
+    assert outcome == "named", why
 
 
 def damped_record(kind: str, late: float = 0.0, hit: int = 0) -> TimeRecord:
