@@ -46,8 +46,6 @@ CLOCK_PARTS = 8
 """Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself."""
 NOISE_FLOOR = 10.0
 """Times the tenth of a channel's lines that hold least: below it a line counts little."""
-MAINS = (50.0, 60.0)
-"""Mains frequencies, Hz; their lines, harmonics up to the third and aliases are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +94,8 @@ class Segments:
         found = np.array(spectra)
         power = np.abs(found) ** 2
         floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
-        mains = mains_lines(length, rate)
         with np.errstate(invalid="ignore", divide="ignore"):
             weights = np.nan_to_num(power / (power + floor)) ** 2
-        weights[:, mains] = 0.0
         weights[:, :2] = 0.0
         groups = np.array_split(np.arange(len(times)), min(CLOCK_PARTS, len(times)))
         return Segments(found, weights, np.array(times), groups, length, rate)
@@ -115,7 +111,7 @@ class Segments:
         spectra[:, :, clock] *= np.exp(1j * np.outer(seconds + slope * self.times, self.omega))
         return replace(self, spectra=spectra)
 
-    def against(self, clock: int, others: list[int]) -> Ratios:
+    def against(self, clock: int, others: list[int]) -> ChannelRatios:
         """Compare a clock with others."""
         pairs, levels, weights = [], [], np.zeros(self.spectra.shape[:2])
         for other in others:
@@ -126,19 +122,21 @@ class Segments:
             pairs.append([square[group].sum(axis=0) for group in self.groups])
             weights += weight
             # A line's amplitude over the other's has one level at all times.
-            level = np.log(np.maximum(np.abs(self.spectra[:, :, clock]), 1e-300))
-            level = level - np.log(np.maximum(np.abs(self.spectra[:, :, other]), 1e-300))
+            over = np.abs(self.spectra[:, :, [clock, other]])
+            level = np.subtract(*np.moveaxis(np.log(np.maximum(over, 1e-300)), 2, 0))
             level = level - (weight * level).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
             levels.append((weight * level).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
         by_group = np.array([weights[group].sum() for group in self.groups])
         times = np.array([self.times[group].mean() for group in self.groups])
         many = weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300)
         chance = 1.0 / np.sqrt(2.0 * max(many, 1.0))
-        return Ratios(np.array(pairs), by_group, times, np.median(levels, axis=0), weights.sum(axis=1), chance, self)
+        return ChannelRatios(
+            np.array(pairs), by_group, times, np.median(levels, axis=0), weights.sum(axis=1), chance, self
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Ratios:
+class ChannelRatios:
     """A channel over others: the squared phasors of its cross-spectra, and its amplitudes.
 
     Parameters
@@ -447,17 +445,6 @@ def _window(length: int, *, decaying: bool) -> Floats:
         return np.hanning(length)[:, None]
     rise = max(length // 10, 2)
     return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
-
-
-def mains_lines(length: int, rate: float) -> Ints:
-    """List the lines of a spectrum at mains frequencies and their aliases."""
-    places = {
-        round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
-        for mains in MAINS
-        for multiple in (1, 2, 3)
-        for near in (-1, 0, 1)
-    }
-    return np.array([place for place in sorted(places) if 0 <= place <= length // 2], dtype=np.int64)
 
 
 LONGEST = 0.05

@@ -21,7 +21,7 @@ from scipy import ndimage
 from cvxshear.io.csv import Columns
 from cvxshear.io.record_file import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
-from cvxshear.records import data_frames, examination, prepare, sick_channels
+from cvxshear.records import data_frames, examination, prepare
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
@@ -427,7 +427,7 @@ class SensorRecord:
                 out.update(columns)
             elif finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):
-                    spiked = sick_channels.spikes_in(self.runs[place].measured[piece])[0][:, column]
+                    spiked = examination.spikes_in(self.runs[place].measured[piece])[0][:, column]
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
