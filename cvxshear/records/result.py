@@ -110,15 +110,30 @@ class ModalResult(Shown):
     functions: Functions | None = None
 
     json_keys = (
-        "name method stories floors modes frequencies frequency_std damping_ratios damping_std mode_shapes "
-        "mode_shape_std entry_std mass_normalized phase_collinearity lost_phase clock_offsets=named_offsets "
-        "uncertainty findings"
+        "name method stories floors modes frequencies frequency_std=written_frequency_std damping_ratios "
+        "damping_std=written_damping_std mode_shapes mode_shape_std entry_std=written_entry_std mass_normalized "
+        "phase_collinearity lost_phase clock_offsets=named_offsets uncertainty findings"
     )
 
     @property
     def named_offsets(self) -> dict[str, dict[str, float]]:
         """The clock offset of each channel with its standard deviation, s, by name."""
         return {name: {"seconds": offset, "std": std} for name, (offset, std) in self.clock_offsets.items()}
+
+    @property
+    def uncertainty_in_words(self) -> str:
+        """How the standard deviations were got, and how many of those written are least values instead."""
+        found = [self.frequency_std, self.damping_std]
+        written = [self.written_frequency_std, self.written_damping_std]
+        least = [REPRODUCED_TO * np.ones(len(self.modes)), DAMPING_REPRODUCED_TO * self.damping_ratios]
+        counts = [int(np.sum((std > own) & (std <= low))) for own, std, low in zip(found, written, least, strict=True)]
+        if not any(counts):
+            return self.uncertainty
+        return (
+            f"{self.uncertainty}; least values are those of {counts[0]} frequencies ({100 * REPRODUCED_TO:g} %) and {counts[1]} damping "
+            f"ratios ({100 * DAMPING_REPRODUCED_TO:g} %) of {len(self.modes)}; every entry contains "
+            f"{100 * SENSOR_STD:g} % of the mode's largest for its sensor"
+        )
 
     @property
     def written_frequency_std(self) -> Floats:
