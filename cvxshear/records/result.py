@@ -130,8 +130,8 @@ class ModalResult(Shown):
         if not any(counts):
             return self.uncertainty
         return (
-            f"{self.uncertainty}; least values are those of {counts[0]} frequencies ({100 * REPRODUCED_TO:g} %) and "
-            f"{counts[1]} damping ratios ({100 * DAMPING_REPRODUCED_TO:g} %) of {len(self.modes)}; every entry contains "
+            f"{self.uncertainty}; least values are those of {counts[0]} frequencies "
+            f"({100 * REPRODUCED_TO:g} %) and {counts[1]} damping ratios ({100 * DAMPING_REPRODUCED_TO:g} %) of {len(self.modes)}; every entry contains "
             f"{100 * SENSOR_STD:g} % of the mode's largest for its sensor"
         )
 
