@@ -450,7 +450,8 @@ def _window(length: int, *, decaying: bool) -> Floats:
 LONGEST = 0.05
 """Largest offset, s, looked for in the phases of the modes: the phases of the whole band show longer ones before."""
 STEPS = 4001
-"""Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree."""
+"""Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree. As many corners
+of a low-pass."""
 LEAST_PHASE = 0.1
 """Degrees; the root mean square of the phases of modes scatters by more from one record to another."""
 FOLDED = 0.85
@@ -570,12 +571,13 @@ def slow_sensor(omega: Floats, phasors: Complexes, rate: float) -> tuple[float, 
         Hz.
     probability : float
     """
-    corners = rate * CORNERS
-    left = [rms_phase(phasors * np.exp(1j * np.arctan(omega / (2 * np.pi * each)))) for each in corners]
+    corners = rate * np.geomspace(CORNERS[0], CORNERS[-1], STEPS)
+    left = folded_phase(phasors * np.exp(1j * np.arctan(np.outer(0.5 / (np.pi * corners), omega))))
+    best = ranking.first_largest(-(left**2) @ np.abs(phasors) ** 2)
+    slow = rms_phase(phasors * np.exp(1j * np.arctan(omega / (2 * np.pi * corners[best]))))
     line = rms_phase(phasors * np.exp(1j * omega * _slope(omega, phasors)))
-    best = ranking.first_largest(-np.array(left))
     # Both have one parameter; the scatter of the phases is unknown.
-    likely = -len(omega) * np.log(np.maximum([line, left[best]], LEAST_PHASE))
+    likely = -len(omega) * np.log(np.maximum([line, slow], LEAST_PHASE))
     return float(corners[best]), float(odds.weigh(likely)[1])
 
 

@@ -129,10 +129,11 @@ class ModalResult(Shown):
         counts = [int(np.sum((std > own) & (std <= low))) for own, std, low in zip(found, written, least, strict=True)]
         if not any(counts):
             return self.uncertainty
+        shares = [f"{100 * share:g} %" for share in (REPRODUCED_TO, DAMPING_REPRODUCED_TO, SENSOR_STD)]
         return (
-            f"{self.uncertainty}; least values are those of {counts[0]} frequencies "
-            f"({100 * REPRODUCED_TO:g} %) and {counts[1]} damping ratios ({100 * DAMPING_REPRODUCED_TO:g} %) of {len(self.modes)}; every entry contains "
-            f"{100 * SENSOR_STD:g} % of the mode's largest for its sensor"
+            f"{self.uncertainty}; least values are those of {counts[0]} frequencies ({shares[0]}) and {counts[1]} damping "
+            f"ratios ({shares[1]}) of {len(self.modes)}; every entry contains {shares[2]} of the mode's largest for its "
+            "sensor"
         )
 
     @property
