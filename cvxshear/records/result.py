@@ -132,8 +132,8 @@ class ModalResult(Shown):
         shares = [f"{100 * share:g} %" for share in (REPRODUCED_TO, DAMPING_REPRODUCED_TO, SENSOR_STD)]
         return (
             f"{self.uncertainty}; least values are those of {counts[0]} frequencies ({shares[0]}) and {counts[1]} "
-            f"damping ratios ({shares[1]}) of {len(self.modes)}; every entry contains {shares[2]} of the mode's largest "
-            "for its sensor"
+            f"damping ratios ({shares[1]}) of {len(self.modes)}; every entry contains {shares[2]} of the mode's "
+            "largest for its sensor"
         )
 
     @property
