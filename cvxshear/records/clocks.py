@@ -19,7 +19,7 @@ from operator import itemgetter
 import numpy as np
 from scipy import special
 
-from cvxshear.records.prepare import in_step, only, struck
+from cvxshear.records.prepare import in_step, struck, without
 from cvxshear.records.record import Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.decorators import cached_property
@@ -408,8 +408,7 @@ def with_right_channels(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
             (k for k in left if k != clock), key=lambda k: float(common[k])
         )  # fmt: skip
         findings.append(_corrected(fault, clocks[clock], clocks[against]))
-    if out:
-        record = only(record, [column for column in range(len(names)) if column not in out])
+    record = without(record, findings)
     return (in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
 
 
@@ -452,8 +451,6 @@ LONGEST = 0.05
 STEPS = 4001
 """Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree. As many corners
 of a low-pass."""
-LEAST_PHASE = 0.1
-"""Degrees; the root mean square of the phases of modes scatters by more from one record to another."""
 FOLDED = 0.85
 """Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances."""
 
@@ -577,7 +574,7 @@ def slow_sensor(omega: Floats, phasors: Complexes, rate: float) -> tuple[float, 
     slow = rms_phase(phasors * np.exp(1j * np.arctan(omega / (2 * np.pi * corners[best]))))
     line = rms_phase(phasors * np.exp(1j * omega * _slope(omega, phasors)))
     # Both have one parameter; the scatter of the phases is unknown.
-    likely = -len(omega) * np.log(np.maximum([line, slow], LEAST_PHASE))
+    likely = -len(omega) * np.log(np.maximum([line, slow], 1e-12))
     return float(corners[best]), float(odds.weigh(likely)[1])
 
 

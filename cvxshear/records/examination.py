@@ -192,8 +192,6 @@ AR_ORDER = 24
 """Coefficients of the model for spikes: two for each mode of a dozen stories."""
 SPIKE_PASSES = 8
 """Number of searches for spikes; each search finds one of several near spikes."""
-LEFT_OUT = ("dead channel", "stuck channel")
-"""Kinds of findings whose channel is left out, by name."""
 
 
 def channel_findings(record: Record) -> list[Finding]:
@@ -222,23 +220,6 @@ def channel_findings(record: Record) -> list[Finding]:
         if run.excitation is not None:
             found += _of_converter(run.excitation, f"{run.name}: input channel", "input")
     return found
-
-
-def without_sick(record: AnyRecord, findings: list[Finding]) -> AnyRecord:
-    """Leave out the channels that measure nothing.
-
-    Raises
-    ------
-    InputError
-        No channel is left.
-    """
-    dead = {finding.numbers["channel"] for finding in findings if finding.kind in LEFT_OUT and finding.numbers["out"]}
-    if not dead:
-        return record
-    kept = [column for column, channel in enumerate(record.channels) if channel.name not in dead]
-    if not kept:
-        raise InputError(f"every channel is dead: {', '.join(sorted(dead))}")
-    return prepare.only(record, kept)
 
 
 def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
@@ -399,12 +380,6 @@ class Examined:
     findings: tuple[Finding, ...]
     turning: Callable[[float], float] | None = None
 
-    def without(self, findings: list[Finding]) -> Examined:
-        """Leave out the channels of further findings."""
-        out = {item.numbers["channel"] for item in findings}
-        kept = [column for column, channel in enumerate(self.record.channels) if channel.name not in out]
-        return dataclasses.replace(self, record=prepare.only(self.record, kept), findings=(*self.findings, *findings))
-
 
 def examined(record: Record) -> Examined:
     """Look at a record before anything is identified.
@@ -423,7 +398,7 @@ def examined(record: Record) -> Examined:
         Where no channel is left, or two on one floor contradict each other.
     """
     findings = channel_findings(record)
-    record = without_sick(record, findings)
+    record = prepare.without(record, findings)
     if isinstance(record, FrfRecord):
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors))

@@ -152,7 +152,10 @@ def identify_modes(
                     slow = [item for item in result.findings if item.kind == "low-pass"]
                     if not slow:
                         break
-                    looked = looked.without(slow[:1])
+                    findings = (*looked.findings, slow[0])
+                    looked = dataclasses.replace(
+                        looked, record=prepare.without(looked.record, slow[:1]), findings=findings
+                    )
             except NoSolutionError as error:
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:
