@@ -451,6 +451,8 @@ LONGEST = 0.05
 STEPS = 4001
 """Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree. As many corners
 of a low-pass."""
+LEAST_PHASE = 0.3
+"""Degrees, root mean square over the modes: uneven damping turns the entries of lightly damped modes by as much."""
 FOLDED = 0.85
 """Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances."""
 
@@ -573,8 +575,8 @@ def slow_sensor(omega: Floats, phasors: Complexes, rate: float) -> tuple[float, 
     best = ranking.first_largest(-(left**2) @ np.abs(phasors) ** 2)
     slow = rms_phase(phasors * np.exp(1j * np.arctan(omega / (2 * np.pi * corners[best]))))
     line = rms_phase(phasors * np.exp(1j * omega * _slope(omega, phasors)))
-    # Both have one parameter; the scatter of the phases is unknown.
-    likely = -len(omega) * np.log(np.maximum([line, slow], 1e-12))
+    # Both have one parameter, and the scatter of the phases is unknown.
+    likely = -(len(omega) - 1.0) * np.log(np.hypot([line, slow], LEAST_PHASE))
     return float(corners[best]), float(odds.weigh(likely)[1])
 
 
