@@ -10,10 +10,11 @@ The kinds of record:
 * yields: a third of one story's stiffness is plastic;
 * six: six stories with bending beams that became softer, with sensors on the ground, floor 2 and the roof; floor 2 from
   the other two, beside linear interpolation;
-* cut: pieces of records of these kinds and of the mini shake table, cut, scaled and without some sensors at random.
+* cut: pieces of records of these kinds, cut, scaled and without some sensors at random.
 
-A false statement is a change, damper, gain or mass that is not there, a limit stated with 95 % or more that is wrong, or
-a story that "drifted most" but drifted less than another by more than two stated deviations. FIRST is the first seed.
+A false statement is a change, damper, gain or mass that is not there, a limit stated with 95 % or more that is wrong,
+or a story that "drifted most" but drifted less than another by more than two stated deviations. FIRST is the first
+seed.
 """
 
 from __future__ import annotations
