@@ -64,8 +64,8 @@ def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Spectra:
-    """Spectra of half overlapping pieces of an excitation and of responses to it, one per piece.
+class PieceSpectra:
+    """PieceSpectra of half overlapping pieces of an excitation and of responses to it, one per piece.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Spectra:
         Spectrum of the excitation.
     cross : ndarray of complex, shape (pieces, lines, n)
     power : ndarray, shape (pieces, lines, n)
-        Spectra of the responses.
+        PieceSpectra of the responses.
     """
 
     frequencies: Floats
@@ -84,7 +84,7 @@ class Spectra:
     power: Floats
 
     @staticmethod
-    def of(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> Spectra:
+    def of(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> PieceSpectra:
         """Transform pieces of `length` samples of all runs, without their means, under a Hann window."""
         window = scipy.signal.windows.hann(length, sym=False)
 
@@ -95,8 +95,8 @@ class Spectra:
 
         force = np.concatenate([transformed(each[:, None]) for each in excitations])
         seen = np.concatenate([transformed(each) for each in responses])
-        frequencies = np.fft.rfftfreq(length, 1.0 / rate)
-        return Spectra(frequencies, np.abs(force[..., 0]) ** 2, np.conj(force) * seen, np.abs(seen) ** 2)
+        frequencies: Floats = np.fft.rfftfreq(length, 1.0 / rate)
+        return PieceSpectra(frequencies, np.abs(force[..., 0]) ** 2, np.conj(force) * seen, np.abs(seen) ** 2)
 
     def transfer(self, columns: slice, pieces: Ints | slice = slice(None)) -> Transfer:
         """Return the transfer functions of some responses, from all pieces or from some of them."""
@@ -255,7 +255,7 @@ def compared(
     )
     excitations = [run.excitation for run in motion.runs]
     both = [np.hstack(pair) for pair in zip(measured, predicted, strict=True)]
-    spectra = Spectra.of(excitations, both, motion.sampling_rate, length)
+    spectra = PieceSpectra.of(excitations, both, motion.sampling_rate, length)
     of_record, of_model = (spectra.transfer(side) for side in _sides(len(floors)))
     with np.errstate(divide="ignore", invalid="ignore"):
         return RecordComparison(
@@ -277,7 +277,7 @@ def _sides(floors: int) -> tuple[slice, slice]:
 
 
 def _shifts(
-    spectra: Spectra, model: DampedModel, measured_modes: Ints | None, frequency_std: Floats | None
+    spectra: PieceSpectra, model: DampedModel, measured_modes: Ints | None, frequency_std: Floats | None
 ) -> tuple[Shift, ...]:
     """Find the modes whose resonance surely differs from the model's.
 

@@ -46,7 +46,7 @@ def spectra(natural, made, scatter=0.0, pieces=12):
         for each, shifts in ((natural, off), (made, 0 * off))
     )
     both = np.concatenate([seen, modelled], axis=2)
-    return comparing.Spectra(LINES, np.ones((pieces, len(LINES))), both, one * np.abs(both) ** 2)
+    return comparing.PieceSpectra(LINES, np.ones((pieces, len(LINES))), both, one * np.abs(both) ** 2)
 
 
 def modelled(natural):
@@ -174,7 +174,7 @@ def test_functions_are_of_all_pieces_of_all_runs():
     forces = [rng.standard_normal(count) for count in (200, 320)]
     heard = [np.convolve(f, [1.0, 0.5, 0.2])[: len(f)] for f in forces]
     answers = [np.column_stack([own, rng.standard_normal(len(own))]) for own in heard]
-    found = comparing.Spectra.of(forces, answers, 40.0, 40)
+    found = comparing.PieceSpectra.of(forces, answers, 40.0, 40)
     assert len(found.force) == 9 + 15
     whole, lines = found.transfer(slice(None)), slice(1, 20)
     np.testing.assert_allclose(whole.frequencies, np.arange(21.0))
@@ -185,7 +185,7 @@ def test_functions_are_of_all_pieces_of_all_runs():
         )
         np.testing.assert_allclose(whole.functions[lines, floor], (cross / force)[lines])
         np.testing.assert_allclose(whole.coherence[lines, floor], (np.abs(cross) ** 2 / force / power).real[lines])
-    one = comparing.Spectra.of(forces[:1], answers[:1], 40.0, 40).transfer(slice(1, 2))
+    one = comparing.PieceSpectra.of(forces[:1], answers[:1], 40.0, 40).transfer(slice(1, 2))
     np.testing.assert_allclose(found.transfer(slice(1, 2), np.arange(9)).functions, one.functions)
 
 
