@@ -95,7 +95,7 @@ class PieceSpectra:
 
         force = np.concatenate([transformed(each[:, None]) for each in excitations])
         seen = np.concatenate([transformed(each) for each in responses])
-        frequencies: Floats = np.fft.rfftfreq(length, 1.0 / rate)
+        frequencies = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64)
         return PieceSpectra(frequencies, np.abs(force[..., 0]) ** 2, np.conj(force) * seen, np.abs(seen) ** 2)
 
     def transfer(self, columns: slice, pieces: Ints | slice = slice(None)) -> Transfer:
