@@ -36,7 +36,7 @@ from cvxshear.model import transformation
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Complexes, Floats
 
-MOST_STORIES = 5
+TALLEST_SEARCHED = 5
 """Tallest frame whose other frames are looked for: each further story multiplies their number."""
 
 INSEPARABLE = 5e-3
@@ -46,19 +46,19 @@ stiffnesses no closer than this."""
 LEAST_LIKELIHOOD = 1e-3
 """Smallest likelihood of a frame that fits as well, relative to the identified one."""
 
-UNSUCCESSFUL = 20
-"""Number of fits a story, in a row, without a new frame that end the search from random points."""
+SAME_ROOT = 1e-6
+"""Largest relative difference of two computed values of one root; Newton steps end at rounding."""
 
 
 def may_have_others(estimate: Estimate) -> bool:
     """Whether the data are frequencies alone, or no more than the unknowns, and determine the frame locally."""
     experiment = estimate.experiment
-    if experiment.stories > MOST_STORIES or experiment.static or estimate.uncertainty.null_directions:
+    if experiment.stories > TALLEST_SEARCHED or experiment.static or estimate.uncertainty.null_directions:
         return False
     return estimate.dof <= 0 or not any(each.measured.any() for each in experiment.configurations)
 
 
-def equivalent_fits(estimate: Estimate, backend: Backend) -> tuple[list[Estimate], str]:
+def equivalent_fits(estimate: Estimate, backend: Backend, unsuccessful: int = 20) -> tuple[list[Estimate], str]:
     """Find the frames besides an estimate that fit the same data, with the noise of the estimate.
 
     Parameters
@@ -66,6 +66,8 @@ def equivalent_fits(estimate: Estimate, backend: Backend) -> tuple[list[Estimate
     estimate : Estimate
         A fit, with effects or without; the search starts from other frames and from the same effects.
     backend : Backend
+    unsuccessful : int, optional
+        Number of fits a story, in a row, without a new frame that end the search from random points.
 
     Returns
     -------
@@ -77,7 +79,7 @@ def equivalent_fits(estimate: Estimate, backend: Backend) -> tuple[list[Estimate
     if not may_have_others(estimate):
         return [], ""
     n = estimate.experiment.stories
-    roots, patience = _roots_of(estimate), UNSUCCESSFUL * n
+    roots, patience = _roots_of(estimate), unsuccessful * n
     searched = f"fits from random frames, until {patience} in a row found no new one"
     if roots is not None:
         searched = f"all {len(roots)} roots of the equations of {n} frequencies"
@@ -155,14 +157,7 @@ def _near_real(roots: Complexes, estimate: Estimate) -> Iterator[Floats]:
             yield start
 
 
-MOST_STEPS = 3000
-"""Largest number of steps along the paths; the paths of 30 random frames of five stories took 200 at most."""
-
-SAME_ROOT = 1e-6
-"""Largest relative difference of two computed values of one root; Newton steps end at rounding."""
-
-
-def stiffness_roots(mass: Floats, eigenvalues: Floats) -> Complexes | None:
+def stiffness_roots(mass: Floats, eigenvalues: Floats, most_steps: int = 3000) -> Complexes | None:
     """Find every complex root of the equations of the frequencies of a frame of known masses.
 
     Parameters
@@ -171,6 +166,8 @@ def stiffness_roots(mass: Floats, eigenvalues: Floats) -> Complexes | None:
         kg, with the added mass.
     eigenvalues : ndarray, shape (N,)
         Squared circular frequencies, (rad/s)^2.
+    most_steps : int, optional
+        Largest number of steps along the paths.
 
     Returns
     -------
@@ -201,7 +198,7 @@ def stiffness_roots(mass: Floats, eigenvalues: Floats) -> Complexes | None:
 
     x = np.array(list(itertools.product(*(np.exp(2j * np.pi * np.arange(d) / d) for d in degrees))))
     t, h = np.zeros(len(x)), np.full(len(x), 1.0 / n)
-    for _ in range(MOST_STEPS):
+    for _ in range(most_steps):
         at = np.flatnonzero(t < 1.0)
         if not len(at):
             break
