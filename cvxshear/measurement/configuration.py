@@ -235,6 +235,12 @@ class Configuration(InTable):
         Fraction of critical, nan where not measured; not fitted with the modes, but what damping is made of.
     damping_ratio_std : float or array_like, shape (m,), optional
         Relative standard deviation of the damping ratios.
+    date : str or date, optional
+        Day or time of the test, ISO 8601 ("2024-05-03", "2024-05-03T14:30").
+    temperature : float, optional
+        Temperature of the frame, degrees C.
+    amplitude : float, optional
+        Largest motion in the test, in one unit for all tests.
 
     Raises
     ------
@@ -258,6 +264,9 @@ class Configuration(InTable):
     mode_shape_noise: str = "additive"
     damping_ratios: Floats | None = None
     damping_ratio_std: Floats | None = None
+    date: str | None = None
+    temperature: float | None = None
+    amplitude: float | None = None
 
     def __post_init__(self) -> None:
         checks.text(self.name, "configuration: name")
@@ -273,6 +282,9 @@ class Configuration(InTable):
         if self.damping_ratios is not None:
             self._refuse_ratios(self.damping_ratios)
         self._check("damping_ratio_std", checks.one_or_many, above=0.0, **one_each)
+        self._check("date", checks.date)
+        self._check("temperature", checks.number)
+        self._check("amplitude", checks.number, above=0.0)
 
     def _put(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)

@@ -4,11 +4,12 @@ Every function takes a value and the name of its place, as the message shows it.
 the type that the library works with, or raises `InputError`.
 """
 
+import datetime
 import difflib
 import math
 import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -177,6 +178,16 @@ def text(value: object, where: str) -> str:
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"{where} must be a text that is not empty, not {shown(value)}")
     return value
+
+
+def date(value: object, where: str) -> str:
+    """Check a day or a time, of TOML or as text, and return it as ISO text."""
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    for kind in (datetime.date, datetime.datetime):
+        with suppress(ValueError):
+            return kind.fromisoformat(str(value)).isoformat()
+    raise InputError(f"{where} must be a date such as 2024-05-03, not {shown(value)}")
 
 
 def choice(value: object, options: Sequence[str], where: str) -> str:
