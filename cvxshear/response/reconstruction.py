@@ -27,7 +27,6 @@ from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_prior import GAIN_STDS
 from cvxshear.response.predicted import NO_HEIGHTS, Peaks, limits_in_json, limits_passed, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.smoother import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
@@ -405,13 +404,13 @@ def reconstruct(
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 
-_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed]]
+_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed]]
 """The setup of the motion, the frame, and its motion with only the first states."""
 
 
 def _motion(
     frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, fit: bool, detrend: bool
-) -> tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
+) -> tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
     The motion is the fitted frame's. If the record is not that of a linear frame, or the fit does not settle, or it
