@@ -11,7 +11,7 @@ Twins depend on the model and the measured quantities, not on the sets that a se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import special
@@ -19,7 +19,6 @@ from scipy import special
 from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit import domain, gaussian
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.misfit import Misfit
 from cvxshear.loop.fitter import free_basis
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Floats
@@ -55,15 +54,19 @@ class Linearised:
         self._singles = _Singles(self.candidates, expectation)
 
     def _sensitivities(self) -> Floats:
-        """Compute the derivatives by the parameters of the candidates effects, at their null values, shape (d, p)."""
-        base = self.base
-        misfit = base.misfit
-        nulls = np.array([item.null for placed in self.candidates for item in placed.effect.parameters])
-        P = len(base.theta)
-        whole = Misfit(base.experiment, (*base.effects, *self.candidates), misfit.leave_out, misfit.noise)
-        found = whole.evaluate(np.concatenate([base.theta, nulls]), by=slice(P, None)).J
-        columns = np.zeros((len(base.fit.at.r), found.shape[1]))
-        columns[: base.fit.at.measured] = found[: base.fit.at.measured]
+        """Compute the derivatives by the parameters of the candidates, at their null values, shape (d, p).
+
+        The candidates take turns: every effect copies the derivatives of the matrices, of all effects beside it too.
+        """
+        base, P = self.base, len(self.base.theta)
+        columns = np.zeros((len(base.fit.at.r), sum(len(placed.effect.parameters) for placed in self.candidates)))
+        rows, first = base.fit.at.measured, 0
+        for some in _of_about(P, self.candidates):
+            nulls = [item.null for placed in some for item in placed.effect.parameters]
+            misfit = base.misfit.replaced((*base.effects, *some))
+            found = misfit.evaluate(np.concatenate([base.theta, nulls]), by=slice(P, None)).J[:rows]
+            columns[:rows, first : first + len(nulls)] = found
+            first += len(nulls)
         for placed, own in composition.slices(self.candidates, 0):
             if placed.effect.releases:
                 columns[:, own] += base.fit.at.J[:, : 2 * base.experiment.stories] @ self._shift(placed)
@@ -278,6 +281,19 @@ class Linearised:
     def _measured(self, placed: LocatedEffect) -> Floats:
         """Return the derivatives of the data and the soft priors by an effect's parameters."""
         return self._columns[: self.base.fit.at.measured, self._at[placed]]
+
+
+def _of_about(most: int, effects: Sequence[LocatedEffect]) -> Iterator[list[LocatedEffect]]:
+    """Divide effects, in order, into groups of at most so many parameters, or of one effect."""
+    group, size = list[LocatedEffect](), 0
+    for placed in effects:
+        count = len(placed.effect.parameters)
+        if group and size + count > most:
+            yield group
+            group, size = [], 0
+        group.append(placed)
+        size += count
+    yield group
 
 
 class _Singles:

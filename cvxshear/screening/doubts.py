@@ -295,7 +295,7 @@ def _implied_total(experiment: Experiment) -> tuple[float, float]:
     frames = ShearFrames(readings, added, begin, centred=True)
     found = frames.nearest([begin])
     if not _near(found, frames):
-        others = frames.nearest([begin + start for start in nearest_frame.odd_starts(N)])
+        others = frames.nearest(frames.odd_starts(begin))
         found = frames.nearest([found.theta, others.theta])
     masses = np.exp(found.theta[:N])
     if found.at is None or not _near(found, frames):

@@ -28,9 +28,6 @@ from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
-SHORTLIST = 6
-"""Number of changes, the best by a rough fit, that are fitted to the end."""
-
 UNITS = (1e3, 1e-3, quantities.STANDARD_GRAVITY, 1 / quantities.STANDARD_GRAVITY)
 """Factors between units of sensors: m and mm, m/s2 and g."""
 
@@ -86,16 +83,15 @@ def needs_no_search(frames: ShearFrames, given: NearestFrame) -> bool:
 
 def named(given: NearestFrame, tried: Sequence[Change]) -> list[Change]:
     """Return the changes that together are certain, the most probable first; none if the data may stand as given."""
-    explaining = [each for each in tried if each.plausible]
-    if not explaining:
+    if not tried:
         return []
-    evidence = [given.log_evidence, *(each.frame.log_evidence for each in explaining)]
-    probability = odds.weigh(evidence, [0.0, *(each.log_prior for each in explaining)])
+    evidence = [given.log_evidence, *(each.frame.log_evidence for each in tried)]
+    probability = odds.weigh(evidence, [0.0, *(each.log_prior for each in tried)])
     if probability[0] > 1 - quantities.SURE:
         return []
     order = ranking.order(probability[1:])
     needed = int(np.searchsorted(np.cumsum(probability[1:][order]), quantities.SURE * (1 - probability[0]))) + 1
-    return [explaining[place] for place in order[:needed]]
+    return [tried[place] for place in order[:needed]]
 
 
 def mistakes(configuration: Configuration) -> list[FileFinding]:
@@ -131,20 +127,24 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     given = frames.likeliest([*even, *frames.story_starts(even[:1])])
     if needs_no_search(frames, given):
         return given, []
-    odd = frames.nearest(nearest_frame.odd_starts(N))
-    given = ranking.ranked([given, frames.likeliest([odd.theta])], lambda item: item.log_evidence)[0]
-    if needs_no_search(frames, given):
-        return given, []
+    if frames.distance(given) ** 2 > frames.count:
+        odd = frames.nearest(frames.odd_starts(np.zeros(2 * N)))
+        given = ranking.ranked([given, frames.likeliest([odd.theta])], lambda item: item.log_evidence)[0]
+        if needs_no_search(frames, given):
+            return given, []
     references = even if given.at is None else [*even, given.theta]
     shapes = [NearestFrame(theta).modes for theta in references]
     changes = [change for kind in KINDS for change in kind(replace(reading, part=readings.FARTHER), shapes)]
     misfits = np.array([[nearest_frame.misfit(change.reading, each) for each in shapes] for change in changes])
     rough = []
-    for place in np.unique(np.argsort(misfits, axis=0, kind="stable")[:SHORTLIST]):
+    for place in np.unique(np.argsort(misfits, axis=0, kind="stable")[: nearest_frame.SHORTLIST]):
         change = replace(changes[place], reading=replace(changes[place].reading, part=1.0))
         begin = references[np.argmin(misfits[place])]
         rough.append(replace(change, frame=change.frames.nearest([begin])))
-    best = ranking.ranked(rough, lambda item: item.frame.log_evidence + item.log_prior)[:SHORTLIST]
+    # A change that mends a mistake brings the data near to a frame, and nearer than as given, at the usual tolerance.
+    usual = frames.nearest([given.theta]).log_evidence
+    nearer = [each for each in rough if each.plausible and each.frame.log_evidence > usual]
+    best = ranking.ranked(nearer, lambda item: item.frame.log_evidence + item.log_prior)[: nearest_frame.SHORTLIST]
     return given, named(given, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best])
 
 

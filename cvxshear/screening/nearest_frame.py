@@ -49,6 +49,10 @@ ODD = 1e-3
 ODD_TAIL = 4.0
 """Degrees of freedom of masses and stiffnesses about typical ones: now and then a frame stands on bearings."""
 
+SHORTLIST = 6
+"""Number of odd frames that a fit starts from, and of changes that are fitted to the end: the best by a rough measure.
+"""
+
 TALLEST_FITTED = 24
 """Largest number of stories for fits of repairs: their number grows with the square of the stories."""
 
@@ -109,12 +113,6 @@ def modes_of(mass: Floats, stiffness: Floats) -> Modes:
 def even_starts(stories: int) -> list[Floats]:
     """Return frames of equal floors whose stories are equal, or weaker with height."""
     return [np.log(np.concatenate([np.ones(stories), np.linspace(1.0, top, stories)])) for top in (1.0, 0.4)]
-
-
-def odd_starts(stories: int) -> list[Floats]:
-    """Return even frames but for one heavy or light floor, or one soft story."""
-    floors = np.eye(stories, 2 * stories)
-    return [*np.log(ODD) * np.concatenate([-floors, np.eye(2 * stories)])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +184,18 @@ class ShearFrames:
             else:
                 found.append(NearestFrame(fit.theta, fit.at.objective, fit.at, self.stds))
         return ranking.ranked(found, lambda item: -item.misfit)[0]
+
+    def odd_starts(self, about: Floats) -> list[Floats]:
+        """Return a frame but for one heavy or light floor, or one soft story: those that fit best as they are."""
+        floors = np.eye(self.stories, len(about))
+        starts = about + np.log(ODD) * np.concatenate([-floors, np.eye(len(about))])
+        left = []
+        for each in starts:
+            try:
+                left.append(self.evaluate(self.tuned(each), derivatives=False).objective)
+            except errors.CvxshearError:
+                left.append(np.inf)
+        return [starts[place] for place in ranking.order(-np.array(left))[:SHORTLIST]]
 
     def likeliest(self, starts: Iterable[Floats]) -> NearestFrame:
         """Return the best fit of the most probable tolerance."""

@@ -4,11 +4,12 @@ Every function takes a value and the name of its place, as the message shows it.
 the type that the library works with, or raises `InputError`.
 """
 
+import datetime
 import difflib
 import math
 import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -179,6 +180,16 @@ def text(value: object, where: str) -> str:
     return value
 
 
+def date(value: object, where: str) -> str:
+    """Check a day or a time, of TOML or as text, and return it as ISO text."""
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    for kind in (datetime.date, datetime.datetime):
+        with suppress(ValueError):
+            return kind.fromisoformat(str(value)).isoformat()
+    raise InputError(f"{where} must be a date such as 2024-05-03, not {shown(value)}")
+
+
 def choice(value: object, options: Sequence[str], where: str) -> str:
     """Check a text that must be one of the options."""
     if not isinstance(value, str) or value not in options:
@@ -297,6 +308,16 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
                 f"{where}, row {place} has {entries(len(line))}, row 1 has {len(lines[0])}: give one a measured floor"
             )
     return frozen(np.array(lines))
+
+
+def pairs(value: object, where: str, *, length: int | None = None, above: float = -math.inf) -> Floats:
+    """Check a list of pairs of numbers; return a read-only array of shape (length, 2)."""
+    items = _items(value, where, "pairs of numbers")
+    if not items or length not in (None, len(items)):
+        raise InputError(f"{where} must have {entries(length or 1)}, one a floor, not {len(items)}")
+    return frozen(
+        np.array([vector(item, f"{where}, entry {at}", length=2, above=above) for at, item in enumerate(items, 1)])
+    )
 
 
 def real(value: object, where: str) -> Floats:

@@ -37,7 +37,7 @@ def faults(name, said):
 
 
 def test_every_schema_is_one():
-    results = {"backends", "check", "identify", "loop", "modes", "plan", "predict", "reconstruct"}
+    results = {"backends", "check", "history", "identify", "loop", "modes", "plan", "predict", "reconstruct"}
     assert {path.stem for path in SCHEMAS.glob("*.json")} == {"measurement", *results}
     for path in SCHEMAS.glob("*.json"):
         validator(path.stem)
@@ -60,6 +60,7 @@ def test_a_new_file_and_a_merged_one():
 def test_every_table_of_a_measurement_file():
     declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
     declared["configuration"][0] |= {"damping_ratios": [0.01] * 3, "damping_ratio_std": 0.1}
+    declared["configuration"][0] |= {"date": "2024-05-03", "temperature": -3.5, "amplitude": 0.02}
     declared["static"] = [{"force": [0.0, 0.0, 10.0], "displacement": [0.005, 0.01, 0.02], "displacement_std": 0.01}]
     declared["effect"] = [{"name": "sensor_gain", "floor": 2, "size": 0.02, "probability": 0.3}]
     declared["damping"] = {"kind": "story"}

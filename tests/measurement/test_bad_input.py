@@ -255,6 +255,8 @@ KEYS = {
         {"damping_ratios": [0.01, 1.0]},
         ": damping_ratios must be below 1 (a fraction of critical, not percent), not 1",
     ),
+    "no date": ({"date": "May 2024"}, ": date must be a date such as 2024-05-03, not 'May 2024'"),
+    "no amplitude": ({"amplitude": 0.0}, ": amplitude = 0 must be greater than 0"),
     "negative damping": ({"damping_ratios": -0.01}, ": damping_ratios = -0.01 must not be less than 0"),
     "a damping ratio too few": ({"damping_ratios": [0.01]}, ": damping_ratios must have 2 entries, one a mode, not 1"),
 }

@@ -1,6 +1,7 @@
 """Test the keys of a measurement file and their meaning."""
 
 import dataclasses
+import datetime
 import re
 import tomllib
 from pathlib import Path
@@ -261,6 +262,9 @@ def rich():
                 "damping_ratios": [0.01, 0.01, 0.02],
                 "mass_normalized": True,
                 "added_mass": [0.0, 0.0, 0.0, 0.0],
+                "date": "2024-05-03",
+                "temperature": -4.0,
+                "amplitude": 0.02,
             },
             {"name": "loaded", "frequencies": [1.5], "mode_shapes": [[0.2, 0.5, 0.8, 1.0]], "added_mass": [5, 0, 0, 1]},
         ],
@@ -274,6 +278,12 @@ def test_to_dict_gives_back_what_was_declared():
     assert found["prior"] == declared["prior"] or found["prior"][3].pop("free_scale")
     for key, value in declared["configuration"][0].items():
         np.testing.assert_equal(found["configuration"][0][key], value, err_msg=key)
+
+
+@pytest.mark.parametrize("said", ["2024-05-03", datetime.date(2024, 5, 3), "20240503"])
+def test_a_date_is_one_of_toml_or_a_text(said):
+    assert only(date=said).date[:10] == "2024-05-03"
+    assert only(date=datetime.datetime(2024, 5, 3, 14, 30)).date == "2024-05-03T14:30:00"
 
 
 def test_to_dict_round_trip():
