@@ -31,6 +31,9 @@ from cvxshear.priors import Prior
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
+MOST_STORIES = 100
+"""Tallest frame: the derivatives by its effects, once, take some seconds, and the fourth power of the stories."""
+
 
 def search_for_effects(
     experiment: Measurement,
@@ -44,6 +47,11 @@ def search_for_effects(
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
     experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
+    if experiment.stories > MOST_STORIES:
+        raise errors.UnsuitableError(
+            f"the loop takes frames of up to {MOST_STORIES} stories, not {experiment.stories:,}: join stories, or "
+            "identify the frame without effects"
+        )
     wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)
     solver = backends.get(backend)
     assumed = hypotheses.assumed_effects(experiment, assume)

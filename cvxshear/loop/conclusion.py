@@ -323,8 +323,11 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
         yield f"the modes of {_quoted(named)} are those given: that they are the other ones named is hardly probable"
     if not final.noise.settled:
         yield "the estimate of the standard deviations that nobody declared did not settle; its last value is used"
-    if search.spent:
-        yield f"the search ended after {len(search.visited)} sets of effects; sets that it did not visit may be better"
+    if search.untried:
+        yield (
+            f"the search ended after {len(search.visited)} sets of effects, as its budget of work was spent; not tried "
+            f"with every good set: {quantities.listed(search.untried)}"
+        )
     if not final.fit.converged:
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():

@@ -36,6 +36,9 @@ from cvxshear.util.typing import Floats
 TINY = 1e-12
 """Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
 
+SMALL = 300
+"""Tests times parameters of a fit that takes as long as a smaller one: the solver's part is then as large."""
+
 TOUCHING = 1e-4
 """Largest distance from an active inequality, in standard deviations."""
 
@@ -130,6 +133,9 @@ class Fitter:
         Fits made so far, and step programs that they solved.
     stand_ins : int
         Fits that another backend made after the backend refused.
+    work : float
+        Work done so far, in small fits: a larger one counts by its tests times parameters (`SMALL`). It does not depend
+        on the machine.
     base : Estimate or None
         Fit of the set without effects, after this fit was made.
     """
@@ -142,6 +148,7 @@ class Fitter:
     fits: int = 0
     programs: int = 0
     stand_ins: int = 0
+    work: float = 0.0
     base: Estimate | None = None
     _log_odds: dict[LocatedEffect, float] = field(init=False)
 
@@ -178,7 +185,7 @@ class Fitter:
 
     def fit(self, misfit: Misfit, start: Floats, accuracy: gauss_newton.Accuracy = gauss_newton.FULL) -> Estimate:
         """Fit a model from a starting point."""
-        self.fits += 1
+        self.count(misfit.parameters, fits=1)
         found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, accuracy))
         self.stand_ins += stood_in
         return found
@@ -193,8 +200,13 @@ class Fitter:
         """Return the set of a proposal, without the assumed effects."""
         return frozenset(proposal.effects) - frozenset(self.assumed)
 
+    def count(self, parameters: int, fits: int = 0) -> None:
+        """Count fits of so many parameters, or derivatives of all data by so many."""
+        self.fits += fits
+        self.work += max(1.0, len(self.experiment.tested) * parameters / SMALL)
+
     def _model(self, proposal: FitProposal, accuracy: gauss_newton.Accuracy) -> ModelClass:
-        self.fits += 1
+        self.count(proposal.misfit.parameters, fits=1)
         try:
             start, at = _start(proposal)
             found, stood_in = with_stand_in(self.backend, lambda by: fitted(proposal.misfit, start, by, accuracy, at))

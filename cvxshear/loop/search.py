@@ -6,15 +6,15 @@ come first: they lose superfluous effects and are expanded. Then one cause repla
 all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
 and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
 information at zero mass, so such effects are fitted from their own starting points. There are finitely many sets and
-none is fitted or expanded twice, so the search ends; at the latest when its budget is spent. Sets that tie are then
-tried with each other's exchanges.
+none is fitted or expanded twice, so the search ends; at the latest when its budget of work is spent, and then it says
+what it has not tried. Sets that tie are tried with each other's exchanges.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -51,9 +51,9 @@ RESCALING = 3
 MOST_STARTS = 20
 """Largest number of fits from given starting points, the best after one step."""
 
-MOST_SETS = 300
-"""Number of visited sets after which a search ends, except for the current step. The limit is twice the need of
-consistent data of three states (about 150 sets). The result reports that the search was cut short."""
+MOST_WORK = 600
+"""Work, in small fits (`fitter.SMALL`), after which a search ends at the end of its step: twice the need of consistent
+data of three states. The result says what was not tried."""
 
 TWINS_DIFFER = 0.1
 """Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
@@ -78,6 +78,7 @@ class Search:
         self.base = fitter.model_of(base)
         self.visited: dict[Set, ModelClass] = {self.base.effects: self.base}
         self.other_optima: list[ModelClass] = []
+        self.untried: list[str] = []
         self._done: set[tuple[str, Set]] = set()
         self._last: Linearised | None = None
 
@@ -104,29 +105,36 @@ class Search:
                 break
         return ranking.ranked((*causes, *others), lambda model: model.score, same=ranking.SAME_ODDS)
 
-    @property
-    def spent(self) -> bool:
-        """Whether the budget of sets is spent."""
-        return len(self.visited) >= MOST_SETS
+    def _steps(self) -> Iterator[tuple[str, Callable[[ModelClass], None], Sequence[ModelClass]]]:
+        """Yield what is tried in words, the step, and the sets that take it; each step begins when none before is left.
+
+        The order is that of the module's docstring.
+        """
+        yield "fewer effects", self._prune, self._leaders
+        yield "further effects", self._expand, self._leaders
+        if self._unsatisfied:
+            yield "masses on springs", self.add_motions, [self.best]
+        yield "one cause for several", self._regroup, [self.best]
+        yield "further effects", self._expand, self._near
+        yield "one cause for several", self._regroup, self._near
+        yield "exchanges of effects", self._exchange, self._near
+        yield "masses on springs", self.add_motions, [self.best]
 
     def run(self) -> None:
         """Visit sets until no good set is left to expand, to group or to exchange, or the budget is spent."""
-        while not self.spent and (
-            self._follow(self._prune, self._leaders)
-            or self._follow(self._expand, self._leaders)
-            or (self._unsatisfied and self._follow(self.add_motions, [self.best]))
-            or self._follow(self._regroup, [self.best])
-            or self._follow(self._expand, self._near)
-            or self._follow(self._regroup, self._near)
-            or self._follow(self._exchange, self._near)
-            or self._follow(self.add_motions, [self.best])
-        ):
+        while self.fitter.work < MOST_WORK and any(self._follow(step, models) for _, step, models in self._steps()):
             pass
+        if self.fitter.work >= MOST_WORK:
+            left = [words for words, step, models in self._steps() if not all(self._had(step, each) for each in models)]
+            self.untried = list(dict.fromkeys(left))
+
+    def _had(self, step: Callable[[ModelClass], None], model: ModelClass) -> bool:
+        return (step.__name__, model.effects) in self._done
 
     def _follow(self, step: Callable[[ModelClass], None], models: Sequence[ModelClass]) -> bool:
         """Apply a step to the first of these sets that has not had it; return whether there was such a set."""
         for model in models:
-            if (step.__name__, model.effects) not in self._done:
+            if not self._had(step, model):
                 self._done.add((step.__name__, model.effects))
                 step(model)
                 return True
@@ -260,6 +268,7 @@ class Search:
         assert model.estimate is not None, "only sets with a fit are linearised"
         if self._last is None or self._last.base is not model.estimate:
             self._last = Linearised(model.estimate, self.candidates(model), self.fitter.expectation)
+            self.fitter.count(self._last.parameters)
         return self._last
 
     def twins(self, model: ModelClass, placed: LocatedEffect) -> list[LocatedEffect]:

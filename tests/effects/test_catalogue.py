@@ -166,7 +166,7 @@ def test_what_is_looked_for_only_where_it_could_be_told():
     low = Experiment.from_dict(
         {"frame": {"stories": 2, "total_mass": 4.0}, "configuration": [{"name": "one", "frequencies": [1.0]}]}
     )
-    assert one("spring").lacks(low) == "three stories"
+    assert one("spring").lacks(low) == "three to 40 stories"
     assert one("spring").places(low) == []
 
 
