@@ -1,14 +1,11 @@
 """Test the convex program and the choice: valid bounds, agreeing solvers, exchange against enumeration."""
 
-from functools import partial
-
 import numpy as np
 import pytest
-from scipy.optimize import check_grad
 
 from cvxshear.planning.choice import CRITERIA, choose, equally_spaced, exchanged, relaxed, values_of
 from cvxshear.planning.planner import mass_grid
-from tests.planning.common import exhaustive, frame_model, tapered
+from tests.planning.common import exhaustive, frame_model, information_of, tapered
 from tests.studies.planning import OTHERS, beside_others, floors_of, random_frame
 
 NAMES = tuple(CRITERIA)
@@ -22,7 +19,7 @@ def floors(stories, number, modes=3, **keys):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_criterion_is_what_it_says(name):
     of = floors(5, 3)
-    information = of.subset([0, 2, 4])
+    information = information_of(of, [0, 2, 4])
     covariance = of.covariance(of.own(information))
     eigenvalues = np.linalg.eigvalsh(covariance)
     expected = {
@@ -31,15 +28,6 @@ def test_a_criterion_is_what_it_says(name):
         "E": np.sqrt(eigenvalues[-1]),
     }
     assert CRITERIA[name].value(of, information) == pytest.approx(expected[name], rel=1e-9)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_smooth_functions_gradient_is_that_of_differences(name):
-    of = floors(6, 3)
-    smooth = partial(CRITERIA[name].smooth, of, power=24)
-    shares = np.random.default_rng(1).uniform(0.2, 0.9, 6)
-    error = check_grad(lambda w: smooth(w)[0], lambda w: smooth(w)[1], shares, epsilon=1e-6)
-    assert error < 1e-4 * np.linalg.norm(smooth(shares)[1])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -52,22 +40,23 @@ def test_no_choice_is_below_the_bound(name):
     assert found.bound <= best <= found.value * (1 + 1e-9)
     assert found.value <= 1.001 * best
     assert 1 - found.bound / best < 0.3
-    rough = np.random.default_rng(2).uniform(0, 1, 10)
-    assert by.bound(of, rough * 4 / rough.sum(), 4, 24) <= best
+    rng, p = np.random.default_rng(2), len(of.base)
+    for _ in range(20):
+        rough, dual = rng.uniform(0, 1, 10), rng.normal(size=(p, p))
+        assert by.bound(of, rough * 4 / rough.sum(), 4, dual + dual.T) <= best
     assert choose(of, 4, by).bound == choose(of, 4, by).value == pytest.approx(best)
     assert list(choose(of, 4, by).chosen) == chosen
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_program_ends_where_its_bound_is(name):
-    """The bound is within 0.001 (E: 0.01) of the value at the shares, so both are optimal within this gap."""
+    """The bound is within 0.001 of the value at the shares, so both are optimal within this gap."""
     of = floors(10, 4)
     by = CRITERIA[name]
     weights, bound = relaxed(of, 4, by)
     assert weights.sum() == pytest.approx(4.0, abs=1e-4)
     at_shares = float(by.value(of, of.information(weights)))
-    slack = 1e-2 if name == "E" else 1e-3
-    assert bound <= at_shares <= (1 + slack) * bound
+    assert bound <= at_shares <= 1.001 * bound
 
 
 def test_equal_distances_are_those_of_the_e_defense_frame():
@@ -93,7 +82,7 @@ def test_an_exchange_takes_the_best_neighbour():
     value, chosen = exchanged(of, [0, 1, 2], by)
     neighbours = [sorted({*chosen} - {out} | {into}) for out in chosen for into in range(7) if into not in chosen]
     assert value <= values_of(of, neighbours, by).min() * (1 + 1e-9)
-    assert value == pytest.approx(float(by.value(of, of.subset(chosen))))
+    assert value == pytest.approx(float(by.value(of, information_of(of, chosen))))
 
 
 def test_the_choice_is_never_worse_than_the_others():

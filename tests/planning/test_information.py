@@ -7,7 +7,7 @@ from cvxshear.planning.choice import candidates
 from cvxshear.planning.design import Design
 from cvxshear.planning.tested_model import UNKNOWN_STDS
 from cvxshear.util.errors import InputError
-from tests.planning.common import NOISE, design, frame_model, slow_covariance, tapered
+from tests.planning.common import NOISE, design, frame_model, information_of, slow_covariance, tapered
 
 FLOORS = np.array([0, 2, 4])
 
@@ -26,7 +26,7 @@ def test_floors_add_up_with_the_scales_as_parameters_as_shapes_do_with_the_scale
     model = frame_model(tapered(6))
     tests = [model.expected(np.zeros(6)), model.expected(np.full(6, 3e3))]
     of = model.sensors(tests, 3)
-    added_up = of.covariance(of.own(of.subset(FLOORS)))
+    added_up = of.covariance(of.own(information_of(of, FLOORS)))
     eliminated = model.covariance(tests, FLOORS)
     # Each scale has the standard deviation of an unknown parameter, so scales are almost free.
     np.testing.assert_allclose(added_up, eliminated, rtol=1e-4, atol=1e-9)
@@ -37,7 +37,7 @@ def test_one_test_more_can_be_a_candidate_as_well():
     tests = [model.expected(np.zeros(4)), model.expected(np.array([0, 0, 0, 8e3]))]
     of = model.choices(tests, FLOORS[:2], 1)
     np.testing.assert_allclose(
-        of.covariance(of.own(of.subset([1]))), model.covariance(tests[1:], FLOORS[:2]), rtol=1e-8
+        of.covariance(of.own(information_of(of, [1]))), model.covariance(tests[1:], FLOORS[:2]), rtol=1e-8
     )
 
 
@@ -75,5 +75,5 @@ def test_known_masses_are_no_part_of_the_question():
 def test_what_nothing_is_known_of_keeps_the_vague_standard_deviation():
     question = np.eye(2)
     of = candidates(np.eye(2) / UNKNOWN_STDS, np.zeros((0, 2)), np.array([[[1e3, 0.0]]]), question, 1.0)
-    std = np.sqrt(np.diag(of.covariance(of.own(of.subset([0])))))
+    std = np.sqrt(np.diag(of.covariance(of.own(information_of(of, [0])))))
     np.testing.assert_allclose(std, [1e-3, UNKNOWN_STDS], rtol=1e-6)
