@@ -323,6 +323,13 @@ class Effect(ABC):
         )
         return f"{place.label(self.label)} is there ({sizes})"
 
+    def of_story(self, place: Place, stories: int) -> tuple[int, str] | None:
+        """Return the one story whose stiffness the effect changes, and the part of it that changes, such as "its feet".
+
+        The phrase of such an effect says first, up to a colon, what the story lost or gained. None by default.
+        """
+        return None
+
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
         """Return a sentence on prior knowledge of the effect that the data need not show; empty by default."""
         return ""

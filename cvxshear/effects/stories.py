@@ -40,6 +40,10 @@ class StoryChange(Effect):
         assert place.story is not None
         return "added_mass", Place(floor=stories + 1 - place.story, state=place.state)
 
+    def of_story(self, place: Place, stories: int) -> tuple[int, str] | None:
+        assert place.story is not None
+        return place.story, "its columns"
+
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         size = in_percent(values[0], std[0])
         if values[0] > 0:
@@ -289,15 +293,17 @@ class JointRelease(Effect):
         by_turning, error = _lost_by_turning(rho * kept, rho_std * kept, len(_adjoining(place, top)))
         lost = 1.0 - (1.0 - by_turning) * kept
         size = in_percent(lost, float(np.hypot(kept * error, (1.0 - by_turning) * loss_std)))
-        where = f'in "{place.state}"'
-        if place.floor == 0:
-            return f"the feet of the columns are loose {where}, which costs story 1 {size} of its stiffness"
-        if place.floor == top:
-            return f"the joints of floor {top} are loose {where}, which costs story {top} {size} of its stiffness"
+        if end := self.of_story(place, top):
+            loose = "the feet of the columns" if place.floor == 0 else f"the joints of floor {top}"
+            return f"story {end[0]} lost {size} of its stiffness{place.in_state}: {loose} are loose"
         return (
-            f"the joints of floor {place.floor} are loose {where}, which costs stories {place.floor} and "
+            f"the joints of floor {place.floor} are loose{place.in_state}, which costs stories {place.floor} and "
             f"{place.floor_index + 2} about {size} of their stiffness"
         )
+
+    def of_story(self, place: Place, stories: int) -> tuple[int, str] | None:
+        (story, *more) = _adjoining(place, stories)
+        return None if more else (story + 1, "its feet" if place.floor == 0 else "its joints")
 
 
 def _lost_by_turning(rho: float, std: float, columns: int) -> tuple[float, float]:

@@ -12,8 +12,10 @@ from functools import partial
 
 import numpy as np
 
+from cvxshear import backends
 from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, compose
+from cvxshear.fit import other_frames
 from cvxshear.fit.efficient import Estimate, fitted_with
 from cvxshear.fit.gauss_newton import FULL, ROUGH
 from cvxshear.fit.misfit import Misfit
@@ -51,6 +53,10 @@ class VerdictFits:
     steps : tuple of Step
     chi2_without : dict of LocatedEffect to float
         Chi-square without each effect of the set, in the noise of the final fit.
+    equivalents : list of Estimate
+        Fits of the set with other frames that fit the same data.
+    searched : str
+        What was searched for them, in words; empty if the data determine the frame.
     """
 
     search: Search
@@ -58,6 +64,8 @@ class VerdictFits:
     final: Estimate
     steps: tuple[Step, ...]
     chi2_without: dict[LocatedEffect, float]
+    equivalents: list[Estimate]
+    searched: str
 
     @property
     def judged(self) -> Estimate:
@@ -94,7 +102,8 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
         placed: _in_noise_of(judged, [each for each in effects if each is not placed], fitter).chi2
         for placed in effects
     }
-    return VerdictFits(search, model, final, steps, chi2_without)
+    equivalents = other_frames.equivalent_fits(judged, backends.get("auto"))
+    return VerdictFits(search, model, final, steps, chi2_without, *equivalents)
 
 
 def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:

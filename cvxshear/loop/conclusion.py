@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special
 
 from cvxshear.effects import Effect, LocatedEffect, masses
-from cvxshear.fit import next_test
+from cvxshear.fit import next_test, other_frames
 from cvxshear.fit.efficient import Estimate, parameter_names
 from cvxshear.loop import comparison, hypotheses, results
 from cvxshear.loop.fitter import ModelClass
@@ -64,11 +64,13 @@ def conclude(
     negligible = significant and _negligible(final)
     by_set = {model.effects: model.estimate for model in reversed(here.models)}
     rivals = [estimate for rival in _rival_sets(here, added) if (estimate := by_set[rival]) is not None]
+    others = other_frames.weighed(judged, fits.equivalents, fits.searched)
     granted = (
         *_granted(search, found),
         *_granted_of_the_frame(added, fitter.experiment),
         *_granted_of_the_scale(search, found),
         *_granted_of_bounds(fitter.experiment),
+        *([f"that the frame is this one of the {len(others.frames) + 1} that fit"] if others.frames else []),
     )
     return results.LoopResult(
         experiment=fitter.experiment,
@@ -86,7 +88,8 @@ def conclude(
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(results.where_it_sits(final)) if significant and not negligible else (),
         information=(*messages, *_information(search, posterior, judged, negligible=negligible)),
-        next_test=next_test.next_test(judged, rivals),
+        next_test=next_test.next_test(judged, [*rivals, *fits.equivalents]),
+        others=others,
         fits=effort[0],
         programs=effort[1],
     )
@@ -158,15 +161,28 @@ def _added(posterior: Posterior, final: Estimate, placed: LocatedEffect) -> resu
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
         said = f"{said}: {quantities.significant(factor['factor'], 2)} times"
+    probability, rivals = posterior.of_effects[placed], tuple(posterior.rivals(placed))
+    parts = _parts_of_the_story(placed, [rival.placed for rival in rivals], final.experiment.stories)
+    story = None
+    if len(parts) > 1:
+        either = probability + sum(rival.probability for rival in rivals if rival.placed in parts)
+        story = results.SharedStory(said.partition(":")[0], min(either, 1.0), parts)
     return results.AddedEffect(
-        placed,
-        posterior.of_effects[placed],
-        parameters,
-        std,
-        said,
-        tuple(posterior.rivals(placed)),
-        tuple(_remarks(final, placed)),
+        placed, probability, parameters, std, said, rivals, tuple(_remarks(final, placed)), story
     )
+
+
+def _parts_of_the_story(
+    placed: LocatedEffect, rivals: Sequence[LocatedEffect], stories: int
+) -> dict[LocatedEffect, str]:
+    """List the effects that change the one story of an effect in the same state, each with its part of the story."""
+    found = {each: each.effect.of_story(each.place, stories) for each in (placed, *rivals)}
+    mine = found[placed]
+    return {
+        each: own[1]
+        for each, own in found.items()
+        if mine and own and (own[0], each.place.state) == (mine[0], placed.place.state)
+    }
 
 
 def _remarks(final: Estimate, placed: LocatedEffect) -> Iterator[str]:
