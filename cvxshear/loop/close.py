@@ -212,7 +212,7 @@ class Searches:
         otherwise, or if the dual start leads to the same frame.
         """
         numbering = search.fitter.numbering
-        if search.base.estimate is None or not hypotheses.few_floors_seen(numbering.experiment):
+        if not hypotheses.few_floors_seen(numbering.experiment):
             return None
         if search.visit_from([*self._duals(search), *self._changes(search)]):
             search.run()
@@ -242,7 +242,7 @@ class Searches:
         return [
             (dual, hypotheses.dual_frame(model.estimate.theta[: 2 * n]))
             for model in search.beam
-            if model.estimate is not None and (dual := hypotheses.dual_set(model.effects, known, n)) is not None
+            if (dual := hypotheses.dual_set(model.effects, known, n)) is not None
         ]
 
     def _changes(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
@@ -252,7 +252,6 @@ class Searches:
         and may be nearer to another minimum.
         """
         base, experiment = search.base.estimate, search.fitter.experiment
-        assert base is not None, "the shear model was fitted"
         n = experiment.stories
         placed = [each.placed for each in self.looked_for if each.placed.effect.dual(each.placed.place, n)]
         frames = []
@@ -272,6 +271,4 @@ class Searches:
 
 def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
-    assert a.estimate is not None, "the shear model was fitted"
-    assert b.estimate is not None, "the shear model was fitted"
     return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=other_frames.INSEPARABLE))

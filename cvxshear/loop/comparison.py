@@ -70,7 +70,6 @@ class VerdictFits:
     @property
     def judged(self) -> Estimate:
         """Fit that determines the effects; under wider noise if the residual is unexplained."""
-        assert self.model.estimate is not None, "a set without a fit has no probability"
         return self.model.estimate
 
 
@@ -91,9 +90,7 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
         each.fit_of(wanted)
     search = ranking.ranked(own, lambda each: each.visited[wanted].score, same=ranking.SAME_ODDS)[0]
     model, fitter = search.visited[wanted], search.fitter
-    judged = model.estimate
-    assert judged is not None, "a set without a fit has no probability"
-    final = judged
+    final = judged = model.estimate
     if judged.misfit.noise_inflation != 1.0:
         final = fitter.fit(judged.misfit.replaced(noise_inflation=1.0), judged.theta)
     effects = [placed for placed in judged.effects if placed not in fitter.assumed]

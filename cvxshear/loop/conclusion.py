@@ -63,7 +63,7 @@ def conclude(
     significant = final.improbable
     negligible = significant and _negligible(final)
     by_set = {model.effects: model.estimate for model in reversed(here.models)}
-    rivals = [estimate for rival in _rival_sets(here, added) if (estimate := by_set[rival]) is not None]
+    rivals = [by_set[rival] for rival in _rival_sets(here, added)]
     others = other_frames.weighed(judged, fits.equivalents, fits.searched)
     granted = (
         *_granted(search, found),
@@ -219,7 +219,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[results.EffectSet]:
     best = {(model.effects, model.changes): model for model in reversed(posterior.models)}
     for key in ranking.ranked(best, sums.__getitem__):
         model = best[key]
-        if sums[key] >= REPORTED and model.estimate is not None:
+        if sums[key] >= REPORTED:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
             yield results.EffectSet(order, min(sums[key], 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
@@ -349,9 +349,9 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():
         yield f"{placed.label}: these data tell nothing of it; masses and stiffnesses are averaged without it"
-    failed = [model for model in search.visited.values() if model.failure is not None]
-    if failed:
-        yield f"{len(failed)} of {len(search.visited)} sets of effects could not be fitted ({failed[0].failure})"
+    if failed := [each for each in fitter.failures if each not in search.visited]:
+        tried = len(failed) + len(search.visited)
+        yield f"{len(failed)} of {tried} sets of effects could not be fitted ({fitter.failures[failed[0]]})"
     if fitter.stand_ins:
         yield f"{fitter.stand_ins} of {fitter.fits} fits that {fitter.backend.name} refused were made by auto"
     if experiment.frame.story_heights is None and any(placed.effect.uses_heights for placed in final.effects):

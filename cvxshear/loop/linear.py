@@ -89,7 +89,7 @@ class Linearised:
     @property
     def parameters(self) -> int:
         """Number of parameters of the candidates."""
-        return self._columns.shape[1]
+        return int(self._columns.shape[1])
 
     @decorators.cached_property
     def gains(self) -> Floats:

@@ -76,7 +76,7 @@ class Posterior:
         twins: Mapping[LocatedEffect, Sequence[LocatedEffect]] | None = None,
     ) -> None:
         self._twins = twins or {}
-        fitted = [model for model in models if model.estimate is not None and np.isfinite(model.score)]
+        fitted = [model for model in models if np.isfinite(model.score)]
         self.models = _distinct(ranking.ranked(fitted, lambda model: model.score, same=ranking.SAME_ODDS))
         scores = np.array([model.score for model in self.models])
         weights = np.exp(scores - scores[0])
@@ -283,7 +283,7 @@ class Posterior:
         here, std, weights, squares = estimate.theta[mine], estimate.std[mine], [], []
         for model, probability in zip(self.models, self.probabilities, strict=True):
             other = model.estimate
-            if other is not None and placed in model.effects and (other is estimate or probability >= least):
+            if placed in model.effects and (other is estimate or probability >= least):
                 own = other.own(placed)
                 weights.append(float(probability))
                 within = np.where(np.isnan(other.std[own]), std, other.std[own])
@@ -300,7 +300,7 @@ class Posterior:
         untold = self.untold()
         counts = np.array([model.effects.isdisjoint(untold) for model in self.models])
         weights = self.of_sets * counts if counts.any() else self.of_sets
-        frames = [model.estimate.expected_frame for model in self.models if model.estimate is not None]
+        frames = [model.estimate.expected_frame for model in self.models]
 
         def mixture(values: Sequence[Floats], stds: Sequence[Floats]) -> tuple[Floats, Floats]:
             x, s, share = np.array(values), np.array(stds), weights[:, None] / weights.sum()
