@@ -14,14 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.effects import Effect, LocatedEffect, Scale
-from cvxshear.effects.state import heights_of
+from cvxshear.effects import Effect, LocatedEffect, Scale, heights_of
 from cvxshear.fit import domain, gauss_newton, other_frames
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop import comparison, conclusion, hypotheses
-from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
+from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.posterior import Posterior, from_the_first_state
 from cvxshear.loop.results import VERDICTS, LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
@@ -56,18 +55,22 @@ def search_for_effects(
     solver = backends.get(backend)
     assumed = hypotheses.assumed_effects(experiment, assume)
     looked_for = hypotheses.hypotheses(experiment, wanted, assumed)
-    start = _first(experiment, solver, assumed)
-    searches = Searches(solver, assumed, looked_for, _expectation(experiment, start.theta, looked_for), start)
-    found = searches.run(experiment)
+    # On the requested backend, so that a failing one is found at once.
+    start, _ = with_stand_in(solver, lambda by: efficient(experiment, by, assumed), (errors.UnsuitableError,))
+    expectation = _expectation(experiment, start.theta, looked_for)
+    searches = Searches(experiment, solver, assumed, looked_for, expectation, start)
+    found = searches.run()
     messages = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
         *(f"an effect was left out: {message}" for message in left_out),
     )
     result = _concluded(found, found, wanted, messages)
-    if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
+    judged = result.judged
+    if not (VERDICTS[result.verdict].provisional and judged.improbable):
         return result
-    # The residual refutes the noise, so the evidence is invalid: judge the sets again under sufficient noise.
-    again = dataclasses.replace(searches, noise_inflation=excess).run(experiment)
+    # The residual refutes the noise, so the evidence is invalid: judge the sets again under noise that suffices.
+    excess = float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1)))
+    again = dataclasses.replace(searches, noise_inflation=excess).run()
     numbered = [each.fitter.numbering.changes for each in found]
     # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
     new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
@@ -98,17 +101,6 @@ def _concluded(
     return conclusion.conclude(fits, posterior, wanted, messages=messages, effort=effort)
 
 
-def _excess(result: LoopResult) -> float | None:
-    """Return the factor on the noise that makes the residual probable; None if the residual is probable already."""
-    judged = result.judged
-    return float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1))) if judged.improbable else None
-
-
-def _first(experiment: Experiment, backend: backends.Backend, assumed: tuple[LocatedEffect, ...]) -> Estimate:
-    """Make the first fit on the requested backend, so that a failing backend is found at once."""
-    return with_stand_in(backend, lambda by: efficient(experiment, by, assumed), (errors.UnsuitableError,))[0]
-
-
 def _expectation(
     experiment: Experiment, theta: Floats, looked_for: Sequence[hypotheses.Hypothesis]
 ) -> domain.EffectPrior:
@@ -126,10 +118,11 @@ def _expectation(
 
 @dataclass(frozen=True)
 class Searches:
-    """Settings that all searches of one loop share.
+    """An experiment with the settings that all searches of one loop share.
 
     Parameters
     ----------
+    experiment : Experiment
     backend : Backend
     assumed : tuple of LocatedEffect
         Effects that the model holds from the start.
@@ -141,6 +134,7 @@ class Searches:
         Factor on the standard deviations of the data.
     """
 
+    experiment: Experiment
     backend: backends.Backend
     assumed: tuple[LocatedEffect, ...]
     looked_for: Sequence[hypotheses.Hypothesis]
@@ -148,7 +142,7 @@ class Searches:
     start: Estimate
     noise_inflation: float = 1.0
 
-    def run(self, experiment: Experiment) -> list[Search]:
+    def run(self) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
 
         Each search runs to its end.
@@ -158,6 +152,7 @@ class Searches:
         NoSolutionError
             If the shear model could not be fitted to the modes as given.
         """
+        experiment = self.experiment
         given = self.start_search(hypotheses.Numbering(experiment))
         given.run()
         others = list(self._possible(hypotheses.named_numberings(experiment)))
@@ -228,7 +223,9 @@ class Searches:
         except errors.CvxshearError:
             # The declarations exclude the dual.
             return None
-        if other.base.score < search.base.score - WITHIN or _same_frame(other.base, search.base):
+        same = np.allclose(other.base.estimate.theta, search.base.estimate.theta, rtol=other_frames.INSEPARABLE)
+        if same or other.base.score < search.base.score - WITHIN:
+            # The same frame, or another that hardly fits.
             return None
         other.visit(effects for effects, _ in self._duals(search))
         other.run()
@@ -267,8 +264,3 @@ class Searches:
             frame = search.fitter.fit(misfit, base.theta, gauss_newton.ROUGH).theta[: 2 * n]
             frames += [frame, hypotheses.dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]
-
-
-def _same_frame(a: ModelClass, b: ModelClass) -> bool:
-    """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
-    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=other_frames.INSEPARABLE))

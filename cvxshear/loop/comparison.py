@@ -6,7 +6,7 @@ test that mere extra freedom does not pass.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -111,17 +111,16 @@ def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_g
     what = "the shear model" if fitter is as_given else "the shear model, the modes numbered as given"
     if fitter.assumed:
         what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
-    ways: list[tuple[str, Callable[[], Estimate]]] = [(what, lambda: _in_noise_of(final, [], as_given))]
+    ways = [(what, order[:0], as_given)]
     if fitter is not as_given:
-        ways.append(("with the modes numbered otherwise", lambda: _in_noise_of(final, [], fitter)))
-    for count, placed in enumerate(order, 1):
-        ways.append((f"with {placed.label}", partial(_in_noise_of, final, order[:count], fitter)))
-    estimates = [*(make() for _, make in ways[:-1]), final]
+        ways.append(("with the modes numbered otherwise", order[:0], fitter))
+    ways += [(f"with {placed.label}", order[:count], fitter) for count, placed in enumerate(order, 1)]
+    estimates = [*(_in_noise_of(final, effects, by) for _, effects, by in ways[:-1]), final]
     left_out = held_out_frequency_errors(estimates[0], final, fitter)
     held_out = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
     return tuple(
         Step(estimate, what, estimate.p_value, error)
-        for (what, _), estimate, error in zip(ways, estimates, held_out, strict=True)
+        for (what, *_), estimate, error in zip(ways, estimates, held_out, strict=True)
     )
 
 

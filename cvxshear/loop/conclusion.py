@@ -247,7 +247,7 @@ def _candidates(posterior: Posterior, fits: comparison.VerdictFits) -> list[resu
             # Otherwise the derivatives at the null value carry no information on the effect here.
             gain = linear.decrease(placed)
             chi2 -= gain
-            if linear.precision_gained(placed) < LITTLE_GAINED and posterior.keeps_odds(placed):
+            if linear.precision_gained(placed) < LITTLE_GAINED and placed in posterior.kept_odds:
                 confounded = linear.confounders(placed, names)
         p_value = min(1.0, len(fitter.hypotheses) * float(special.chdtrc(count, max(gain, 0.0))))
         probability = posterior.of_effects[placed]
