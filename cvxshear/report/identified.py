@@ -2,17 +2,20 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit import results
-from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.programs.certificate import ActiveConstraint
 from cvxshear.report import blocks
 from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
+
+if TYPE_CHECKING:
+    from cvxshear.loop import LoopResult
 
 
 @blocks.describe.register
@@ -288,7 +291,7 @@ def _identification(result: results.Identification) -> blocks.Document:
     return blocks.Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
 
 
-def other_frames_section(result: results.Identification | LoopResult, units: quantities.Units) -> blocks.Section:
+def other_frames_section(result: "results.Identification | LoopResult", units: quantities.Units) -> blocks.Section:
     """Tabulate the other frames that fit the data, the most probable first."""
     frames = result.other_frames
     mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
