@@ -30,7 +30,7 @@ from cvxshear.priors import Prior
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
-MOST_STORIES = 100
+TALLEST_SEARCH = 100
 """Tallest frame: the derivatives by its effects, once, take some seconds, and the fourth power of the stories."""
 
 
@@ -46,9 +46,9 @@ def search_for_effects(
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
     experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
-    if experiment.stories > MOST_STORIES:
+    if experiment.stories > TALLEST_SEARCH:
         raise errors.UnsuitableError(
-            f"the loop takes frames of up to {MOST_STORIES} stories, not {experiment.stories:,}: join stories, or "
+            f"the loop takes frames of up to {TALLEST_SEARCH} stories, not {experiment.stories:,}: join stories, or "
             "identify the frame without effects"
         )
     wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)

@@ -36,7 +36,7 @@ from cvxshear.util.typing import Floats
 TINY = 1e-12
 """Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
 
-SMALL = 300
+SMALL_FIT = 300
 """Tests times parameters of a fit that takes as long as a smaller one: the solver's part is then as large."""
 
 TOUCHING = 1e-4
@@ -130,8 +130,8 @@ class Fitter:
     failures : dict of frozenset of LocatedEffect to CvxshearError
         Sets that could not be fitted, with the reason.
     work : float
-        Work done so far, in small fits: a larger one counts by its tests times parameters (`SMALL`). It does not depend
-        on the machine.
+        Work done so far, in small fits: a larger one counts by its tests times parameters (`SMALL_FIT`). It does not
+        depend on the machine.
     base : Estimate or None
         Fit of the set without effects, after this fit was made.
     """
@@ -200,7 +200,7 @@ class Fitter:
     def count(self, parameters: int, fits: int = 0) -> None:
         """Count fits of so many parameters, or derivatives of all data by so many."""
         self.fits += fits
-        self.work += max(1.0, len(self.experiment.tested) * parameters / SMALL)
+        self.work += max(1.0, len(self.experiment.tested) * parameters / SMALL_FIT)
 
     def _model(self, proposal: FitProposal, accuracy: gauss_newton.Accuracy) -> ModelClass | None:
         self.count(proposal.misfit.parameters, fits=1)

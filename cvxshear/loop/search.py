@@ -52,8 +52,8 @@ MOST_STARTS = 20
 """Largest number of fits from given starting points, the best after one step."""
 
 MOST_WORK = 600
-"""Work, in small fits (`fitter.SMALL`), after which a search ends at the end of its step: twice the need of consistent
-data of three states. The result says what was not tried."""
+"""Work, in small fits (`fitter.SMALL_FIT`), after which a search ends at the end of its step: twice the need of
+consistent data of three states. The result says what was not tried."""
 
 TWINS_DIFFER = 0.1
 """Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
