@@ -7,7 +7,7 @@ best.
 
 from __future__ import annotations
 
-import dataclasses
+import copy
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -22,12 +22,12 @@ from cvxshear.fit.start import nearest_start
 from cvxshear.loop import comparison, conclusion, hypotheses
 from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.posterior import Posterior, from_the_first_state
-from cvxshear.loop.results import VERDICTS, LoopResult
+from cvxshear.loop.results import LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
 from cvxshear.priors import Prior
-from cvxshear.util import errors, ranking
+from cvxshear.util import decorators, errors, ranking
 from cvxshear.util.typing import Floats
 
 TALLEST_SEARCH = 100
@@ -52,13 +52,8 @@ def search_for_effects(
             "identify the frame without effects"
         )
     wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)
-    solver = backends.get(backend)
     assumed = hypotheses.assumed_effects(experiment, assume)
-    looked_for = hypotheses.hypotheses(experiment, wanted, assumed)
-    # On the requested backend, so that a failing one is found at once.
-    start, _ = with_stand_in(solver, lambda by: efficient(experiment, by, assumed), (errors.UnsuitableError,))
-    expectation = _expectation(experiment, start.theta, looked_for)
-    searches = Searches(experiment, solver, assumed, looked_for, expectation, start)
+    searches = Searches(experiment, wanted, assumed, backends.get(backend))
     found = searches.run()
     messages = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
@@ -66,11 +61,12 @@ def search_for_effects(
     )
     result = _concluded(found, found, wanted, messages)
     judged = result.judged
-    if not (VERDICTS[result.verdict].provisional and judged.improbable):
+    if not (result.provisional and judged.improbable):
         return result
     # The residual refutes the noise, so the evidence is invalid: judge the sets again under noise that suffices.
-    excess = float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1)))
-    again = dataclasses.replace(searches, noise_inflation=excess).run()
+    inflated = copy.copy(searches)
+    inflated.noise_inflation = float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1)))
+    again = inflated.run()
     numbered = [each.fitter.numbering.changes for each in found]
     # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
     new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
@@ -101,46 +97,50 @@ def _concluded(
     return conclusion.conclude(fits, posterior, wanted, messages=messages, effort=effort)
 
 
-def _expectation(
-    experiment: Experiment, theta: Floats, looked_for: Sequence[hypotheses.Hypothesis]
-) -> domain.EffectPrior:
-    """Collect the priors of effects and frame, in units of a typical floor and story of a first fit."""
-    n = experiment.stories
-    mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
-    scale = Scale(float(mass), float(stiffness), heights_of(experiment))
-    stds = {
-        item.placed: item.placed.effect.expecting(size=item.size).expected_sizes(scale)
-        for item in looked_for
-        if item.size is not None
-    }
-    return domain.EffectPrior(scale, stds)
-
-
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Searches:
-    """An experiment with the settings that all searches of one loop share.
+    """An experiment with everything that all of its searches share.
 
     Parameters
     ----------
     experiment : Experiment
-    backend : Backend
+    wanted : sequence of Effect
     assumed : tuple of LocatedEffect
         Effects that the model holds from the start.
-    looked_for : sequence of Hypothesis
-    expectation : EffectPrior
-    start : Estimate
-        The shear model with the modes as given.
+    backend : Backend
     noise_inflation : float
         Factor on the standard deviations of the data.
     """
 
     experiment: Experiment
-    backend: backends.Backend
+    wanted: Sequence[Effect]
     assumed: tuple[LocatedEffect, ...]
-    looked_for: Sequence[hypotheses.Hypothesis]
-    expectation: domain.EffectPrior
-    start: Estimate
+    backend: backends.Backend
     noise_inflation: float = 1.0
+
+    @decorators.cached_property
+    def looked_for(self) -> Sequence[hypotheses.Hypothesis]:
+        """Every effect at every place, with its prior."""
+        return hypotheses.hypotheses(self.experiment, self.wanted, self.assumed)
+
+    @decorators.cached_property
+    def start(self) -> Estimate:
+        """The shear model with the modes as given, on the requested backend, so that a failing one is found at once."""
+        fit, refusals = (lambda by: efficient(self.experiment, by, self.assumed)), (errors.UnsuitableError,)
+        return with_stand_in(self.backend, fit, refusals)[0]
+
+    @decorators.cached_property
+    def expectation(self) -> domain.EffectPrior:
+        """Priors of effects and frame, in units of a typical floor and story of the first fit."""
+        n, theta = self.experiment.stories, self.start.theta
+        mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
+        scale = Scale(float(mass), float(stiffness), heights_of(self.experiment))
+        stds = {
+            item.placed: item.placed.effect.expecting(size=item.size).expected_sizes(scale)
+            for item in self.looked_for
+            if item.size is not None
+        }
+        return domain.EffectPrior(scale, stds)
 
     def run(self) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
