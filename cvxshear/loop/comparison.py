@@ -31,9 +31,6 @@ from cvxshear.util.typing import Bools
 USEFUL = 0.1
 """Largest relative standard deviation of a prediction that counts; an undetermined direction counts with its length."""
 
-MOST_PREDICTIONS = 24
-"""Largest number of predictions: each is a fit, and a tall frame has many modes."""
-
 Errors = dict[tuple[str, int], float]
 """|predicted / measured - 1| by configuration and place of the frequency in it."""
 
@@ -174,10 +171,10 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
     configurations = experiment.configurations
     if len(configurations) > 1:
         alone = [each for each in configurations if _judged(each, experiment, concerned)]
-        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST_PREDICTIONS]
+        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone]
     (only,) = configurations
     rows = list(np.eye(len(only.frequencies), dtype=bool))
-    return [(only.name, row) for row in rows][:MOST_PREDICTIONS] if len(only.frequencies) > 1 else []
+    return [(only.name, row) for row in rows] if len(only.frequencies) > 1 else []
 
 
 def _judged(test: Configuration, experiment: Experiment, concerned: set[str | None]) -> bool:
