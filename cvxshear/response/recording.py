@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.record_file import RecordTables
+from cvxshear.io.modes import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
 from cvxshear.records import data_frames, examination, prepare, sick_channels
 from cvxshear.records.identify import identify_modes
