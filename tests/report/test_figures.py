@@ -21,6 +21,7 @@ from cvxshear.report.figures import style
 from cvxshear.report.figures.mode_figures import mac_tables, mode_shapes
 from cvxshear.report.figures.style import inline_svg, letters, spread
 from cvxshear.util.errors import InputError
+from tests import frames
 
 OF_A_LOOP = [figures.findings, figures.frame, figures.shapes, figures.mac]
 
