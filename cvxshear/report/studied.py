@@ -57,6 +57,7 @@ def _changes(result: History) -> Iterator[blocks.Block | str]:
         told = {head: texts for head, texts in cells.items() if any(texts)}
         yield blocks.table("changes-table", "", told, words=(0, 2, 3))
     yield f"It rests on {result.loop.rests_on[0]}; masses are the same in all tests."
+    yield from (f"{quantities.capital(each)}." for each in result.loop.information)
 
 
 def history_data(result: History) -> blocks.Table:
