@@ -99,9 +99,9 @@ Courses = Mapping[TrendPlace, Mapping[str, float]]
 class Trend(effects.Effect):
     """k_i exp(p x).
 
-    The expected sizes are those of `StoryChange` for steps and slopes, and of `StateStiffness` for temperature, over
-    the range of `SEASONS`, and amplitude, over a factor of ten. Materials soften with both, so one of the two is as
-    probable as not; a slope is as probable as a step at any test.
+    Steps and slopes have the expected size of `StoryChange`. Temperature (over `SEASONS`) and amplitude (over a factor
+    of ten) have the size of `StateStiffness`. Materials soften with both, so one of the two is as probable as not. A
+    slope is as probable as a step at any test.
     """
 
     name = "trend"
@@ -160,7 +160,7 @@ class StiffnessChange(results.InJson):
         Relative change of stiffness: in all, per degree C, or per factor of ten in amplitude.
     text : str
     other_tests : tuple of str
-        Tests at which the step may begin instead, the most probable first.
+        Other possible beginnings of a step, the most probable first.
     rivals : tuple of str
         Other trends that may be there in its place.
     """
