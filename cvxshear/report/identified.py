@@ -1,7 +1,10 @@
 """Describe the measured and declared data, and the identified frame with the fit of each configuration."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +15,9 @@ from cvxshear.programs.certificate import ActiveConstraint
 from cvxshear.report import blocks
 from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
+
+if TYPE_CHECKING:
+    from cvxshear.loop import LoopResult
 
 
 @blocks.describe.register
@@ -278,7 +284,7 @@ def _identification(result: results.Identification) -> blocks.Document:
     sections = [declared(result.experiment, units)]
     sections += [part_section(result, part, place, units) for place, part in enumerate(result.parts, 1)]
     if result.other_frames:
-        sections.append(_other_frames(result, units))
+        sections.append(other_frames_section(result, units))
     if result.undetermined:
         open_ones = [blocks.Sentence(f"Not determined: {in_words(names)}.", "warning") for names in result.undetermined]
         sections.append(blocks.section("undetermined", "What these data cannot tell", *open_ones))
@@ -287,7 +293,7 @@ def _identification(result: results.Identification) -> blocks.Document:
     return blocks.Document(result.experiment.name, _identification_headline(result), tuple(sections), data)
 
 
-def _other_frames(result: results.Identification, units: quantities.Units) -> blocks.Section:
+def other_frames_section(result: results.Identification | LoopResult, units: quantities.Units) -> blocks.Section:
     """Tabulate the other frames that fit the data, the most probable first."""
     frames = result.other_frames
     mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
