@@ -25,7 +25,7 @@ from cvxshear.measurement.declaration import InTable
 from cvxshear.util import checks, quantities
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Json
+from cvxshear.util.typing import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class Repeats(InTable):
         with checks.named(where):
             return Repeats(**checks.keys(declared, names, ["frequencies"], "the table"))
 
-    def summary(self, *, mass_normalized: bool) -> Json:
+    def summary(self, *, mass_normalized: bool) -> dict[str, Floats]:
         """Return the keys of a configuration that the repeats replace, with their values.
 
         Parameters
@@ -148,7 +148,7 @@ class Repeats(InTable):
         between, within, dof = self._mean_squares
         sizes = np.array([own.sum() for own in self._blocks])
         typical = (sizes.sum() - np.sum(sizes**2) / sizes.sum()) / dof[0]
-        return np.sqrt(np.maximum(between - within, 0.0) / typical)
+        return np.asarray(np.sqrt(np.maximum(between - within, 0.0) / typical))
 
     def describe(self) -> str:
         """Say how many tests there are, and whether their blocks differ."""
