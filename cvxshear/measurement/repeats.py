@@ -102,7 +102,10 @@ class Repeats(InTable):
             Whether the shapes carry their scales; otherwise the scale of each is free.
         """
         logs = self._independent
-        found: Json = {"frequencies": np.exp(logs.mean(axis=0)), "frequency_covariance": covariance_of_mean(logs)}
+        found: dict[str, Floats] = {
+            "frequencies": np.exp(logs.mean(axis=0)),
+            "frequency_covariance": covariance_of_mean(logs),
+        }
         if self.mode_shapes is not None:
             found["mode_shapes"], std = mean_shapes(self.mode_shapes, free=not mass_normalized)
             if std is not None:
