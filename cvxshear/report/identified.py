@@ -66,6 +66,9 @@ def _facts(experiment: Experiment, units: quantities.Units) -> Iterator[tuple[st
         yield "total mass", f"{_total(experiment, units)}, without added mass" if frame.known_total else "not declared"
     if frame.reference is not None:
         yield "reference state", frame.reference
+    for test in experiment.configurations:
+        if test.repeats is not None:
+            yield f'"{test.name}"', test.repeats.describe()
     for each in experiment.static:
         yield f'static test "{each.name}"', f"displacements of {quantities.counted(int(each.measured.sum()), 'floor')}"
     for prior in experiment.priors:
