@@ -417,7 +417,7 @@ class SensorRecord:
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
-            if numbers.get("out") or finding.kind == "stuck channel":
+            if finding.kind in ("dead channel", "stuck channel") or numbers.get("out"):
                 out.update(columns)
             elif finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):
