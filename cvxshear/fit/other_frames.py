@@ -101,7 +101,7 @@ def equivalent_fits(estimate: Estimate, backend: Backend, unsuccessful: int = 20
 
 
 def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:
-    """Find the frames besides an estimate that fit the same data, their probabilities, and the test that distinguishes them.
+    """Find the frames besides an estimate that fit the same data, their probabilities, and a test that decides.
 
     Parameters
     ----------
