@@ -4,8 +4,8 @@
 uncertain: with the prior that makes every correlation uniform between -1 and 1, and leaves the sizes to the data
 (inverse Wishart with m + 1 degrees of freedom about the diagonal of S, Barnard et al. 2000), the off-diagonal entries
 are (R - 1) / R times the sample's, and the covariance is positive definite for any R. The mean has S / R, times the
-square of the ratio of Student's t with R - 1 degrees of freedom to the normal distribution, both at 95 %: intervals of two
-standard deviations then hold for few repeats, too. Two repeats give a factor of 6.5 on the deviations, ten 1.15.
+square of the ratio of Student's t with R - 1 degrees of freedom to the normal distribution, both at 95 %: intervals of
+two standard deviations then hold for few repeats, too. Two repeats give a factor of 6.5 on the deviations, ten 1.15.
 
 **Blocks.** Repeats on several days, or in several laboratories, are a one-way analysis of variance with random effects.
 Blocks differ if the mean square between them exceeds the mean square within by an F test at 5 %, for any frequency
