@@ -25,7 +25,7 @@ def method_in_words(result: ModalResult) -> str:
 
 @blocks.describe.register
 def _modes(result: ModalResult) -> blocks.Document:
-    how = f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty}."
+    how = f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty_in_words}."
     findings = (blocks.Sentence(f"{each.kind}: {each.message}", "warning") for each in result.findings)
     shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
     sections = (blocks.section("modes", "Modes", how, _table(result), *shapes, *findings),)

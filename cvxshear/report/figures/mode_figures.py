@@ -17,9 +17,9 @@ from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
-from cvxshear.records.adapters import band_of, synthesized
 from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.records.prepare import Functions
+from cvxshear.records.result import band_of, synthesized
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
