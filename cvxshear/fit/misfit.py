@@ -12,6 +12,7 @@ compares two fits by the distance of their predictions (`fit/gaussian.py`).
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -65,6 +66,12 @@ class Evaluation(PlainResiduals):
     def chi2(self) -> float:
         """Sum of squares of the residuals of data and soft priors."""
         return float(self.r[: self.measured] @ self.r[: self.measured])
+
+    def of_a_result(self) -> Evaluation:
+        """Return the same with models that hold no derivatives of their matrices."""
+        changed = copy.copy(self)
+        changed.__dict__["models"] = tuple(model.without_derivatives() for model in self.models)
+        return changed
 
     @decorators.cached_property
     def known_triangle(self) -> Floats:
@@ -459,7 +466,7 @@ def expected_configuration(
     Parameters
     ----------
     blank : Configuration
-        Its masses, modes and state stay.
+        Its masses, modes and state stay, and the covariance of its frequencies if it has one.
     frequencies, shapes : ndarray, shapes (m,) and (m, N)
     frequency_std, shape_std : ndarray, shapes (m,) and (m, N)
         Relative; relative to a mode's largest entry over all floors.
@@ -469,7 +476,8 @@ def expected_configuration(
         frequencies=frequencies,
         measured_floors=np.arange(1, shapes.shape[1] + 1),
         mode_shapes=shapes,
-        frequency_std=frequency_std,
+        repeats=None,
+        frequency_std=None if blank.frequency_covariance is not None else frequency_std,
         mode_shape_std=shape_std,
         mode_shape_noise="additive",
         # `ExpectedTest.at` frees the scale over the floors that have a sensor.

@@ -1,6 +1,6 @@
-"""All frames that fit the same data, and the test that tells them apart.
+"""All frames that fit the same data, and the test that distinguishes them.
 
-The frequencies of a frame of known masses are as many numbers as its stories, and their equations have several roots:
+A frame of known masses has one frequency for each story, and the equations of these frequencies have several roots:
 of three frequencies and equal floors, often two frames are exact whose stories differ by a factor of three.
 
 **Every root.** With G = T' M^-1 T and G_S its rows and columns of the stories in S (Cauchy and Binet),
@@ -21,7 +21,7 @@ relative to the sum over all frames that were found.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import linalg, special
@@ -101,7 +101,7 @@ def equivalent_fits(estimate: Estimate, backend: Backend, unsuccessful: int = 20
 
 
 def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:
-    """Find the frames besides an estimate that fit the same data, their probabilities, and the test that tells them.
+    """Find the frames besides an estimate that fit the same data, their probabilities, and a test that decides.
 
     Parameters
     ----------
@@ -109,7 +109,11 @@ def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:
         A fit, with effects or without.
     backend : Backend
     """
-    fits, searched = equivalent_fits(estimate, backend)
+    return weighed(estimate, *equivalent_fits(estimate, backend))
+
+
+def weighed(estimate: Estimate, fits: Sequence[Estimate], searched: str) -> results.OtherFrames:
+    """Weigh the frames of an estimate and of `equivalent_fits`."""
     n = estimate.experiment.stories
     mass, stiffness = (float(np.median(part)) for part in np.split(estimate.theta[: 2 * n], 2))
     prior = domain.EffectPrior(Scale(mass, stiffness, heights_of(estimate.experiment)))
