@@ -42,9 +42,10 @@ class ExpectedAccuracy(InJson):
     Parameters
     ----------
     choice : Choice
-        Chosen floors, the criterion's standard deviation, relative, and bounds on all choices of as many floors.
+        Chosen floors, the criterion's standard deviation for the frame as designed, relative, and bounds on all choices
+        of as many floors.
     floor_mass_std, story_stiffness_std : ndarray, shape (N,)
-        kg and N/m; nan if undetermined.
+        Averaged over the frames that are possible before the tests, kg and N/m; nan if undetermined.
     total_mass_std : float
         Relative, of the total mass.
     """
@@ -80,7 +81,7 @@ def expected_accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: i
     """
     choice = choose(model.sensors(tests, number), number, by)
     design = model.design
-    covariance, n = model.covariance(tests, choice.chosen), design.stories
+    covariance, n = model.averaged(tests, choice.chosen), design.stories
     relative = np.sqrt(np.diag(covariance))
     std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
     share = design.floor_mass / design.floor_mass.sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,9 @@ from cvxshear.util.typing import Floats, Ints
 UNKNOWN_STDS = 10.0
 """Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
 single sensor, finite standard deviations to compare."""
+
+WIDEST = 0.3
+"""Largest relative standard deviation of a value in the frames that a plan averages over; unknown values have it."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +141,27 @@ class TestModel:
 
     def covariance(self, tests: Sequence[ExpectedTest], floors: Ints) -> Floats:
         """Relative covariance of masses and stiffnesses after these tests at these floors, shape (2N, 2N)."""
-        rows = np.concatenate([self.known, *(test.at(floors) for test in tests)])
+        return self._covariance([self.known, *(test.at(floors) for test in tests)])
+
+    def _covariance(self, rows: Sequence[Floats]) -> Floats:
         free = free_changes(self.fixed)
-        half = free @ np.linalg.inv(np.linalg.qr(rows @ free, mode="r"))
+        half = free @ np.linalg.inv(np.linalg.qr(np.concatenate(rows) @ free, mode="r"))
         return np.asarray(half @ half.T)
+
+    def averaged(self, tests: Sequence[ExpectedTest], floors: Ints, pairs: int = 16) -> Floats:
+        """Average the covariance over the frames that are possible before the tests, shape (2N, 2N).
+
+        The frames are drawn from the prior information, in pairs on either side of the design values. The covariance is
+        relative to the values of each frame.
+        """
+        values, axes = np.linalg.eigh(self._covariance([self.known]))
+        # The symmetric root does not depend on the choice of axes.
+        root = (axes * np.sqrt(np.clip(values, 0.0, WIDEST**2))) @ axes.T
+        drawn = np.random.default_rng(1).standard_normal((pairs, len(root))) @ root
+        found = []
+        for change in np.concatenate([drawn, -drawn]):
+            mass, stiffness = np.split(self.design.sizes * np.exp(change), 2)
+            design = dataclasses.replace(self.design, floor_mass=mass, story_stiffness=stiffness)
+            model = dataclasses.replace(self, design=design)
+            found.append(model.covariance([model.expected(each.test.added_mass) for each in tests], floors))
+        return np.asarray(np.mean(found, axis=0))
