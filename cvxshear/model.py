@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
+from cvxshear.motions import ONE_MOTION, Motions, unit_derivatives
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats, Ints
 
@@ -103,12 +104,12 @@ class ShearSystem(System):
     @property
     def dM(self) -> Floats:  # noqa: N802 - a field there; here made when asked for
         """As of `System`."""
-        return self._padded(_unit_derivatives(len(self.M))[0])
+        return self._padded(unit_derivatives(ONE_MOTION, len(self.M))[0])
 
     @property
     def dK(self) -> Floats:  # noqa: N802 - likewise
         """As of `System`."""
-        return self._padded(_unit_derivatives(len(self.M))[1])
+        return self._padded(unit_derivatives(ONE_MOTION, len(self.M))[1])
 
     def by(self, which: slice) -> System:
         return ShearSystem(self.M, self.K, self._size, which)
@@ -136,20 +137,23 @@ class ShearSystem(System):
 
 def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:
     """Assemble the shear frame, with derivatives by every floor mass and then every story stiffness (P = 2N)."""
-    dM, dK = _unit_derivatives(len(floor_mass))
+    # The sums of `affine_system`, without its products of matrices.
+    dM, dK = unit_derivatives(ONE_MOTION, len(floor_mass))
     return System(M=mass_matrix(floor_mass), K=stiffness_matrix(story_stiffness), dM=dM, dK=dK)
 
 
-@lru_cache(maxsize=8)
-def _unit_derivatives(n: int) -> tuple[Floats, Floats]:
-    """Assemble dM and dK of a shear frame of n stories (read-only arrays)."""
-    T = transformation(n)
-    dM, dK = np.zeros((2 * n, n, n)), np.zeros((2 * n, n, n))
-    dM[np.arange(n), np.arange(n), np.arange(n)] = 1.0
-    dK[n:] = T.T[:, :, None] * T.T[:, None, :]
-    dM.setflags(write=False)
-    dK.setflags(write=False)
-    return dM, dK
+def affine_system(motions: Motions, masses: Floats, stiffnesses: Floats) -> System:
+    """Assemble a frame of any motions per floor, with derivatives by the parameters of every floor, then every story.
+
+    Parameters
+    ----------
+    motions : Motions
+        Of N floors with d motions each.
+    masses, stiffnesses : ndarray, shapes (N q,) and (N p,)
+        The lowest floor or story first.
+    """
+    dM, dK = unit_derivatives(motions, len(masses) // len(motions.mass_basis))
+    return System(M=motions.masses(masses), K=motions.stiffnesses(stiffnesses), dM=dM, dK=dK)
 
 
 @dataclass(frozen=True, eq=False)

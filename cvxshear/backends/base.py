@@ -23,7 +23,7 @@ from cvxshear.backends.minimizer import Minimizer, UndeterminedError, UnsettledE
 from cvxshear.programs import Acceptance, Certificate, LeastSquares, Solution
 from cvxshear.programs.certificate import Assembled, Point, certify, largest_relative
 from cvxshear.util import checks
-from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError
+from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
 FAR_SLACK = 1e3
@@ -161,6 +161,40 @@ def _inaccurate(certificate: Certificate) -> InaccurateError:
     )
 
 
+CONIC = ("clarabel", "scs")
+"""Solvers of semidefinite programs that cvxpy brings along."""
+
+
+def onto_equalities(problem: Canonical, answer: Answer) -> Answer:
+    """Move an answer to the nearest point on the equalities, and its multipliers to the nearest of the right sign."""
+    z = answer.z - np.linalg.pinv(problem.E) @ (problem.E @ answer.z - problem.e)
+    matrices = []
+    for dual in answer.matrices:
+        values, vectors = np.linalg.eigh(0.5 * (dual + dual.T))
+        matrices.append((vectors * np.maximum(values, 0.0)) @ vectors.T)
+    return dataclasses.replace(answer, z=z, w=np.maximum(answer.w, 0.0), matrices=tuple(matrices))
+
+
+def distance(problem: Canonical, answer: Answer) -> float:
+    r"""Bound the distance of an answer from the minimizer z* of a regular program, by strong convexity.
+
+    The multipliers have the right signs. With g the gradient of the Lagrangian L at z and v the violations of the
+    constraints times their multipliers,
+
+    .. math:: |z - z^*|^2 / 2 \le f(z) - L(z) + v + |g| |z - z^*|.
+    """
+    z, slack = answer.z, problem.f - problem.F @ answer.z
+    gradient = z - problem.q + problem.E.T @ answer.y + problem.F.T @ answer.w
+    gap = float(answer.w @ np.maximum(slack, 0.0) - answer.y @ (problem.E @ z - problem.e))
+    for each, dual in zip(problem.lmi, answer.matrices, strict=True):
+        gradient = gradient - each.products(dual)
+        value = each.at(z)
+        lowest = float(np.linalg.eigvalsh(value)[0])
+        gap += float(np.sum(dual * value)) + float(np.trace(dual)) * max(-lowest, 0.0)
+    steep = float(np.linalg.norm(gradient))
+    return steep + float(np.sqrt(steep**2 + 2.0 * max(gap, 0.0)))
+
+
 class Backend(ABC):
     """A solver of least-squares programs.
 
@@ -229,7 +263,8 @@ class Backend(ABC):
             64 bits.
         """
         began = time.perf_counter()
-        found = self.certified(Assembled(program), canonical(program))
+        assembled, problem = Assembled(program), canonical(program)
+        found = self.semidefinite(assembled, problem) if program.lmi else self.certified(assembled, problem)
         return dataclasses.replace(found, seconds=time.perf_counter() - began)
 
     def certified(self, program: Assembled, problem: Canonical) -> Solution:
@@ -243,7 +278,7 @@ class Backend(ABC):
             The same program, scaled.
         """
         answer = self.answer_all(problem)
-        point = Point(problem.to_x(answer.z), *problem.multipliers(answer.y, answer.w))
+        point = problem.point(answer)
         try:
             accepted = accurate(program, point)
         except InaccurateError as error:
@@ -261,6 +296,54 @@ class Backend(ABC):
             acceptance=accepted.acceptance,
             status=answer.status,
             iterations=answer.iterations,
+        )
+
+    def semidefinite(self, program: Assembled, problem: Canonical) -> Solution:
+        """Solve a program with matrix inequalities: without them, and with them if one is violated.
+
+        The first solution, if it violates none, is the solution of the whole program, and its dual matrices are zero.
+        """
+        if not problem.singular:
+            plain = program.program.replace(lmi=())
+            try:
+                found = self.certified(Assembled(plain), dataclasses.replace(problem, lmi=()))
+            except NoSolutionError:
+                # Only the matrix inequalities hold some direction well enough.
+                return self.conic(program, problem)
+            certificate = certify(program, found.point)
+            if certificate.primal_residual <= TOLERANCES.violation:
+                bound = found.certificate.error_bound
+                certificate = dataclasses.replace(certificate, error_bound=bound, errors=found.errors)
+                return dataclasses.replace(found, program=program.program, certificate=certificate)
+        return self.conic(program, problem)
+
+    def conic(self, program: Assembled, problem: Canonical) -> Solution:
+        """Solve a program whose matrix inequalities hold its solution, and certify the solution."""
+        answer = onto_equalities(problem, self._checked(problem))
+        point = problem.point(answer)
+        certificate = certify(program, point)
+        if not certificate.worst <= TOLERANCES.optimality:
+            raise NoSolutionError(self.name, f"inaccurate solution: {_inaccurate(certificate)}")
+        if not problem.singular:
+            errors = problem.reach(distance(problem, answer))
+            bound = largest_relative(errors, program.size(point.x))
+            certificate = dataclasses.replace(certificate, error_bound=bound, errors=errors)
+        return Solution(
+            program.program, point, certificate, requested=self.name, backend=self.name, status=answer.status,
+            iterations=answer.iterations,
+        )  # fmt: skip
+
+    def answer_conic(self, problem: Canonical) -> Answer:
+        """Solve the scaled program with its matrix inequalities.
+
+        Raises
+        ------
+        UnsuitableError
+            If the solver takes none.
+        """
+        raise UnsuitableError(
+            f"backend {self.name}: a matrix inequality holds the solution, and this solver takes none; "
+            f"{' and '.join(CONIC)} do"
         )
 
     def answer_all(self, problem: Canonical) -> Answer:
@@ -305,7 +388,7 @@ class Backend(ABC):
     def _checked(self, problem: Canonical) -> Answer:
         """Ask the backend, and refuse an answer of a wrong type, shape or value."""
         try:
-            answer: object = self.answer(problem)
+            answer: object = self.answer_conic(problem) if problem.lmi else self.answer(problem)
         except CvxshearError:
             raise
         except Exception as error:

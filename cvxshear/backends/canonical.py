@@ -17,13 +17,14 @@ C = [W R; sigma A] D, z = D^-1 x / tau, objective |C z - q|^2.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
 
 from cvxshear.programs import LeastSquares
+from cvxshear.programs.certificate import MatrixInequality, Point
 from cvxshear.util.errors import InfeasibleError
 from cvxshear.util.typing import Bools, Floats
 
@@ -54,6 +55,8 @@ class Answer:
         Multipliers of F z <= f.
     status : str
     iterations : int or None
+    matrices : tuple of ndarray, optional
+        Dual matrices of the matrix inequalities.
     """
 
     z: Floats
@@ -61,11 +64,12 @@ class Answer:
     w: Floats
     status: str
     iterations: int | None
+    matrices: tuple[Floats, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Canonical:
-    """minimize |C z - q|^2 / 2 subject to E z = e, F z <= f.
+    """minimize |C z - q|^2 / 2 subject to E z = e, F z <= f, and matrix inequalities.
 
     Parameters
     ----------
@@ -77,6 +81,8 @@ class Canonical:
         Inequalities, bounds among them, rows of unit length.
     singular : bool
         Whether the rows and the equalities leave a direction free.
+    lmi : tuple of MatrixInequality
+        In z, the largest entry of each one's slopes scaled to 1.
     """
 
     C: Floats
@@ -91,10 +97,13 @@ class Canonical:
     _equality_scale: Floats
     _inequality_scale: Floats
     _independent: Bools
+    lmi: tuple[MatrixInequality, ...] = ()
+    _matrix_scale: Floats = field(default_factory=lambda: np.zeros(0))
 
     def stated(self, scale: float = 1.0) -> LeastSquares:
         """Write this as a program, with a factor on unknowns and right sides; its objective is not halved."""
-        return LeastSquares(self.C, scale * self.q, A=self.E, b=scale * self.e, G=self.F, h=scale * self.f)
+        lmi = tuple(dataclasses.replace(each, constant=scale * each.constant) for each in self.lmi)
+        return LeastSquares(self.C, scale * self.q, A=self.E, b=scale * self.e, G=self.F, h=scale * self.f, lmi=lmi)
 
     def nearest(self) -> tuple[Floats, Floats]:
         """Find the point nearest to q under the equalities alone, of a regular program, and its multipliers.
@@ -131,6 +140,18 @@ class Canonical:
         full[self._independent] = self._tau**2 * self._equality_scale * y
         return full, self._tau**2 * self._inequality_scale * w
 
+    def point(self, answer: Answer) -> Point:
+        """Convert an answer to the caller's units."""
+        matrices = tuple(
+            self._tau**2 * scale * dual for scale, dual in zip(self._matrix_scale, answer.matrices, strict=False)
+        )
+        return Point(self.to_x(answer.z), *self.multipliers(answer.y, answer.w), matrices)
+
+    def reach(self, distance: float) -> Floats:
+        """Largest change of each unknown that keeps the equalities and moves z by at most this distance, shape (n,)."""
+        free = self._inverse @ linalg.null_space(self.E) if len(self.E) else self._inverse
+        return np.asarray(self._tau * distance * np.linalg.norm(free, axis=1))
+
 
 def canonical(program: LeastSquares) -> Canonical:
     """Scale a program.
@@ -149,9 +170,14 @@ def canonical(program: LeastSquares) -> Canonical:
     F, f, inequality_scale = _unit_rows(*program.inequalities_in(inverse))
     tau = max(float(np.linalg.norm(q)), float(np.max(np.abs(e), initial=0.0)), float(np.max(-f, initial=0.0)))
     tau = tau if tau > 0 else 1.0
+    lmi, matrix_scale = [], np.ones(len(program.lmi))
+    for place, each in enumerate(program.lmi):
+        slopes = np.tensordot(inverse.T, each.slopes, 1)
+        matrix_scale[place] = scale = 1.0 / np.max(np.abs(slopes))
+        lmi.append(dataclasses.replace(each, constant=scale * each.constant / tau, slopes=scale * slopes))
     return Canonical(
         C, q / tau, E, e / tau, F, f / tau, singular, inverse, tau,
-        equality_scale / tau, inequality_scale / tau, independent,
+        equality_scale / tau, inequality_scale / tau, independent, tuple(lmi), matrix_scale / tau,
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.backends.base import Backend
+from cvxshear.backends.base import CONIC, Backend
 from cvxshear.backends.canonical import Answer, Canonical
 from cvxshear.programs import LeastSquares, Solution
 from cvxshear.programs.certificate import Assembled
@@ -147,6 +147,12 @@ class CalledSolver(Backend):
     def with_options(self, options: Mapping[str, Any]) -> CalledSolver:
         return type(self)(self.solver, **{**self.options, **options}) if options else self
 
+    def answer_conic(self, problem: Canonical) -> Answer:
+        """Solve through cvxpy, which turns least squares with matrix inequalities into the solver's cones."""
+        if self.solver.lower() not in CONIC:
+            return super().answer_conic(problem)
+        return Cvxpy(self.solver.upper(), **self.options).answer(problem)
+
     def unsolved(self, status: str, began: float) -> NoSolutionError:
         """Make the error of a solver without a solution: the time limit, or the solver's own message."""
         limit = self.options.get(self.time_limit)
@@ -213,7 +219,7 @@ class Cvxpy(CalledSolver):
         import cvxpy  # noqa: PLC0415 - takes a second to import
 
         stated, z = problem.stated(self.scale).to_cvxpy()
-        if len(problem.f) and not problem.singular:
+        if (len(problem.f) or problem.lmi) and not problem.singular:
             # C is the identity: without the constant |q|^2, cvxpy needs no further unknowns for z - q. Where there are
             # equalities alone, or nothing, SCS answers better with them.
             objective = cvxpy.sum_squares(z) - 2.0 * self.scale * problem.q @ z  # type: ignore[attr-defined]  # untyped
@@ -231,7 +237,8 @@ class Cvxpy(CalledSolver):
             raise self.unsolved(status, began)
         duals = iter(constraint.dual_value for constraint in stated.constraints)
         found = (z.value, *(next(duals) if len(side) else None for side in (problem.e, problem.f)))
-        return self.answered(problem, found, status, stated.solver_stats.num_iters)
+        answer = self.answered(problem, found, status, stated.solver_stats.num_iters)
+        return dataclasses.replace(answer, matrices=tuple(np.asarray(dual) / (2.0 * self.scale) for dual in duals))
 
 
 @cache
@@ -344,6 +351,16 @@ class Auto(Backend):
                 failure = failure or error
                 why = f"{why}, and {backend.name} fails"
         raise failure if failure is not None else NoSolutionError(self.name, "there is no general solver")
+
+    def conic(self, program: Assembled, problem: Canonical) -> Solution:
+        failure: NoSolutionError | None = None
+        for name in CONIC:
+            if name in _installed():
+                try:
+                    return self._chosen(_installed()[name].conic(program, problem), "a matrix inequality is active")
+                except NoSolutionError as error:
+                    failure = failure or error
+        raise failure if failure is not None else NoSolutionError(self.name, f"none of {', '.join(CONIC)} is installed")
 
     def _chosen(self, found: Solution, why: str) -> Solution:
         """Say which backend was chosen and why."""

@@ -28,8 +28,7 @@ from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
 from cvxshear.programs import LeastSquares
-from cvxshear.programs.constraints import NamedConstraints, constrained, exact_frame, statements
-from cvxshear.programs.formulations import LEAST_POSITIVE
+from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, exact_frame, statements
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Bools, Floats, Ints
 

@@ -1,29 +1,20 @@
-"""The identification by a method, a backend and priors; and every backend on the programs of an identification.
-
-**Other frames.** The frequencies of a frame of known masses are as many numbers as its stories, and their equations
-have several roots: of three frequencies and equal floors, often two frames are exact whose stories differ by a factor
-of three. Fits from starting points that are drawn from the prior of the frame end at all of them. The search ends after
-a number of fits in a row without a new frame. It also finds frames that are not exact but fit within the noise. The
-probability of a frame is the prior density of its logarithms (`fit/domain.py:EffectPrior`) times exp(-chi2 / 2),
-relative to the sum over all frames that were found.
-"""
+"""The identification by a method, a backend and priors; and every backend on the programs of an identification."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from scipy import linalg, special
 
 from cvxshear import backends
 from cvxshear.backends import Backend, BenchmarkProgram, Comparison, Recorder
-from cvxshear.effects import Scale, heights_of
-from cvxshear.fit.domain import MASS_WIDTH, STIFFNESS_WIDTH, EffectPrior, domain_of
-from cvxshear.fit.efficient import Estimate, efficient, parameter_names
-from cvxshear.fit.gauss_newton import gauss_newton, step_program
+from cvxshear.fit.domain import domain_of
+from cvxshear.fit.efficient import efficient, parameter_names
+from cvxshear.fit.gauss_newton import step_program
 from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.other_frames import other_frames
 from cvxshear.fit.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
-from cvxshear.fit.results import Identification, OtherFrame, SingleIdentification
+from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.fit.start import uniform
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
@@ -99,7 +90,7 @@ def identify(
             correlation=estimate.correlation,
             parameter_names=parameter_names(experiment, ()),
             undetermined=estimate.uncertainty.null_directions,
-            other_frames=other_frames(estimate, backends.get("auto")),
+            others=other_frames(estimate, backends.get("auto")),
         )
     else:
         methods: dict[str, Callable[[CompleteTest, Backend], SingleIdentification]] = {
@@ -207,81 +198,3 @@ def _tightened(program: LeastSquares, origin: Floats) -> LeastSquares:
     largest = ranking.first_largest(answer)
     upper[largest] = min(upper[largest], TIGHTER * answer[largest] - origin[largest])
     return program.replace(upper=upper)
-
-
-MOST_STORIES_WITH_OTHERS = 5
-"""Tallest frame whose other frames are looked for: each further story multiplies their number."""
-
-INSEPARABLE = 5e-3
-"""Largest relative difference of masses and stiffnesses of one frame. Frequencies of the usual accuracy, 0.2 %, tell
-stiffnesses no closer than this."""
-
-LEAST_PROBABILITY = 1e-3
-"""Smallest probability of a frame that is listed."""
-
-
-def may_have_others(estimate: Estimate) -> bool:
-    """Whether the data are frequencies alone, or no more than the unknowns, and determine the frame locally."""
-    experiment = estimate.experiment
-    if experiment.stories > MOST_STORIES_WITH_OTHERS or experiment.static or estimate.uncertainty.null_directions:
-        return False
-    return estimate.dof <= 0 or not any(each.measured.any() for each in experiment.configurations)
-
-
-def other_frames(estimate: Estimate, backend: Backend, unsuccessful: int = 20) -> tuple[OtherFrame, ...]:
-    """Find the frames besides an estimate that fit the same data, the most probable first.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        A fit without effects.
-    backend : Backend
-    unsuccessful : int, optional
-        Number of fits a story, in a row, without a new frame that end the search.
-
-    Returns
-    -------
-    tuple of OtherFrame
-        Empty if the data determine one frame (`may_have_others`).
-    """
-    if not may_have_others(estimate):
-        return ()
-    found, since = [estimate.fit], 0
-    worst = estimate.chi2 - 2.0 * np.log(LEAST_PROBABILITY)
-    for start in _starts(estimate):
-        if since == unsuccessful * estimate.experiment.stories:
-            break
-        since += 1
-        try:
-            domain = domain_of(estimate.experiment, (), start)
-            fit = gauss_newton(estimate.misfit, start, domain, backend)
-        except errors.CvxshearError:
-            continue
-        apart = [np.max(np.abs(np.log(fit.theta / other.theta))) for other in found]
-        if fit.at.chi2 < worst and min(apart) > INSEPARABLE:
-            found.append(fit)
-            since = 0
-    n = estimate.experiment.stories
-    mass, stiffness = (float(np.median(part)) for part in np.split(estimate.theta, 2))
-    prior = EffectPrior(Scale(mass, stiffness, heights_of(estimate.experiment)))
-    logs = [-0.5 * (each.at.chi2 + np.sum(prior.residuals(each.theta, (), {})[2][0] ** 2)) for each in found]
-    shares = special.softmax(logs)
-    others = [
-        OtherFrame(each.theta[:n], each.theta[n:], each.at.chi2, float(share))
-        for each, share in zip(found[1:], shares[1:], strict=True)
-        if share >= LEAST_PROBABILITY
-    ]
-    return tuple(sorted(others, key=lambda each: -each.probability))
-
-
-def _starts(estimate: Estimate) -> Iterator[Floats]:
-    """Draw starting points from the prior of the frame, about the estimate, with its own level of the stiffness."""
-    rng = np.random.default_rng(1)
-    n = estimate.experiment.stories
-    # The changes of the logarithms that the exact priors leave free.
-    free = linalg.null_space(estimate.uncertainty.equalities * estimate.theta)
-    width = np.repeat([MASS_WIDTH, STIFFNESS_WIDTH], n)
-    while True:
-        drawn = width * rng.standard_normal(2 * n)
-        drawn[n:] -= drawn[n:].mean()
-        yield estimate.theta * np.exp(free @ (free.T @ drawn))

@@ -85,6 +85,49 @@ class OtherFrame(InJson):
 
 
 @dataclass(frozen=True)
+class NextTest(InJson):
+    """Test that would distinguish the rivals.
+
+    Parameters
+    ----------
+    floor : int
+    added_mass : float
+        Mass on that floor, kg, in addition to the first configuration of its state.
+    state : str
+        State of the frame in the test.
+    standard_deviations : float
+        Distance between the predictions of the accepted model and of its nearest rival.
+    tells_all : bool
+        Whether some added mass would distinguish every rival from the accepted model.
+    """
+
+    floor: int
+    added_mass: float
+    state: str
+    standard_deviations: float
+    tells_all: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class OtherFrames:
+    """All frames besides an estimate that fit its data (`fit/other_frames.py`).
+
+    Parameters
+    ----------
+    frames : tuple of OtherFrame
+        The most probable first.
+    searched : str
+        What was searched, in words; empty if the data determine the frame.
+    next_test : NextTest or None
+        The added mass that tells the identified frame from the others best; None without others or such a mass.
+    """
+
+    frames: tuple[OtherFrame, ...] = ()
+    searched: str = ""
+    next_test: NextTest | None = None
+
+
+@dataclass(frozen=True)
 class Quality(InJson):
     """Errors of a model, relative and not in percent.
 
@@ -260,8 +303,8 @@ class Identification(Shown):
         For each direction that the data leave open, the parameters that take part in it.
     programs : tuple of SolvedProgram
         Every program that was solved, in order, with its solution, if `identify` was asked to keep them.
-    other_frames : tuple of OtherFrame
-        Other frames that fit the same data as well, if these are few (`fit/identification.py`).
+    others : OtherFrames
+        Other frames that fit the same data as well, if these are few.
     """
 
     experiment: Experiment
@@ -273,7 +316,12 @@ class Identification(Shown):
     parameter_names: tuple[str, ...] = ()
     undetermined: tuple[tuple[str, ...], ...] = field(default=())
     programs: tuple[SolvedProgram, ...] = ()
-    other_frames: tuple[OtherFrame, ...] = ()
+    others: OtherFrames = field(default_factory=OtherFrames)
+
+    @property
+    def other_frames(self) -> tuple[OtherFrame, ...]:
+        """Other frames that fit the same data as well, the most probable first."""
+        return self.others.frames
 
     @property
     def single(self) -> SingleIdentification | None:
@@ -330,7 +378,9 @@ class Identification(Shown):
             result["parameters"] = list(self.parameter_names)
             result["correlation"] = as_json(self.correlation)
             result["undetermined"] = [list(names) for names in self.undetermined]
-            result["other_frames"] = [each.to_dict() for each in self.other_frames]
+            result["other_frames"] = as_json(self.other_frames)
+            result["searched"] = self.others.searched
+            result["next_test"] = as_json(self.others.next_test)
             result["at_bounds"] = [name for part in self.parts for name in part.frame.at_bounds]
         else:
             result["configurations"] = [part.to_dict() for part in self.parts] if single is None else [single]

@@ -16,7 +16,7 @@ import numpy as np
 from cvxshear import backends
 from cvxshear.effects import Effect, LocatedEffect, Scale
 from cvxshear.effects.state import heights_of
-from cvxshear.fit import domain, gauss_newton, identification
+from cvxshear.fit import domain, gauss_newton, other_frames
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
@@ -266,4 +266,4 @@ def _same_frame(a: ModelClass, b: ModelClass) -> bool:
     """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
     assert a.estimate is not None, "the shear model was fitted"
     assert b.estimate is not None, "the shear model was fitted"
-    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=identification.INSEPARABLE))
+    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=other_frames.INSEPARABLE))

@@ -10,8 +10,9 @@ import numpy as np
 from scipy import special
 
 from cvxshear.effects import Effect, LocatedEffect, masses
+from cvxshear.fit import next_test
 from cvxshear.fit.efficient import Estimate, parameter_names
-from cvxshear.loop import comparison, hypotheses, next_test, results
+from cvxshear.loop import comparison, hypotheses, results
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.posterior import ADDED, RIVAL, Posterior, counted_from_the_first
 from cvxshear.loop.search import REPORTED, Search, fits_alike

@@ -15,7 +15,6 @@ from cvxshear.effects import LocatedEffect
 from cvxshear.fit import misfit, results
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop import hypotheses, posterior
-from cvxshear.loop.next_test import NextTest
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import ranking
 from cvxshear.util.results import InJson, Shown
@@ -335,7 +334,7 @@ class LoopResult(Shown):
     not_considered: dict[str, str]
     remains: tuple[str, ...]
     information: tuple[str, ...]
-    next_test: NextTest | None
+    next_test: results.NextTest | None
     fits: int
     programs: int
     warnings: tuple[Any, ...] = ()

@@ -81,6 +81,66 @@ def other_modes(declared: object, own: Ints, where: str) -> tuple[OtherModes, ..
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class Sensor(InTable):
+    """A sensor on a floor that moves in x and y and turns.
+
+    Its reading is d . (u_x - y theta, u_y + x theta), with d the unit vector of its direction, (x, y) its position, and
+    (u_x, u_y, theta) the motion of the floor at the reference point.
+
+    Parameters
+    ----------
+    floor : int
+        1 the lowest.
+    position : array_like, shape (2,)
+        x and y from the reference point, the center of the plan, m.
+    direction : float, optional
+        Degrees from x to y.
+
+    Raises
+    ------
+    InputError
+    """
+
+    floor: int
+    position: Floats
+    direction: float = 0.0
+
+    def __post_init__(self) -> None:
+        checks.put(self, "floor", checks.whole, "floor", least=1, most=MOST_STORIES)
+        checks.put(self, "position", checks.vector, "position", length=2, each=", x and y in m")
+        checks.put(self, "direction", checks.number, "direction")
+
+    @property
+    def row(self) -> Floats:
+        """Reading of a unit motion of its floor in x, in y and about the vertical axis, shape (3,)."""
+        angle = np.deg2rad(self.direction)
+        # Fifteen decimals: along y, exactly nothing of x is read.
+        (x, y), (along, across) = self.position, np.round([np.cos(angle), np.sin(angle)], 15)
+        return np.array([along, across, x * across - y * along])
+
+    @staticmethod
+    def each(declared: object, where: str) -> tuple[Sensor, ...]:
+        """Read a list of sensors or of their tables.
+
+        Raises
+        ------
+        InputError
+            Naming the entry, the key, the value found and what would be right.
+        """
+        if not isinstance(declared, list | tuple):
+            raise InputError(f"{where} must be a list of sensors, not {checks.shown(declared)}")
+        found = []
+        for place, item in enumerate(declared, 1):
+            with checks.named(f"{where}, entry {place}"):
+                own = isinstance(item, Sensor)
+                found.append(item if own else Sensor.of_table(item, "a sensor", "floor", "position"))
+        rows = {(each.floor, *each.row.round(12)) for each in found}
+        if len(rows) < len(found):
+            raise InputError(f"{where} has two sensors that read the same motion; give each entry of a shape its own")
+        return tuple(found)
+
+
 ENTRIES_OF_A_COPY = 3
 """Least count of equal numbers that makes a shape or a test a copy of another: one or two can be equal by rounding."""
 
@@ -153,8 +213,12 @@ class Configuration(InTable):
         name where empty.
     added_mass : array_like, shape (N,), optional
         kg on each floor, known; none where empty.
+    added_mass_position : array_like, shape (N, 2), optional
+        x and y of the added mass of each floor of a frame that turns, m; the reference point where empty.
     measured_floors : array_like of int, shape (n,), optional
         Ascending, 1 the lowest; all floors where empty.
+    sensors : sequence of Sensor or dict, optional
+        In place of `measured_floors` where the floors turn: one an entry of a shape.
     modes : array_like of int, shape (m,), optional
         Which modes of the model these are; 1, 2, ..., m where empty.
     other_modes : sequence of OtherModes or dict, optional
@@ -189,7 +253,9 @@ class Configuration(InTable):
     name: str = "configuration 1"
     state: str = ""
     added_mass: Floats = field(default_factory=_no_floats)
+    added_mass_position: Floats = field(default_factory=_no_floats)
     measured_floors: Ints = field(default_factory=_no_ints)
+    sensors: tuple[Sensor, ...] = ()
     modes: Ints = field(default_factory=_no_ints)
     other_modes: tuple[OtherModes, ...] = ()
     mass_normalized: bool = False
@@ -268,11 +334,12 @@ class Configuration(InTable):
         else:
             self._check("mode_shapes", checks.table, rows=len(self.frequencies), nan=True)
         self._check("mass_normalized", checks.flag)
-        if _absent(self.added_mass):
-            self._put("added_mass", _no_floats())
-        else:
-            self._check("added_mass", checks.vector, least=0.0)
+        self._check_added_mass()
         width = self.mode_shapes.shape[1]
+        self._put("sensors", Sensor.each(self.sensors, self._at("sensors")))
+        if self.sensors:
+            self._check_sensors(width)
+            return
         whole = _absent(self.measured_floors) or len(self.added_mass) == width
         if _absent(self.measured_floors):
             self._put("measured_floors", _no_ints())
@@ -293,6 +360,25 @@ class Configuration(InTable):
                     f"{self._at('mode_shapes')}, rows {pair[0] + 1} and {pair[1] + 1} are the same shape; each mode "
                     "has its own"
                 )
+
+    def _check_added_mass(self) -> None:
+        if _absent(self.added_mass):
+            self._put("added_mass", _no_floats())
+        else:
+            self._check("added_mass", checks.vector, least=0.0)
+        if not _absent(self.added_mass_position):
+            if not len(self.added_mass):
+                raise InputError(f"{self._at('added_mass_position')} is given, but no added_mass: give both")
+            self._check("added_mass_position", checks.pairs, length=len(self.added_mass))
+
+    def _check_sensors(self, width: int) -> None:
+        where = self._at("sensors")
+        if not _absent(self.measured_floors):
+            raise InputError(f"{where} and measured_floors both say what a shape shows; give sensors alone")
+        self._put("measured_floors", _no_ints())
+        if len(self.sensors) != width:
+            raise InputError(f"{where} has {checks.entries(len(self.sensors))}, each row of mode_shapes has {width}")
+        self._refuse_empty_shapes(self.mode_shapes)
 
     def _refuse_empty_shapes(self, shapes: Floats) -> None:
         for row, shape in enumerate(shapes, 1):
@@ -333,7 +419,7 @@ class Configuration(InTable):
             Keys of other tables of the file, each with that table's header, for a message that says where they belong.
         """
         where = named_in(declared, "configuration", name)
-        for key in ("added_mass", "measured_floors", "modes", "mode_shapes"):
+        for key in ("added_mass", "added_mass_position", "measured_floors", "sensors", "modes", "mode_shapes"):
             if isinstance(declared, Mapping) and declared.get(key) is not None and _absent(declared[key]):
                 raise InputError(f"{where}: {key} must not be empty; leave the key out for its default")
         return Configuration.of_table(declared, where, "frequencies", elsewhere=elsewhere, name=name)
@@ -343,36 +429,43 @@ class Configuration(InTable):
         """A state of the configuration's own name need not be given."""
         return {"state": self.name}
 
-    def in_frame(self, stories: int) -> Configuration:
-        """Fill in the added masses for a frame of the given number of stories; check floors and modes.
+    def in_frame(self, stories: int, motions: int = 1) -> Configuration:
+        """Fill in the added masses for a frame of the given numbers of stories and of motions per floor; check it.
 
         Raises
         ------
         InputError
             Where it names a floor or a mode that the frame has not.
         """
-        floors, modes = self.measured_floors, self.modes
-        if not len(floors) and self.mode_shapes.shape[1]:
+        floors, modes, most = self.measured_floors, self.modes, stories * motions
+        for place, sensor in enumerate(self.sensors, 1):
+            checks.whole(sensor.floor, f"{self._at('sensors')}, entry {place}: floor", least=1, most=stories)
+        if not self.sensors and not len(floors) and self.mode_shapes.shape[1]:
             floors = checks.frozen(np.arange(1, stories + 1))
         if len(floors) and floors[-1] > stories:
             raise InputError(
                 f"{self._at('measured_floors')} names floor {floors[-1]} of a frame of {stories} stories; floors count "
                 f"from 1, the first above ground, to {stories}"
             )
-        if modes[-1] > stories:
+        if modes[-1] > most:
             raise InputError(
                 f"{self._at('modes')} names mode {modes[-1]} (where not given: 1 to {len(modes)}, the number of "
-                f"frequencies), a frame of {stories} stories has {stories}; leave out what is not a sway mode, or give "
+                f"frequencies), a frame of {stories} stories has {most}; leave out what is not a sway mode, or give "
                 "the right number of stories"
             )
         for place, other in enumerate(self.other_modes, 1):
-            if other.modes[-1] > stories:
+            if other.modes[-1] > most:
                 raise InputError(
                     f"{self._at('other_modes')}, entry {place} names mode {other.modes[-1]}; a frame of {stories} "
-                    f"stories has {stories}"
+                    f"stories has {most}"
                 )
         added = self.added_mass if len(self.added_mass) else np.zeros(stories)
         return dataclasses.replace(self, added_mass=added, measured_floors=floors)
+
+    @property
+    def highest_floor(self) -> int:
+        """The highest floor with a sensor; 0 where no floor is named."""
+        return int(max((*self.measured_floors.tolist(), *(sensor.floor for sensor in self.sensors)), default=0))
 
     @property
     def noise_declared(self) -> bool:

@@ -38,6 +38,10 @@ DAMPING_KINDS = ("modal", "story", "rayleigh")
 """Kinds of damping, see `Damping`."""
 
 
+MOTIONS = ("x", "y", "rotation")
+"""Motions of a floor that turns: two displacements of the reference point, and the angle about the vertical axis."""
+
+
 class InTable(checks.ReadOnlyArrays):
     """A dataclass that a table of a measurement file declares.
 
@@ -94,6 +98,14 @@ class Frame(InTable):
         The state that is the frame itself: no change and no undeclared mass sits in it.
     accept : sequence of str, optional
         Findings of `check` that are known and right, by their names in `cvxshear.measurement.declaration.NAMES`.
+    motions : sequence of str, optional
+        Motions of each floor: ("x",) or `MOTIONS`.
+    plan : array_like, shape (2,) or (N, 2), optional
+        Sizes of the floors in x and y, m, about the reference point, where the floors turn. A floor's mass center lies
+        within its plan, and its polar inertia is that of a uniform rectangle, m (a^2 + b^2) / 12, within `plan_std`.
+    plan_std : float, optional
+        Relative standard deviation of that inertia. Default: a facade of a fifth of a square floor's mass, which has
+        twice the inertia of a uniform floor, adds a fifth.
 
     Raises
     ------
@@ -101,7 +113,9 @@ class Frame(InTable):
         Naming the key, the value found and what would be right.
     """
 
-    unsaid = {"stories": 0, "total_mass_placeholder": False}  # noqa: RUF012 - read only
+    unsaid = {  # noqa: RUF012 - read only
+        "stories": 0, "total_mass_placeholder": False, "motions": ("x",), "plan_std": 0.2,
+    }  # fmt: skip
 
     stories: int = 0
     story_heights: Floats | None = None
@@ -112,6 +126,9 @@ class Frame(InTable):
     total_mass_placeholder: bool = False
     reference: str | None = None
     accept: tuple[str, ...] = ()
+    motions: tuple[str, ...] = ("x",)
+    plan: Floats | None = None
+    plan_std: float = 0.2
 
     def __post_init__(self) -> None:
         # The default 0 means "not given"; False or an empty array, which equal 0, are values.
@@ -139,6 +156,25 @@ class Frame(InTable):
             raise InputError(f"frame: accept must be a list of names, not {checks.shown(self.accept)}")
         accepted = tuple(checks.choice(name, NAMES, "frame: accept") for name in self.accept)
         object.__setattr__(self, "accept", accepted)
+        self._check_motions()
+
+    def _check_motions(self) -> None:
+        named = tuple(self.motions) if isinstance(self.motions, list | tuple) else self.motions
+        if named not in (("x",), MOTIONS):
+            raise InputError(
+                f'frame: motions must be ["x"] or {list(MOTIONS)}, in this order, not {checks.shown(self.motions)}'
+            )
+        object.__setattr__(self, "motions", named)
+        checks.put(self, "plan_std", checks.number, "frame: plan_std", above=0.0)
+        if self.plan is not None:
+            if not self.turns:
+                raise InputError(f"frame: plan belongs to floors that turn; declare motions = {list(MOTIONS)}")
+            if checks.many(self.plan) and not any(checks.many(each) for each in self.plan):
+                checks.put(self, "plan", checks.vector, "frame: plan", length=2, each=", a and b in m", above=0.0)
+            else:
+                checks.put(self, "plan", checks.pairs, "frame: plan", above=0.0)
+        elif self.plan_std != Frame.plan_std:
+            raise InputError("frame: plan_std belongs to plan; give that, too")
 
     def _checked_heights(self, heights: object, where: str) -> Floats:
         """Check one height a story; a single number, for all stories, stays one until their number is known."""
@@ -162,6 +198,11 @@ class Frame(InTable):
         if isinstance(declared, Mapping) and declared.get("stories") is not None:
             checks.whole(declared["stories"], "frame: stories", least=1, most=MOST_STORIES)
         return Frame.of_table(declared, "frame", elsewhere=elsewhere)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the floors move in two directions and turn."""
+        return self.motions == MOTIONS
 
     @property
     def elevations(self) -> Floats | None:

@@ -15,6 +15,7 @@ import numpy as np
 from cvxshear.measurement.configuration import Configuration
 from cvxshear.measurement.declaration import (
     DAMPING_KINDS,
+    MOTIONS,
     Damping,
     ExpectedEffect,
     Frame,
@@ -26,13 +27,13 @@ from cvxshear.measurement.declaration import (
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
-from cvxshear.util.errors import InputError, NoScaleError
+from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
 from cvxshear.util.results import Shown, as_table, ask
 from cvxshear.util.typing import Json, T
 
 __all__ = [
-    "DAMPING_KINDS", "MOST_STORIES", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame", "Limits",
-    "Prior", "StaticTest", "Tested",
+    "DAMPING_KINDS", "MOST_STORIES", "MOTIONS", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame",
+    "Limits", "Prior", "StaticTest", "Tested",
 ]  # fmt: skip
 
 Tested = Configuration | StaticTest
@@ -89,9 +90,11 @@ class Experiment(Shown):
         if not self.configurations:
             raise InputError("at least one [[configuration]] is needed: none was found")
         self._check_names()
+        self._check_motions()
         stories = self._count_stories()
         put(self, "frame", dataclasses.replace(self.frame, stories=stories))
-        put(self, "configurations", tuple(each.in_frame(stories) for each in self.configurations))
+        motions = len(self.frame.motions)
+        put(self, "configurations", tuple(each.in_frame(stories, motions) for each in self.configurations))
         put(self, "static", tuple(each.in_frame(stories) for each in self.static))
         self._check_states()
         for place, prior in enumerate(self.priors, 1):
@@ -106,6 +109,23 @@ class Experiment(Shown):
                 raise InputError(f'two configurations are named "{tested.name}"; give each a name of its own')
             seen.add(tested.name)
 
+    def _check_motions(self) -> None:
+        """Raise where sensors and motions of the floors do not belong together."""
+        for each in self.configurations:
+            where = f'configuration "{each.name}"'
+            if not self.frame.turns and (each.sensors or len(each.added_mass_position)):
+                key = "sensors" if each.sensors else "added_mass_position"
+                raise InputError(f"{where}: {key} belongs to floors that turn; declare frame: motions")
+            if self.frame.turns and each.mode_shapes.shape[1] and not each.sensors:
+                raise InputError(
+                    f"{where}: the floors turn (frame: motions), so sensors must give the floor, position and "
+                    "direction of each entry of a shape, in place of measured_floors"
+                )
+        if self.frame.turns:
+            for key, given in (("prior", self.priors), ("static", self.static), ("effect", self.expected)):
+                if given:
+                    raise InputError(f"[[{key}]] is of frames with one motion per floor; this one turns (motions)")
+
     def _check_states(self) -> None:
         """Raise where the reference or an expected effect names a state, floor or story that there is not."""
         states = self.states
@@ -117,27 +137,28 @@ class Experiment(Shown):
 
     def _count_stories(self) -> int:
         """Find the number of stories, which every part must agree on."""
-        said: dict[str, int] = {}
         frame = self.frame
-        if frame.stories:
-            said["frame: stories"] = frame.stories
-        if frame.story_heights is not None and frame.story_heights.ndim:
-            said["frame: story_heights"] = len(frame.story_heights)
-        if frame.floor_masses is not None:
-            said["frame: floor_masses"] = len(frame.floor_masses)
+        per_floor = {
+            "story_heights": None if frame.elevations is None else frame.story_heights,
+            "floor_masses": frame.floor_masses,
+            "plan": frame.plan if frame.plan is not None and frame.plan.ndim > 1 else None,
+        }
+        said = {"frame: stories": frame.stories} if frame.stories else {}
+        said |= {f"frame: {key}": len(values) for key, values in per_floor.items() if values is not None}
         for each in self.configurations:
             if len(each.added_mass):
                 said[f'configuration "{each.name}": added_mass'] = len(each.added_mass)
-            if not len(each.measured_floors) and each.mode_shapes.shape[1]:
+            if not each.sensors and not len(each.measured_floors) and each.mode_shapes.shape[1]:
                 where = f'configuration "{each.name}": mode_shapes (no measured_floors given)'
                 said[where] = each.mode_shapes.shape[1]
         said |= {f'static test "{each.name}": force': len(each.force) for each in self.static}
         if not said:
-            seen = [each for each in self.configurations if len(each.measured_floors)]
+            seen = {each: each.highest_floor for each in self.configurations if each.highest_floor}
             if not seen:
                 raise InputError("nothing tells how many stories the frame has; give frame: stories")
-            each = max(seen, key=lambda item: int(item.measured_floors[-1]))
-            said[f'configuration "{each.name}": measured_floors'] = int(each.measured_floors[-1])
+            each = max(seen, key=lambda item: seen[item])
+            key = "sensors" if each.sensors else "measured_floors"
+            said[f'configuration "{each.name}": {key}'] = seen[each]
         (first, stories), *others = said.items()
         for key, count in others:
             if count != stories:
@@ -296,13 +317,15 @@ Measurement = str | Path | Json | Experiment
 """An experiment, its dict, the path of a measurement file or a record file, or the name of a built-in example."""
 
 
-def opened(source: Measurement) -> Experiment:
+def opened(source: Measurement, *, turning: bool = False) -> Experiment:
     """Return an experiment as it is, or read it from its file.
 
     Parameters
     ----------
     source : Experiment, dict, str or Path
         A built-in's name, or the path of a measurement file or a record file. The modes of a record are identified.
+    turning : bool, optional
+        Whether its floors may turn.
 
     Raises
     ------
@@ -310,7 +333,19 @@ def opened(source: Measurement) -> Experiment:
         The source has another type, or the file cannot be read.
     NoSolutionError
         Where no mode was found in a record.
+    UnsuitableError
+        If the floors turn and the caller takes one motion per floor.
     """
+    found = _read(source)
+    if found.frame.turns and not turning:
+        raise UnsuitableError(
+            f"the floors of {found.name} turn (frame: motions), and this takes frames with one motion per floor; "
+            "cvxshear.programs.one_shot_masses and story_stiffnesses take floors that turn"
+        )
+    return found
+
+
+def _read(source: Measurement) -> Experiment:
     if isinstance(source, Experiment):
         return source
     if isinstance(source, Mapping):

@@ -6,12 +6,12 @@
 [25.5, 25.0]
 """
 
-from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Certificate
+from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Certificate, MatrixInequality
 from cvxshear.programs.constraints import NamedConstraints, constrained
 from cvxshear.programs.formulations import mass_correction, one_shot_masses, story_stiffnesses
 from cvxshear.programs.least_squares import LeastSquares, Solution
 
 __all__ = [
-    "Acceptance", "ActiveConstraint", "Certificate", "LeastSquares", "NamedConstraints", "Solution", "constrained",
-    "mass_correction", "one_shot_masses", "story_stiffnesses",
+    "Acceptance", "ActiveConstraint", "Certificate", "LeastSquares", "MatrixInequality", "NamedConstraints",
+    "Solution", "constrained", "mass_correction", "one_shot_masses", "story_stiffnesses",
 ]  # fmt: skip

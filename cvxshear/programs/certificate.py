@@ -60,6 +60,8 @@ class Certificate(InJson):
     * entry j of the gradient to :math:`\sum_i |R_{ij}| r_i + \sum_i |A_{ij} y_i| + \sum_i |G_{ij} w_i|` with
       :math:`r_i = \sum_k |R_{ik} x_k| + |s_i|`, the sizes of the terms of the residual Rx - s, and
       :math:`2 \cdot 10^{-10}` of the largest of them;
+    * a negative eigenvalue of a matrix inequality to the largest entry of :math:`|F_0| + \\sum_j |F_j| X_j`; its dual
+      matrix joins the gradient, the gap and their sizes as a multiplier does;
     * the gap to :math:`r^2 / 2 + \sum_i |y_i b_i| + \sum_i |w_i h_i|` with :math:`r = \sum_k |R_k x_k| + |s|`;
     * the error of unknown j to :math:`X_j`.
 
@@ -77,6 +79,42 @@ class Certificate(InJson):
     def worst(self) -> float:
         """The largest of the three residuals; nan where one is nan."""
         return float(np.max([self.primal_residual, self.dual_residual, self.duality_gap]))
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixInequality:
+    """State that the matrix F(x) = F_0 + sum over j of x_j F_j is positive semidefinite.
+
+    Parameters
+    ----------
+    name : str
+        What the matrix is, such as "mass matrix of floor 1".
+    constant : ndarray, shape (d, d)
+        F_0, symmetric.
+    slopes : ndarray, shape (n, d, d)
+        F_j, symmetric.
+    """
+
+    name: str
+    constant: Floats
+    slopes: Floats
+
+    def at(self, x: Floats) -> Floats:
+        """Compute F(x), shape (d, d)."""
+        return np.asarray(self.constant + np.tensordot(x, self.slopes, 1))
+
+    def products(self, dual: Floats) -> Floats:
+        """Compute <dual, F_j> for every unknown, shape (n,)."""
+        return np.asarray(np.tensordot(self.slopes, dual, 2))
+
+    def holds(self, x: Floats, dual: Floats, objective: float) -> bool:
+        """Whether the matrix is singular at the solution, rather than its dual zero.
+
+        Of the pair, the one that is smaller relative to its own size is the zero; <dual, F> has the objective's unit.
+        """
+        matrix = self.at(x)
+        least, size = float(np.linalg.eigvalsh(matrix)[0]), float(np.max(np.abs(matrix)))
+        return bool(np.trace(dual) * size**2 > max(least, 0.0) * objective)
 
 
 class Acceptance(StrEnum):
@@ -97,15 +135,16 @@ class ActiveConstraint(InJson):
     Parameters
     ----------
     constraint : str
-        "A", "G", "lower" or "upper".
+        "A", "G", "lower", "upper" or "lmi".
     index : int
-        Row of A or G, or number of the unknown, from 0.
+        Row of A or G, number of the unknown, or place among the matrix inequalities, from 0.
     name : str
         The unknown of a bound; the statement of a row.
     source : str
         The statement that the constraint comes from; empty if the program has no such text.
     dual : float
-        The objective changes by -dual for each unit that is added to the right side or to the bound.
+        The objective changes by -dual for each unit that is added to the right side or to the bound; of a matrix
+        inequality, for each unit that is added to the diagonal of F_0: the trace of its dual matrix.
     """
 
     constraint: str
@@ -126,11 +165,18 @@ class Point:
         Multipliers of the equalities.
     w : ndarray, shape (g,)
         Multipliers of the rows of `LeastSquares.inequalities`.
+    matrices : tuple of ndarray, optional
+        Dual matrices of the matrix inequalities; zero where the tuple is empty.
     """
 
     x: Floats
     y: Floats
     w: Floats
+    matrices: tuple[Floats, ...] = ()
+
+    def matrices_of(self, program: Any) -> tuple[Floats, ...]:
+        """Return a dual matrix for each matrix inequality of the program."""
+        return self.matrices or tuple(np.zeros_like(each.constant) for each in program.lmi)
 
 
 class Assembled:
@@ -237,18 +283,30 @@ def certify(program: Assembled, point: Point) -> Certificate:
     wrong_sign = np.max(absolute_G * np.maximum(-w, 0.0)[:, None], axis=0, initial=0.0)
     # If the Lagrangian's gradient is zero, the dual objective equals the Lagrangian, and the gap equals the terms of
     # the constraints in the Lagrangian.
-    gap = abs(float(w @ slack) - float(y @ equality))
+    gap = float(w @ slack) - float(y @ equality)
     objective_size = 0.5 * magnitude**2 + np.abs(y) @ np.abs(program.b) + np.abs(w) @ np.abs(program.h)
+    of_matrices = 0.0
+    for each, dual in zip(program.program.lmi, point.matrices_of(program.program), strict=True):
+        value, sizes = each.at(x), np.abs(each.slopes)
+        lowest = max(-float(np.linalg.eigvalsh(value)[0]), 0.0)
+        terms_of = np.abs(each.constant) + np.tensordot(size, sizes, 1)
+        of_matrices = max(of_matrices, largest_relative(np.array(lowest), float(np.max(terms_of))))
+        gradient = gradient - each.products(dual)
+        gradient_size = gradient_size + np.tensordot(sizes, np.abs(dual), 2)
+        negative = max(-float(np.linalg.eigvalsh(dual)[0]), 0.0)
+        wrong_sign = np.maximum(wrong_sign, negative * np.max(sizes, axis=(1, 2)))
+        gap += float(np.sum(dual * value))
+        objective_size += float(np.sum(np.abs(dual) * np.abs(each.constant)))
     of_equalities = largest_relative(np.abs(equality), np.abs(program.b) + absolute_A @ size)
     of_inequalities = largest_relative(np.maximum(-slack, 0.0), np.abs(program.h) + absolute_G @ size)
     return Certificate(
-        primal_residual=max(of_equalities, of_inequalities),
+        primal_residual=max(of_equalities, of_inequalities, of_matrices),
         dual_residual=largest_relative(np.maximum(np.abs(gradient), wrong_sign), gradient_size),
-        duality_gap=largest_relative(np.array(gap), objective_size),
+        duality_gap=largest_relative(np.array(abs(gap)), objective_size),
     )
 
 
-def largest_relative(difference: Floats, size: Floats) -> float:
+def largest_relative(difference: Floats, size: Floats | float) -> float:
     """Find the largest difference relative to the size of its terms; zero of zero terms is no difference."""
     if not difference.size:
         return 0.0

@@ -14,6 +14,11 @@ from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util.errors import InfeasibleError
 from cvxshear.util.typing import Floats
 
+LEAST_POSITIVE = 1e-3
+"""Smallest positive mass, relative to the mean floor mass; the smallest positive stiffness carries it at mode 1.
+
+Solvers cannot resolve a much smaller bound: HiGHS 1.15 fails at 1e-6."""
+
 REMAINDER_ROUNDING = 1e-13
 """Rounding of a sum, relative to the sizes of its terms."""
 

@@ -11,16 +11,19 @@ import numpy as np
 
 from cvxshear.measurement.experiment import Configuration, Experiment, Measurement, opened
 from cvxshear.priors import Prior
-from cvxshear.programs.constraints import NamedConstraints, constrained, refuse_contradicting, softened, statements
+from cvxshear.programs.constraints import (
+    LEAST_POSITIVE,
+    NamedConstraints,
+    constrained,
+    refuse_contradicting,
+    softened,
+    statements,
+)
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.programs.pair_rows import mass_rows, normalized, one_shot_rows, stiffness_rows
+from cvxshear.programs.turning import TurningTest
 from cvxshear.util import checks, decorators, errors, quantities
 from cvxshear.util.typing import Floats
-
-LEAST_POSITIVE = 1e-3
-"""Smallest positive mass, relative to the mean floor mass; the smallest positive stiffness carries it at mode 1.
-
-Solvers cannot resolve a much smaller bound: HiGHS 1.15 fails at 1e-6."""
 
 
 @decorators.usual_arithmetic
@@ -61,6 +64,7 @@ def mass_correction(
         If a mode, a floor or the total mass is missing.
     """
     test = _chosen(experiment, configuration, priors, "mass_correction")
+    assert isinstance(test, CompleteTest)
     return test.mass_correction(test.start_mass(masses))
 
 
@@ -77,6 +81,10 @@ def one_shot_masses(
     Minimize the sum over i < j of ((phi_i o phi_j)' m)^2, with modes of unit length, subject to the known total.
     Exact modes give exact masses without iteration.
 
+    Of floors that turn, minimize the sum over i < j of (phi_i' M phi_j)^2, each row over its deviation, with the mass
+    matrix of every floor positive semidefinite (`lmi`). A declared plan bounds the mass centers and gives soft rows for
+    the inertias.
+
     Parameters
     ----------
     experiment, configuration, priors
@@ -87,14 +95,17 @@ def one_shot_masses(
     Returns
     -------
     LeastSquares
-        Its unknown x is the floor masses without added mass, kg.
+        Its unknown x is the floor masses without added mass, kg. Of floors that turn: mass (kg), first moments in x and
+        y (kg m) and polar inertia (kg m2) of each, at the reference point, shape (4 N,).
 
     Raises
     ------
     InfeasibleError, InputError, UnsuitableError
         As for `mass_correction`.
     """
-    test = _chosen(experiment, configuration, priors, "one_shot_masses")
+    test = _chosen(experiment, configuration, priors, "one_shot_masses", turning=True)
+    if isinstance(test, TurningTest):
+        return test.one_shot_masses()
     return test.one_shot_masses(at=test.start_mass(at))
 
 
@@ -112,12 +123,15 @@ def story_stiffnesses(
     Minimize the sum over i <= j of ((x_i o x_j)' k - delta_ij lambda_i)^2 with the story drifts x = T' phi of the modes
     normalized by the masses, and lambda_i = (2 pi f_i)^2.
 
+    Of floors that turn, minimize the sum over i <= j of (phi_i' K phi_j - delta_ij lambda_i)^2, each row over its
+    deviation, with the stiffness matrix of every story positive semidefinite (`lmi`).
+
     Parameters
     ----------
     experiment, configuration, priors
         As for `mass_correction`.
     masses : array_like, shape (N,)
-        Floor masses without added mass, kg.
+        Floor masses without added mass, kg. Of floors that turn, shape (4 N,), as `one_shot_masses` finds them.
     at : array_like, shape (N,), optional
         Story stiffnesses for the linearization of soft priors, N/m. Default: equal stiffnesses with the first
         eigenvalue as the Rayleigh quotient of the first mode.
@@ -125,14 +139,18 @@ def story_stiffnesses(
     Returns
     -------
     LeastSquares
-        Its unknown x is the story stiffnesses, N/m.
+        Its unknown x is the story stiffnesses, N/m. Of floors that turn: the entries xx, yy, rr, xy, xr and yr of each
+        story's matrix, r the rotation, at the reference point, shape (6 N,), N/m, N and N m.
 
     Raises
     ------
     InfeasibleError, InputError, UnsuitableError
         As for `mass_correction`.
     """
-    test = _chosen(experiment, configuration, priors, "story_stiffnesses")
+    test = _chosen(experiment, configuration, priors, "story_stiffnesses", turning=True)
+    if isinstance(test, TurningTest):
+        each = ", four a floor"
+        return test.story_stiffnesses(checks.vector(masses, "masses", length=4 * test.stories, each=each))
     mass = test.start_mass(masses) + test.configuration.added_mass
     start = None if at is None else checks.vector(np.asarray(at), "at", length=test.experiment.stories, above=0.0)
     return test.story_stiffnesses(mass, at=test.even_stiffness(mass) if start is None else start)
@@ -230,9 +248,11 @@ class CompleteTest:
         return f"{what}, {self.configuration.name}"
 
 
-def _chosen(experiment: Measurement, name: str | None, priors: Sequence[Prior], program: str) -> CompleteTest:
+def _chosen(
+    experiment: Measurement, name: str | None, priors: Sequence[Prior], program: str, *, turning: bool = False
+) -> CompleteTest | TurningTest:
     """Select the configuration of a program."""
-    experiment = opened(experiment).with_priors(tuple(priors))
+    experiment = opened(experiment, turning=turning).with_priors(tuple(priors))
     names = [each.name for each in experiment.configurations]
     if name is None and len(names) > 1:
         raise errors.InputError(
@@ -240,7 +260,8 @@ def _chosen(experiment: Measurement, name: str | None, priors: Sequence[Prior], 
             f"configuration={names[0]!r}"
         )
     chosen = names[0] if name is None else checks.choice(name, names, "configuration")
-    return complete_test(experiment, experiment.configurations[names.index(chosen)], program)
+    collect = TurningTest.of if experiment.frame.turns else complete_test
+    return collect(experiment, experiment.configurations[names.index(chosen)], program)
 
 
 def complete_test(experiment: Experiment, configuration: Configuration, user: str) -> CompleteTest:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, Point
+from cvxshear.programs.certificate import Acceptance, ActiveConstraint, Assembled, Certificate, MatrixInequality, Point
 from cvxshear.util import decorators, results
+from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
     r"""Minimize :math:`|W (R x - s)|^2` subject to :math:`G x \le h`, :math:`A x = b`, lower <= x <= upper.
+
+    With `lmi` it is a semidefinite program: each of these matrices, linear in x, is positive semidefinite.
 
     Parameters
     ----------
@@ -42,6 +45,8 @@ class LeastSquares:
         "total_mass = 31.33 kg".
     title : str, optional
         Purpose of the program, such as "mass correction, Structure 1".
+    lmi : tuple of MatrixInequality, optional
+        Linear matrix inequalities.
 
     Examples
     --------
@@ -64,6 +69,7 @@ class LeastSquares:
     names: tuple[str, ...] = ()
     sources: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     title: str = ""
+    lmi: tuple[MatrixInequality, ...] = ()
 
     @property
     def unknowns(self) -> int:
@@ -144,6 +150,8 @@ class LeastSquares:
         duals = {"A": 2.0 * point.y, "G": np.zeros(g), "lower": np.zeros(n), "upper": np.zeros(n)}
         for (kind, index), multiplier in zip(self._labels, point.w, strict=True):
             duals[kind][index] = (-2.0 if kind == "lower" else 2.0) * multiplier
+        for each, dual in zip(self.lmi, point.matrices_of(self), strict=True):
+            duals[each.name] = 2.0 * dual
         return duals
 
     def active_at(self, point: Point) -> tuple[ActiveConstraint, ...]:
@@ -163,6 +171,9 @@ class LeastSquares:
             if kind in ("lower", "upper"):
                 name = self.names[index] if self.names else f"unknown {index + 1}"
             listed.append(ActiveConstraint(kind, index, name, source, float(duals[kind][index])))
+        for index, (each, dual) in enumerate(zip(self.lmi, point.matrices_of(self), strict=True)):
+            if each.holds(point.x, dual, self.objective(point.x)):
+                listed.append(ActiveConstraint("lmi", index, each.name, each.name, 2.0 * float(np.trace(dual))))
         return tuple(listed)
 
     def replace(self, **changes: Any) -> LeastSquares:
@@ -173,9 +184,16 @@ class LeastSquares:
         """Convert to a `qpsolvers.Problem` with the matrices P, q, G, h, A, b and the bounds.
 
         Its objective is the sum of squares without `constant`.
+
+        Raises
+        ------
+        UnsuitableError
+            If the program has matrix inequalities.
         """
         import qpsolvers  # noqa: PLC0415 - imports every installed solver
 
+        if self.lmi:
+            raise UnsuitableError("qpsolvers takes no matrix inequalities; to_cvxpy() does")
         A, b = (None, None) if self.b is None or not len(self.b) else (self.A, self.b)
         G, h = (None, None) if self.h is None or not len(self.h) else (self.G, self.h)
         return qpsolvers.Problem(self.P, self.q, G, h, A, b, self.lower, self.upper)
@@ -186,7 +204,8 @@ class LeastSquares:
         Returns
         -------
         problem : cvxpy.Problem
-            Its constraints are, as far as the program has them: A x = b, G x <= h, x >= lower, x <= upper.
+            Its constraints are, as far as the program has them: A x = b, G x <= h, x >= lower, x <= upper, and the
+            matrix inequalities in order.
         x : cvxpy.Variable
         """
         import cvxpy as cp  # noqa: PLC0415 - takes a second to import
@@ -201,6 +220,10 @@ class LeastSquares:
         for bound, sign in ((self.lower, -1.0), (self.upper, 1.0)):
             if bound is not None and np.any(finite := np.isfinite(bound)):
                 constraints.append(sign * x[finite] <= sign * bound[finite])
+        for each in self.lmi:
+            shape = each.constant.shape
+            linear = each.slopes.reshape(len(each.slopes), -1).T @ x
+            constraints.append(cp.reshape(linear, shape, order="C") + each.constant >> 0)  # type: ignore[attr-defined]  # cvxpy exports it
         return cp.Problem(cp.Minimize(cp.sum_squares(R @ x - s)), constraints), x  # type: ignore[attr-defined]  # cvxpy exports it
 
     def kkt(self) -> Solution:
@@ -214,14 +237,14 @@ class LeastSquares:
         Returns
         -------
         Solution
-            Solution of the program without G, lower and upper.
+            Solution of the program without G, lower, upper and matrix inequalities.
 
         Raises
         ------
         NoSolutionError
             If the rows and the equalities do not determine every unknown.
         """
-        return self.replace(G=None, h=None, lower=None, upper=None).solve("kkt")
+        return self.replace(G=None, h=None, lower=None, upper=None, lmi=()).solve("kkt")
 
     def normal_equations(self) -> Solution:
         """Solve the program without any constraint, R'W²R x = R'W²s (Eqs. 10 and 24), by a QR factorization of W R.
@@ -321,6 +344,7 @@ class Solution:
         They have the sign convention of qpsolvers: :math:`P x + q + A' y + G' z + z_l + z_u = 0`, where the
         multipliers z of G and of upper bounds are not negative, and the multipliers of lower bounds are not positive.
         The objective changes by minus the multiplier for each unit that is added to the right side or to the bound.
+        Each matrix inequality has a positive semidefinite dual matrix Z by its name, and -<Z, F> joins the Lagrangian.
         """
         return self.program.duals_at(self.point)
 

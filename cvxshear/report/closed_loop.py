@@ -382,11 +382,8 @@ def _next(result: LoopResult, units: quantities.Units) -> str:
     """Describe the test that would distinguish the rivals, or give the reason why no test is proposed."""
     test = result.next_test
     if test is not None:
-        factor, unit = units.of_mass([test.added_mass])
-        mass = f"{quantities.significant(test.added_mass / factor, 3)} {unit}"
         return (
-            f'Put {mass} more on floor {test.floor} of "{test.state}" and '
-            "measure again: the rivals would then differ by "
+            f"{identified.put_more(test, units)}: the rivals would then differ by "
             f"{test.standard_deviations:.1f} standard deviations"
             f"{'' if test.tells_all else ', but for those that no added mass tells'}.{_reference(result)}"
         )

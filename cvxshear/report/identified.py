@@ -292,9 +292,17 @@ def _other_frames(result: results.Identification, units: quantities.Units) -> bl
     frames = result.other_frames
     mass_factor, mass_unit = units.of_mass(result.frame.floor_mass.tolist())
     factor, unit = units.of_stiffness(result.frame.story_stiffness.tolist())
+    test = result.others.next_test
+    remedy = "Shapes at two floors or more tell them apart."
+    if test is not None:
+        others = "the nearest of the other frames" if test.tells_all else "the nearest that added mass tells from it"
+        remedy = (
+            f"{put_more(test, units)}: the identified frame would then differ from {others} by "
+            f"{test.standard_deviations:.1f} standard deviations. {remedy[:-1]} too."
+        )
     warning = (
         f"These data fit {len(frames) + 1} frames; a standard deviation above describes the identified one alone. "
-        "Shapes at two floors or more, or a test with known added mass, tell them apart."
+        f"{remedy} Searched: {result.others.searched}."
     )
     found = blocks.table("other-frames", "From the lowest floor or story up", {
         f"floor masses, {mass_unit}": [_all(each.floor_mass, mass_factor) for each in frames],
@@ -304,6 +312,13 @@ def _other_frames(result: results.Identification, units: quantities.Units) -> bl
     }, words=(0, 1))  # fmt: skip
     title = "Other frames that fit as well"
     return blocks.section("other-frames", title, blocks.Sentence(warning, "warning"), found)
+
+
+def put_more(test: results.NextTest, units: quantities.Units) -> str:
+    """Propose a test with more added mass: the beginning of a sentence."""
+    factor, unit = units.of_mass([test.added_mass])
+    mass = f"{quantities.significant(test.added_mass / factor, 3)} {unit}"
+    return f'Put {mass} more on floor {test.floor} of "{test.state}" and measure again'
 
 
 def _all(values: Floats, factor: float) -> str:

@@ -17,6 +17,8 @@ from cvxshear.util import quantities, ranking
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import ending_of, write_file
 
+Moved = RecordPrediction | Reconstruction
+
 
 @blocks.describe.register
 def _damping(result: IdentifiedDamping) -> blocks.Document:
@@ -85,6 +87,7 @@ def _peak_data(found: Peaks, *more: blocks.Column) -> Iterator[blocks.Table]:
 def _predicted(result: RecordPrediction) -> Iterator[str]:
     """Name the story with the largest drift, and give the error of the predicted motion."""
     yield _largest_drift(result.peaks)
+    yield from _limits(result)
     if (beside := result.after.comparison) is not None:
         least, most = (quantities.percent(float(each), 1) for each in (beside.nrmse.min(), beside.nrmse.max()))
         floors = quantities.numbered("floor", beside.floors.tolist())
@@ -160,6 +163,7 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
         # One table of all peaks would be too wide for a page.
         cells = _written(result.peaks.values["story_drift_ratio"], result.peaks.std["story_drift_ratio"], 0.01)
         columns = {"story": [str(story) for story in range(1, len(cells) + 1)], "% of height": cells}
+        columns |= dict(_limit_chances(result))
         yield blocks.table("prediction-drift-ratios", "peak drift ± standard deviation", columns, top_first=True)
     if result.after.fitted.covariance is None:
         return
@@ -284,7 +288,7 @@ def _sensor_drifts(result: Reconstruction) -> Iterator[blocks.Table]:
         }, top_first=True)  # fmt: skip
 
 
-def _limits(result: Reconstruction) -> Iterator[str]:
+def _limits(result: Moved) -> Iterator[str]:
     """Name the stories that exceeded each limit."""
     if result.limits is None or result.passed is None:
         return
@@ -328,10 +332,15 @@ def stories(result: Reconstruction) -> blocks.Table:
         "stiffness / identified": _written(frame.factors, frame.factors_std, 1.0),
         "changed by itself": _chances(unknown if result.change_probability is None else result.change_probability),
     }
-    if result.passed is not None and result.limits is not None:
-        passed = zip(result.limits.names, result.passed, strict=True)
-        columns |= {f"P(> {limit})": _chances(each) for limit, each in passed}
+    columns |= dict(_limit_chances(result))
     return blocks.table("reconstructed-stories", "peak drift ± standard deviation", columns, top_first=True)
+
+
+def _limit_chances(result: Moved) -> Iterator[tuple[str, list[str]]]:
+    """Yield a column for each limit: the probability that each story passed it."""
+    if result.passed is not None and result.limits is not None:
+        for limit, each in zip(result.limits.names, result.passed, strict=True):
+            yield f"P(> {limit})", _chances(each)
 
 
 def _chances(probabilities: Floats) -> list[str]:
@@ -373,8 +382,6 @@ COLUMN_NAMES = {name: quantity.word.replace(" ", "_") for name, quantity in RESP
 
 SERIES_UNITS = {"time": "s"} | {COLUMN_NAMES[name]: each.unit.replace("²", "2") for name, each in RESPONSES.items()}
 """Units of the columns; the header of a CSV file shows them in brackets. A drift ratio has no unit."""
-
-Moved = RecordPrediction | Reconstruction
 
 
 def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from scipy import special
 
 from cvxshear.records.motion import DrivenRecord, DrivenRun, trend
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.recording import Recording, earlier, rms
 from cvxshear.response.state_space import Response, response
-from cvxshear.util.quantities import CHANNEL_UNITS, ranged
+from cvxshear.util.quantities import CHANNEL_UNITS, SURE, ranged
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
@@ -62,23 +63,51 @@ def segment(samples: int, rate: float, frequency: float, ratio: float) -> int:
     return int(max(16, min(wanted, 2 * samples // (SEGMENTS + 1))))
 
 
-def transfer(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> Transfer:
-    """Estimate the transfer functions over all runs together, from pieces of `length` samples."""
-    cross: Complexes | float = 0.0
-    force: Floats | float = 0.0
-    power: Floats | float = 0.0
-    frequencies = np.zeros(0)
-    for f, y in zip(excitations, responses, strict=True):
-        frequencies, own = scipy.signal.welch(f, rate, nperseg=length)
-        weight = len(f)
-        force = force + weight * own
-        power = power + weight * scipy.signal.welch(y, rate, nperseg=length, axis=0)[1]
-        cross = cross + weight * scipy.signal.csd(f[:, None], y, rate, nperseg=length, axis=0)[1]
-    # Lines without excitation have no transfer function: 0 / 0 gives nan.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        functions = np.asarray(cross) / np.asarray(force)[:, None]
-        coherence = np.abs(cross) ** 2 / (np.asarray(force)[:, None] * np.asarray(power))
-    return Transfer(frequencies, functions, np.nan_to_num(coherence))
+@dataclass(frozen=True, eq=False)
+class PieceSpectra:
+    """PieceSpectra of half overlapping pieces of an excitation and of responses to it, one per piece.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (lines,)
+        Hz.
+    force : ndarray, shape (pieces, lines)
+        Spectrum of the excitation.
+    cross : ndarray of complex, shape (pieces, lines, n)
+    power : ndarray, shape (pieces, lines, n)
+        PieceSpectra of the responses.
+    """
+
+    frequencies: Floats
+    force: Floats
+    cross: Complexes
+    power: Floats
+
+    @staticmethod
+    def of(excitations: Sequence[Floats], responses: Sequence[Floats], rate: float, length: int) -> PieceSpectra:
+        """Transform pieces of `length` samples of all runs, without their means, under a Hann window."""
+        window = scipy.signal.windows.hann(length, sym=False)
+
+        def transformed(values: Floats) -> Complexes:
+            pieces = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)[:: length // 2]
+            lines: Complexes = np.fft.rfft(window * (pieces - pieces.mean(axis=-1, keepdims=True)))
+            return lines.swapaxes(1, 2)
+
+        force = np.concatenate([transformed(each[:, None]) for each in excitations])
+        seen = np.concatenate([transformed(each) for each in responses])
+        frequencies = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64)
+        return PieceSpectra(frequencies, np.abs(force[..., 0]) ** 2, np.conj(force) * seen, np.abs(seen) ** 2)
+
+    def transfer(self, columns: slice, pieces: Ints | slice = slice(None)) -> Transfer:
+        """Return the transfer functions of some responses, from all pieces or from some of them."""
+        force, cross, power = (
+            each[pieces].sum(axis=0)
+            for each in (self.force[..., None], self.cross[..., columns], self.power[..., columns])
+        )
+        # Lines without excitation have no transfer function: 0 / 0 gives nan.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            functions, coherence = cross / force, np.abs(cross) ** 2 / (force * power)
+        return Transfer(self.frequencies, functions, np.nan_to_num(coherence))
 
 
 def around(frequencies: Floats, natural: Floats, mode: int, half: float = AROUND) -> Bools:
@@ -108,20 +137,13 @@ def errors(measured: Transfer, predicted: Transfer, natural: Floats) -> Floats:
     return result
 
 
-def power_at(estimated: Transfer, natural: Floats, mode: int, frequency: float) -> float:
-    """Compute the squared magnitude over all floors at a frequency, relative to its maximum near a mode."""
-    power = np.sum(np.abs(estimated.functions) ** 2, axis=1)
-    largest = power[around(estimated.frequencies, natural, mode, SHIFTED)].max()
-    return float(np.interp(frequency, estimated.frequencies, power) / largest)
-
-
 def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
     """Find the peak of the transfer functions of all floors together near a mode, Hz; None without a peak.
 
     The peak is the top of the parabola through the logarithms of the largest line and its neighbors.
     """
     near = np.flatnonzero(around(estimated.frequencies, natural, mode, SHIFTED))
-    if len(near) < 3 or estimated.coherence[near].mean() < COHERENT:
+    if len(near) < 3:
         return None
     size = np.log(np.maximum(np.sum(np.abs(estimated.functions) ** 2, axis=1), 1e-300))
     top = int(near[np.argmax(size[near])])
@@ -132,12 +154,6 @@ def peak(estimated: Transfer, natural: Floats, mode: int) -> float | None:
     return float(estimated.frequencies[top] + shift * (estimated.frequencies[1] - estimated.frequencies[0]))
 
 
-FALLEN = 0.8
-"""Largest power of a transfer function at the other function's peak, relative to its own peak, for a clear shift. The
-top of a damped resonance is flat. Noise and leakage move its largest line by up to ten lines, where 0.8 of the power
-remains."""
-
-
 @dataclass(frozen=True, eq=False)
 class Shift:
     """A mode whose resonance in the record differs from the model's.
@@ -146,17 +162,20 @@ class Shift:
     ----------
     measured, modelled : float
         Frequencies of the peaks of the transfer functions, Hz.
+    std : float
+        Standard deviation of the difference, relative.
     """
 
     mode: int
     measured: float
     modelled: float
+    std: float
 
     def __str__(self) -> str:
         change = 100 * (self.measured / self.modelled - 1)
         return (
             f"mode {self.mode} resonates at {self.measured:.3f} Hz in this record, the model at {self.modelled:.3f} Hz "
-            f"({change:+.1f} %)"
+            f"({change:+.1f} %, standard deviation {100 * self.std:.2g} %)"
         )
 
 
@@ -199,7 +218,11 @@ def seen(model: DampedModel, response: Response, floors: Ints) -> Floats:
 
 
 def compared(
-    model: DampedModel, responses: Sequence[Response], motion: DrivenRecord, measured_modes: Ints | None = None
+    model: DampedModel,
+    responses: Sequence[Response],
+    motion: DrivenRecord,
+    measured_modes: Ints | None = None,
+    frequency_std: Floats | None = None,
 ) -> RecordComparison | None:
     """Compare the prediction with the record; return None if the record has no accelerations of floors.
 
@@ -211,6 +234,8 @@ def compared(
         Floors with missing samples are left out.
     measured_modes : ndarray of int, optional
         Numbers (from 1) of the measured modes, the only ones with reported shifts; by default, all modes.
+    frequency_std : ndarray, shape (N,), optional
+        Relative standard deviations of the model's frequencies; by default, none.
     """
     recorded = [run.responses for run in motion.runs if run.responses is not None]
     if len(recorded) < len(motion.runs):
@@ -229,8 +254,9 @@ def compared(
         min(run.samples for run in motion.runs), motion.sampling_rate, float(natural[0]), float(model.ratios[0])
     )
     excitations = [run.excitation for run in motion.runs]
-    of_record = transfer(excitations, measured, motion.sampling_rate, length)
-    of_model = transfer(excitations, predicted, motion.sampling_rate, length)
+    both = [np.hstack(pair) for pair in zip(measured, predicted, strict=True)]
+    spectra = PieceSpectra.of(excitations, both, motion.sampling_rate, length)
+    of_record, of_model = (spectra.transfer(side) for side in _sides(len(floors)))
     with np.errstate(divide="ignore", invalid="ignore"):
         return RecordComparison(
             floors=floors,
@@ -238,30 +264,52 @@ def compared(
             rms_ratio=rms_predicted / rms_measured,
             peak_ratio=np.max(np.abs(shown), axis=0) / np.max(np.abs(y), axis=0),
             frf_error=errors(of_record, of_model, natural),
-            shifts=_shifts(of_record, of_model, natural, measured_modes),
+            shifts=_shifts(spectra, model, measured_modes, frequency_std),
             contradiction=contradiction(y, shown, floors),
             measured=of_record,
             predicted=of_model,
         )
 
 
-def _shifts(measured: Transfer, predicted: Transfer, natural: Floats, measured_modes: Ints | None) -> tuple[Shift, ...]:
-    """Find the modes whose resonance differs from the model's.
+def _sides(floors: int) -> tuple[slice, slice]:
+    """Return the columns of the measured and of the predicted floors."""
+    return slice(0, floors), slice(floors, 2 * floors)
 
-    The shift must exceed a line of the spectrum, and both transfer functions must be below `FALLEN` at the other's
-    peak.
+
+def _shifts(
+    spectra: PieceSpectra, model: DampedModel, measured_modes: Ints | None, frequency_std: Floats | None
+) -> tuple[Shift, ...]:
+    """Find the modes whose resonance surely differs from the model's.
+
+    The difference of the two resonances has a deviation: its scatter over halves of the pieces, drawn at random
+    (delete-d jackknife, which also holds for the largest line of a flat peak: Shao and Wu 1989). Leakage moves both
+    resonances alike. The model's frequency has its own deviation. A shift is sure beside chance in any of the modes.
     """
-    line = measured.frequencies[1] - measured.frequencies[0]
-    found = []
-    for mode in range(len(natural)):
-        if measured_modes is not None and mode + 1 not in measured_modes:
-            continue
-        seen, made = peak(measured, natural, mode), peak(predicted, natural, mode)
-        if seen is None or made is None or abs(seen - made) <= line:
-            continue
-        if max(power_at(measured, natural, mode, made), power_at(predicted, natural, mode, seen)) < FALLEN:
-            found.append(Shift(mode + 1, seen, made))
-    return tuple(found)
+    natural, pieces = model.modes.frequencies, len(spectra.force)
+    own = np.zeros(len(natural)) if frequency_std is None else np.nan_to_num(frequency_std)
+    sides = _sides(spectra.cross.shape[2] // 2)
+    modes = range(len(natural)) if measured_modes is None else [each - 1 for each in measured_modes.tolist()]
+
+    def tops(chosen: Ints | slice = slice(None)) -> Floats:
+        """Return the logarithms of both resonances of each mode, nan without a peak, shape (2, modes)."""
+        transfers = [spectra.transfer(side, chosen) for side in sides]
+        return np.log(np.array([[peak(each, natural, mode) for mode in modes] for each in transfers], dtype=np.float64))
+
+    whole, rng = tops(), np.random.default_rng(0)
+    halves = np.array([np.subtract(*tops(rng.permutation(pieces)[pieces // 2 :])) for _ in range(HALVES)])
+    scatter, level = np.sqrt(np.mean((halves - np.subtract(*whole)) ** 2, axis=0)), 1 - (1 - SURE) / (2 * len(modes))
+    # The scatter of few pieces has the distribution of Student, the model's deviation the normal one.
+    least = np.hypot(special.stdtrit(max(pieces - 1, 1), level) * scatter, special.ndtri(level) * own[modes])
+    std = np.hypot(scatter, own[modes])
+    return tuple(
+        Shift(mode + 1, float(np.exp(seen)), float(np.exp(made)), float(deviation))
+        for mode, seen, made, deviation, chance in zip(modes, *whole, std, least, strict=True)
+        if abs(seen - made) > chance
+    )
+
+
+HALVES = 24
+"""Number of random halves of the pieces: the deviation of a resonance is known to a seventh."""
 
 
 def moved_alike(measured: Floats, predicted: Floats) -> Floats:

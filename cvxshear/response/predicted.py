@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from cvxshear import backends
 from cvxshear.backends import Backend
 from cvxshear.effects import LocatedEffect
-from cvxshear.measurement.experiment import Configuration
+from cvxshear.measurement.experiment import Configuration, Limits
 from cvxshear.records.motion import DrivenRecord
 from cvxshear.response import sources, uncertain
 from cvxshear.response.compare import RecordComparison, as_predicted, compared
@@ -86,6 +87,31 @@ class Peaks:
                 result[key] = as_json(values[0] if quantity.single and values is not None else values)
         return result
 
+
+def limits_passed(limits: Limits | None, peaks: Peaks) -> Floats | None:
+    """Return the probability that the drift ratio of each story passed each limit, shape (L, N).
+
+    It is nan for unknown deviations; the result is None without limits or story heights.
+    """
+    name = "story_drift_ratio"
+    if limits is None or name not in peaks.values:
+        return None
+    away = peaks.values[name] - limits.story_drift[:, None]
+    passed: Floats = special.ndtr(away / np.maximum(peaks.std[name], 1e-300))
+    return passed
+
+
+def limits_in_json(limits: Limits | None, passed: Floats | None, stories: int) -> list[Json] | None:
+    """Return each limit with its probability in each story, null for unknown ones; None without limits."""
+    if limits is None:
+        return None
+    chances = np.full((len(limits.names), stories), np.nan) if passed is None else passed
+    rows = zip(limits.names, limits.story_drift, chances, strict=True)
+    return [{"name": name, "story_drift": drift, "probability": each} for name, drift, each in rows]
+
+
+NO_HEIGHTS = "drift ratios need story_heights in [frame]: the limits cannot be judged"
+"""Remark on limits without story heights."""
 
 STRONG = 0.5
 """Least size of a sample in the strong part of a motion, relative to the peak."""
@@ -205,8 +231,23 @@ class RecordPrediction(Shown):
         "experiment=after.fitted.experiment.name record=motion.name input=motion.input "
         "configuration=configuration.name backend effects=after.fitted.effects "
         "frequencies=after.damped.model.modes.frequencies before=before.comparison after=after.comparison "
-        "peaks damping remarks"
+        "peaks limits=limits_said damping remarks"
     )
+
+    @property
+    def limits(self) -> Limits | None:
+        """The declared limits of drift ratios."""
+        return self.after.fitted.experiment.limits
+
+    @property
+    def passed(self) -> Floats | None:
+        """Probability that the drift ratio of each story passes each limit, shape (L, N); nan if unknown."""
+        return limits_passed(self.limits, self.peaks)
+
+    @property
+    def limits_said(self) -> list[Json] | None:
+        """The limits with their probabilities, as in the JSON; None without limits."""
+        return limits_in_json(self.limits, self.passed, len(self.after.damped.model.M))
 
     @property
     def otherwise_before(self) -> ModelResponse | None:
@@ -279,6 +320,8 @@ def predict(
     ]
     # The comparison may repeat remarks that the model made on the sensors before.
     said += [each for each in found.remarks if each not in faults]
+    if found.limits is not None and found.passed is None:
+        said.append(NO_HEIGHTS)
     return dataclasses.replace(found, remarks=(*faults, *said))
 
 
@@ -309,13 +352,13 @@ def _predicted(
             for name, values in histories(moved).items()
             if name in BANDS and values is not None
         }
-        return uncertain.parts_of(damped) | _largest(responses) | bands
+        return uncertain.parts_of(damped) | _largest(responses) | bands | {"f": np.log(damped.model.modes.frequencies)}
 
     centre, std = uncertain.propagated(frame, everything)
     # The excitation between its samples is unknown: it may be linear or band-limited.
     straight, limited = everything(centre), everything(centre, motion.band_limited())
     std = {name: np.hypot(own, limited[name] - straight[name]) for name, own in std.items()}
-    after = _model_response(models.after, centre, motion)
+    after = _model_response(models.after, centre, motion, std["f"])
     over_time = tuple(
         {name: std[f"{name} over time {run}"] for name in BANDS if f"{name} over time {run}" in std}
         for run in range(len(after.responses))
@@ -362,11 +405,13 @@ def _responses(damped: uncertain.Damped, motion: DrivenRecord) -> list[Response]
     return [response(damped.model, driven, motion.step) for driven in motion.runs]
 
 
-def _model_response(fitted: sources.Fitted, damped: uncertain.Damped, motion: DrivenRecord) -> ModelResponse:
+def _model_response(
+    fitted: sources.Fitted, damped: uncertain.Damped, motion: DrivenRecord, frequency_std: Floats | None = None
+) -> ModelResponse:
     responses = tuple(_responses(damped, motion))
     tested = fitted.experiment.configurations
     modes = np.unique(np.concatenate([each.modes for each in tested]))
-    return ModelResponse(fitted, damped, responses, compared(damped.model, responses, motion, modes))
+    return ModelResponse(fitted, damped, responses, compared(damped.model, responses, motion, modes, frequency_std))
 
 
 def _taken_off(recorded: DrivenRecord, motion: DrivenRecord) -> list[str]:

@@ -24,7 +24,7 @@ from cvxshear.response import frame_motion, sources
 from cvxshear.response.compare import as_predicted, predicted_responses, readings_of, seen
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
-from cvxshear.response.predicted import Peaks, peaks_of
+from cvxshear.response.predicted import NO_HEIGHTS, Peaks, limits_in_json, limits_passed, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
 from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
@@ -117,12 +117,8 @@ class Reconstruction(Shown):
         It is nan in a fallback, because the drift of a story that yields is unknown; None without story heights or
         limits.
         """
-        name = "story_drift_ratio"
-        if self.limits is None or name not in self.peaks.values:
-            return None
-        away = self.peaks.values[name] - self.limits.story_drift[:, None]
-        passed: Floats = special.ndtr(away / np.maximum(self.peaks.std[name], 1e-300))
-        return np.full_like(passed, np.nan) if self.fallback else passed
+        passed = limits_passed(self.limits, self.peaks)
+        return np.full_like(passed, np.nan) if self.fallback and passed is not None else passed
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -223,11 +219,7 @@ class Reconstruction(Shown):
         frame, none = self.frame, [None] * len(self.model.M)
         sound = None if self.change_probability is None else frame
         damps = np.isin(np.arange(1, len(none) + 1), self.dampers if self.fitted.mass_known else ())
-        noise, chances = frame.errors.noise_at(frame.p), self.passed
-        limits = self.limits and [
-            {"name": name, "story_drift": drift, "probability": none if chances is None else chances[place]}
-            for place, (name, drift) in enumerate(zip(self.limits.names, self.limits.story_drift, strict=True))
-        ]
+        noise = frame.errors.noise_at(frame.p)
         masses = frame.mass_change if self.masses_changed else (none, none)
         more: Json = as_json(
             {
@@ -254,7 +246,7 @@ class Reconstruction(Shown):
                 "noise": {"sensor": noise.sensors, "story_force": noise.force},
                 "peaks": self.peaks,
                 "predicted_peaks": self.predicted_peaks,
-                "limits": limits,
+                "limits": limits_in_json(self.limits, self.passed, len(none)),
                 "fallback": self.fallback or None,
                 "sensor_drifts": [
                     {"from": lower, "to": upper, "drift": drift} for lower, upper, drift in self.sensor_drifts
@@ -332,7 +324,7 @@ def remarks_of(found: Reconstruction, recorded: Recording) -> list[str]:
             "others, not that of all together"
         )
     if found.limits is not None and found.passed is None:
-        said.append("drift ratios need story_heights in [frame]: the limits cannot be judged")
+        said.append(NO_HEIGHTS)
     return said
 
 

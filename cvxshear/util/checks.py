@@ -310,6 +310,16 @@ def table(value: object, where: str, *, rows: int, nan: bool = False, above: flo
     return frozen(np.array(lines))
 
 
+def pairs(value: object, where: str, *, length: int | None = None, above: float = -math.inf) -> Floats:
+    """Check a list of pairs of numbers; return a read-only array of shape (length, 2)."""
+    items = _items(value, where, "pairs of numbers")
+    if not items or length not in (None, len(items)):
+        raise InputError(f"{where} must have {entries(length or 1)}, one a floor, not {len(items)}")
+    return frozen(
+        np.array([vector(item, f"{where}, entry {at}", length=2, above=above) for at, item in enumerate(items, 1)])
+    )
+
+
 def real(value: object, where: str) -> Floats:
     """Check the result of a user's function: an array of real numbers of any shape; nan and infinity pass."""
     try:

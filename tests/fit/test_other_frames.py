@@ -1,5 +1,7 @@
 """Frequencies alone can belong to several frames; `identify` lists them all."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -50,12 +52,17 @@ def test_three_frequencies_of_a_bench_frame_fit_two_frames():
     assert "155.3, 31.76, 40.55" in str(found)
 
 
-@pytest.mark.parametrize(("stories", "seed"), [(3, 0), (4, 4)])
-def test_every_exact_frame_is_listed(stories, seed):
+def frame_of(stories, seed):
+    """Draw masses and stiffnesses; return the masses and the squared circular frequencies."""
     rng = np.random.default_rng(seed)
     mass, stiffness = rng.uniform(8, 12, stories), rng.uniform(15e3, 30e3, stories)
     T = np.eye(stories) - np.eye(stories, k=1)
-    eigenvalues = np.linalg.eigvalsh((T * stiffness) @ T.T / np.sqrt(np.outer(mass, mass)))
+    return mass, np.linalg.eigvalsh((T * stiffness) @ T.T / np.sqrt(np.outer(mass, mass)))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_every_exact_frame_is_listed(seed):
+    mass, eigenvalues = frame_of(3 + seed % 3, 1000 + seed)
     frequencies = (np.sqrt(eigenvalues) / (2 * np.pi)).tolist()
     found = identify({"frame": {"floor_masses": mass.tolist()}, "configuration": [{"frequencies": frequencies}]})
     listed = [found.frame.story_stiffness, *(each.story_stiffness for each in found.other_frames)]
@@ -63,6 +70,29 @@ def test_every_exact_frame_is_listed(stories, seed):
     assert len(exact) > 1
     assert all(closest(frame, listed) < 1e-3 for frame in exact)
     assert sum(each.probability for each in found.other_frames) < 1
+    assert found.others.searched == f"all {math.factorial(len(mass))} roots of the equations of {len(mass)} frequencies"
+
+
+def test_the_proposed_test_tells_the_frames_apart():
+    """The two frames of the bench have frequencies under the proposed mass that differ as the result says."""
+    found = identify(BENCH)
+    test, (other,) = found.others.next_test, found.other_frames
+    added = np.zeros(3)
+    added[test.floor - 1] = test.added_mass
+    first, second = (
+        np.log(modes_of(np.full(3, 5.36) + added, each.story_stiffness)[0]) for each in (found.frame, other)
+    )
+    # A test with the default deviation, and two frames whose frequencies in it are known about as well.
+    assert np.linalg.norm(first - second) / 0.002 > test.standard_deviations > 3
+    assert f"kg more on floor {test.floor} of" in str(found)
+    assert found.to_dict()["next_test"] == test.to_dict()
+
+
+def test_frames_of_few_sensors_are_searched_from_random_points():
+    found = identify({**BENCH, "frame": {"total_mass": 16.08}, "configuration": [
+        {"frequencies": [7.203, 20.961, 30.435]}, {"frequencies": [6.5, 19.5, 29.2], "added_mass": [0, 0, 2.0]}
+    ]})  # fmt: skip
+    assert found.others.searched == "fits from random frames, until 60 in a row found no new one"
 
 
 def test_data_that_determine_the_frame_have_no_other():

@@ -11,8 +11,8 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.gaussian import separation
 from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.next_test import distance, imagined
 from cvxshear.loop.hypotheses import chosen, hypotheses
-from cvxshear.loop.next_test import distance, imagined
 from tests.fe.experiments import simulated
 from tests.frames import configuration, experiment
 

@@ -13,11 +13,11 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.next_test import next_test
 from cvxshear.loop import conclusion
 from cvxshear.loop.close import search_for_effects
 from cvxshear.loop.fitter import Fitter, log_evidence
 from cvxshear.loop.linear import Linearised
-from cvxshear.loop.next_test import next_test
 from tests.fe.experiments import simulated
 
 

@@ -12,6 +12,7 @@ from cvxshear import backends, close_loop, effects
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import efficient
 from cvxshear.io.toml import write_measurement
+from cvxshear.measurement.declaration import Limits
 from cvxshear.records import Channel, Run, TimeRecord
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report.blocks import describe
@@ -148,6 +149,22 @@ def test_the_line_that_is_taken_off_is_told_with_its_floor(frame):
     size, _, where = said.removeprefix("a straight line of up to ").partition(" % of ")
     assert where.startswith("the rms (floor 2) ")
     assert float(size) == pytest.approx(200.0, rel=0.05)
+
+
+def test_limits_have_probabilities(frame):
+    experiment, estimate, truth = frame
+    record = recorded(truth)
+    drift = predict(estimate, record).peaks.values["story_drift_ratio"]
+    limited = dataclasses.replace(experiment, limits=Limits([0.5 * drift.min(), 2 * drift.max()], ("low", "high")))
+    found = predict(Models(None, dataclasses.replace(Fitted.of(estimate), experiment=limited)), record)
+    np.testing.assert_allclose(found.passed, [[1.0] * 3, [0.0] * 3], atol=1e-3)
+    assert [each["name"] for each in found.to_dict()["limits"]] == ["low", "high"]
+    assert "limit low" in describe(found).headline
+    bare = dataclasses.replace(limited, frame=dataclasses.replace(limited.frame, story_heights=None))
+    found = predict(Models(None, dataclasses.replace(Fitted.of(estimate), experiment=bare)), record)
+    assert found.passed is None
+    assert found.to_dict()["limits"][0]["probability"] == [None] * 3
+    assert any("the limits cannot be judged" in remark for remark in found.remarks)
 
 
 def test_noise_on_the_record_of_the_same_frame_is_no_change_of_it(frame):

@@ -50,11 +50,10 @@ def test_transfer_functions_of_the_unseen_record(source, record, frame, error, s
     assert after.mean() < share * before.mean()
     assert after[0] < before[0]
     assert np.all(after < 1.0)
-    first = found.after.comparison.shifts[0]
-    assert first.mode == 1
-    # The earthquake is stronger than the sine and gives lower frequencies.
-    assert (first.measured < first.modelled) == (record == "northridge")
-    assert any("depend on the amplitude" in remark for remark in found.remarks)
+    # The earthquake is stronger than the sine and gives lower frequencies, known to 1 % only.
+    firsts = [(each.mode, each.measured < each.modelled) for each in found.after.comparison.shifts[:1]]
+    assert firsts == ([(1, True)] if record == "northridge" else [])
+    assert any("depend on the amplitude" in remark for remark in found.remarks) == (record == "northridge")
 
 
 @needs_mini_table

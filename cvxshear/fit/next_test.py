@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.data import Frequencies, Shapes
 from cvxshear.fit import gaussian, misfit
 from cvxshear.fit.efficient import Estimate
+from cvxshear.fit.results import NextTest
 from cvxshear.measurement.configuration import DEFAULT_MODE_SHAPE_STD
 from cvxshear.measurement.experiment import Configuration
-from cvxshear.util import errors, ranking, results
+from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
@@ -25,30 +25,6 @@ HEAVIEST = 1000.0
 
 WORTHWHILE = 1.0
 """Smallest distance, in standard deviations, of a test that is proposed."""
-
-
-@dataclass(frozen=True)
-class NextTest(results.InJson):
-    """Test that would distinguish the rivals.
-
-    Parameters
-    ----------
-    floor : int
-    added_mass : float
-        Mass on that floor, kg, in addition to the first configuration of its state.
-    state : str
-        State of the frame in the test.
-    standard_deviations : float
-        Distance between the predictions of the accepted model and of its nearest rival.
-    tells_all : bool
-        Whether some added mass would distinguish every rival from the accepted model.
-    """
-
-    floor: int
-    added_mass: float
-    state: str
-    standard_deviations: float
-    tells_all: bool = True
 
 
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:

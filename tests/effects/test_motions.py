@@ -1,0 +1,87 @@
+"""Compare the affine map from parameters to matrices with frames assembled member by member."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from cvxshear.model import affine_system, mode_derivatives, modes, shear_system
+from cvxshear.motions import ONE_MOTION, THREE_MOTIONS, center, center_slopes, products
+from cvxshear.programs.pair_rows import pair_products
+from tests.fe.turning import random_frame
+
+
+def parameters(frame):
+    """Return the parameters of a frame's floors and stories, from its members."""
+    mass, places, central = frame.floor_mass, frame.mass_center, frame.inertia
+    moments = mass[:, None] * places
+    inertia = central + mass * np.sum(places**2, axis=1)
+    stories = [frame.story(story) for story in range(frame.stories)]
+    entries = [[K[0, 0], K[1, 1], K[2, 2], K[0, 1], K[0, 2], K[1, 2]] for K in stories]
+    return np.column_stack([mass, moments, inertia]).ravel(), np.ravel(entries)
+
+
+@pytest.mark.parametrize("stories", [1, 2, 5])
+def test_the_map_gives_the_matrices_of_frames_assembled_from_members(stories):
+    frame = random_frame(stories, seed=stories)
+    system = affine_system(THREE_MOTIONS, *parameters(frame))
+    for found, expected in zip((system.M, system.K), frame.matrices, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12 * np.max(np.abs(expected)))
+    together = np.concatenate(parameters(frame))
+    np.testing.assert_allclose(np.tensordot(together, system.dM, 1), system.M, atol=1e-9 * np.max(system.M))
+    np.testing.assert_allclose(np.tensordot(together, system.dK, 1), system.K, atol=1e-9 * np.max(system.K))
+
+
+def test_one_motion_per_floor_is_the_shear_frame():
+    mass, stiffness = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 400.0])
+    found, expected = affine_system(ONE_MOTION, mass, stiffness), shear_system(mass, stiffness)
+    for name in ("M", "K", "dM", "dK"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-14)
+    shapes = np.random.default_rng(1).standard_normal((3, 3))
+    rows = products(shapes, shapes, ONE_MOTION.mass_basis)[np.triu_indices(3)]
+    np.testing.assert_allclose(rows, pair_products(shapes), rtol=1e-14)
+
+
+def test_derivatives_of_modes_agree_with_differences():
+    frame = random_frame(2, seed=4)
+    a, b = parameters(frame)
+    system = affine_system(THREE_MOTIONS, a, b)
+    found = modes(system.M, system.K)
+    slopes, shape_slopes = mode_derivatives(found, system, slice(None))
+    direction = np.random.default_rng(2).standard_normal(len(a) + len(b)) * np.concatenate([a, b])
+    step = 1e-6
+    moved = [
+        affine_system(THREE_MOTIONS, *np.split(np.concatenate([a, b]) + sign * step * direction, [len(a)]))
+        for sign in (-1, 1)
+    ]
+    below, above = (modes(each.M, each.K) for each in moved)
+    difference = (above.eigenvalues - below.eigenvalues) / (2 * step)
+    np.testing.assert_allclose(direction @ slopes, difference, rtol=1e-6)
+    signed = [each.shapes * np.sign(np.sum(each.shapes * found.shapes, axis=1))[:, None] for each in (below, above)]
+    expected = (signed[1] - signed[0]) / (2 * step)
+    got = np.tensordot(direction, shape_slopes, 1)
+    np.testing.assert_allclose(got, expected, atol=1e-6 * np.max(np.abs(expected)))
+
+
+def test_centers_of_mass_and_of_stiffness():
+    """The mass center is that of the point masses; a force at the center of stiffness does not turn the floor."""
+    frame = random_frame(3, seed=7)
+    a, b = parameters(frame)
+    masses = affine_system(THREE_MOTIONS, a, b).M
+    blocks = np.array([masses[at : at + 3, at : at + 3] for at in (0, 3, 6)])
+    places, central = center(blocks)
+    np.testing.assert_allclose(places, frame.mass_center, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(central, frame.inertia, rtol=1e-9)
+    for story in range(3):
+        K = frame.story(story)
+        x, y = center(K[None])[0][0]
+        for force in ([1.0, 0.0, -y], [0.0, 1.0, x]):
+            motion = linalg.solve(K, force)
+            assert abs(motion[2]) < 1e-12 * np.max(np.abs(motion))
+    slopes = center_slopes(blocks, THREE_MOTIONS.mass_basis)
+    for place in range(4):
+        step = 1e-6 * abs(blocks[0][0, 0])
+        moved = [center(blocks + sign * step * THREE_MOTIONS.mass_basis[place]) for sign in (-1, 1)]
+        for slope, (below, above) in zip(slopes, zip(*moved, strict=True), strict=True):
+            difference = (above - below) / (2 * step)
+            size = np.max(np.abs(slope))
+            np.testing.assert_allclose(slope[..., place], difference, rtol=1e-5, atol=1e-6 * size)
