@@ -112,8 +112,10 @@ def test_the_file_to_fill_in_is_the_plan(file, tmp_path):
     assert [each.measured_floors.tolist() for each in filled.configurations] == [found.sensors] * 2
     frame = cvxshear.identify(filled).frame
     np.testing.assert_allclose(frame.floor_mass, [20, 20, 18, 15], rtol=1e-4)
-    np.testing.assert_allclose(frame.floor_mass_std, found.chosen.floor_mass_std, rtol=5e-3)
-    np.testing.assert_allclose(frame.story_stiffness_std, found.chosen.story_stiffness_std, rtol=5e-3)
+    of, at = found.model, found.chosen.floors - 1
+    as_designed = np.sqrt(np.diag(of.covariance([of.expected(test) for test in found.tests], at))) * of.design.sizes
+    np.testing.assert_allclose(frame.floor_mass_std, as_designed[:4], rtol=5e-3)
+    np.testing.assert_allclose(frame.story_stiffness_std, as_designed[4:], rtol=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -213,8 +215,7 @@ def test_a_total_mass_that_is_known_to_some_percent_is_no_better_known_by_a_plan
     for name, line in (("exact", ""), ("vague", "total_mass_std = 0.1")):
         (tmp_path / f"{name}.toml").write_text(declared.format(line))
         planned = plan(tmp_path / f"{name}.toml", sensors=3, fresh=fresh)
-        assert planned.rests_on_total == (name == "vague")
-        assert ("weigh the frame" in str(planned)) == (name == "vague")
+        assert ("Most would help: weigh the frame" in str(planned)) == (name == "vague")
         found = planned.to_dict()
         std.append(np.array(found["std"]["floor_mass"]) / found["frame"]["floor_mass"])
     np.testing.assert_allclose(std[1], np.hypot(std[0], 0.1), rtol=0.02)
