@@ -292,7 +292,7 @@ HOMES = {
         "closed_loop": "LoopResult",
         "from_records": "ModalResult Screening",
         "responses": "IdentifiedDamping RecordPrediction Reconstruction",
-        "studied": "Plan Reproduction NoiseStudy Comparison",
+        "studied": "History Plan Reproduction NoiseStudy Comparison",
     }.items()
     for kind in kinds.split()
 }

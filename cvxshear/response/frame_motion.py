@@ -13,20 +13,18 @@ from functools import partial
 
 import numpy as np
 
-from cvxshear.response import frame_fit, state_space
+from cvxshear.response import frame_fit, smoother, state_space
 from cvxshear.response.compare import predicted_responses
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import DIFFERENCE, FramePrior, VariedFrame
+from cvxshear.response.frame_prior import FramePrior
 from cvxshear.response.innovations import FIRST_NOISE, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, rms
 from cvxshear.response.sources import covariance_root
 from cvxshear.response.uncertain import UncertainFrame, with_modes
+from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Floats
-
-SAME_FIT = 0.1
-"""Largest change of an unknown, in its standard deviations, at convergence of the fits that fill in gaps and spikes."""
 
 MOST_DIRECTIONS = 8
 """Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
@@ -106,19 +104,11 @@ class FrameMotion:
         noise = state_space.Noise(FIRST_NOISE * recording.rms(), FIRST_NOISE, FIRST_NOISE * driven)
         return FrameMotion(frame, varied, recording, setting, noise, free)
 
-    def without(self, channel: int, parts: list[slice]) -> FrameMotion:
-        """Leave out one channel, and keep a part of each run."""
-        return dataclasses.replace(
-            self,
-            recording=self.recording.without(channel).cut(parts),
-            setting=self.setting.without(channel),
-            noise=dataclasses.replace(self.noise, sensors=np.delete(self.noise.sensors, channel)),
-        )
+    def fitted(self) -> tuple[frame_fit.FittedFrame, list[smoother.Smoothed]]:
+        """Fit the frame and find its motion; first the identified frame, then the fitted one fills in short gaps.
 
-    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, frame_fit.FittedFrame, list[state_space.Smoothed]]:
-        """Fit the frame and find its motion; with `detrend`, remove straight lines from the residuals of the record.
-
-        First the identified frame, then the fitted one fills in gaps and spikes.
+        Spikes are filled in as well. One more fit is enough: an error of a gap decreases by its share of the
+        information, and longer gaps are not filled in.
         """
         errors = self.errors()
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
@@ -126,27 +116,14 @@ class FrameMotion:
         if any(np.isnan(run.measured).any() for run in self.recording.runs):
             errors = self.errors(self.smoothed(errors, p))
         fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, free=self.free)
-        work, smoothed = self, self.smoothed(errors, fitted.p)
-        if detrend:
-            model = errors.dynamics(fitted.p)
-            shown = [
-                found.states @ model.H.T + model.shown(run.drive)
-                for run, found in zip(self.recording.runs, smoothed, strict=True)
-            ]
-            work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
-            smoothed = work.smoothed(errors, fitted.p)
-        for _ in range(frame_fit.MOST_REFITS):
-            if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
-                break
-            errors = work.errors(smoothed)
-            before, fitted = fitted, frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
-            smoothed = work.smoothed(errors, fitted.p)
-            std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
-            if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FIT:
-                break
-        return work, fitted, smoothed
+        smoothed = self.smoothed(errors, fitted.p)
+        if any(bool(np.any(each.weights < 1.0)) for each in smoothed):
+            errors = self.errors(smoothed)
+            fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
+            smoothed = self.smoothed(errors, fitted.p)
+        return fitted, smoothed
 
-    def errors(self, smoothed: list[state_space.Smoothed] | None = None) -> PredictionErrors:
+    def errors(self, smoothed: list[smoother.Smoothed] | None = None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run; the smoother fills in spikes and short gaps."""
         stretches = []
         for place, run in enumerate(self.recording.runs):
@@ -155,11 +132,11 @@ class FrameMotion:
             stretches += [Segment(run.drive[part], y[part], channels) for part, channels in parts]
         return PredictionErrors(self.varied, self.setting, stretches, self.noise).shortened(frame_fit.FITTED_SAMPLES)
 
-    def pieces(self, run: RecordedRun) -> list[state_space.Piece]:
+    def pieces(self, run: RecordedRun) -> list[smoother.Piece]:
         """Split a run at the ends of gaps of a sensor that last a period of the frame or longer."""
         return run.pieces(self.varied.first_samples(self.recording.step))
 
-    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[state_space.Smoothed]:
+    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[smoother.Smoothed]:
         """Find the motion of each run; rows on the state, if any, define outputs with standard deviations."""
         model = errors.dynamics(p)
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
@@ -169,7 +146,7 @@ class FrameMotion:
             begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
             scale = max(1.0, moved / rms(stationary))
-            found.append(state_space.smooth(model, state_space.Observed(run.drive, run.measured, scale), asked))
+            found.append(smoother.smooth(model, smoother.Observed(run.drive, run.measured, scale), asked))
         return found
 
     def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:
@@ -202,11 +179,11 @@ class FrameMotion:
             result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
 
-    def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: state_space.Smoothed) -> Floats:
+    def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: smoother.Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
         systems = [state_space.dynamics(model, noise, self.setting) for model in sides[:2]]
         of_run = run.drive, found.completed, found.states[0], self.pieces(run)
-        there, back = (system.outputs.of(state_space.settled_states(system, *of_run), run.drive) for system in systems)
+        there, back = (system.outputs.of(smoother.settled_states(system, *of_run), run.drive) for system in systems)
         return 0.5 * sides[2] * (there - back)
 
     def directions(self, fitted: frame_fit.FittedFrame) -> FrameDirections:
@@ -218,7 +195,7 @@ class FrameMotion:
         part = run.strongest(frame_fit.PROBED_SAMPLES)
         system = fitted.errors.dynamics(fitted.p)
         # Starting at rest in the middle of the motion would give other directions.
-        filtered = state_space.Filter.settled(system.seen_by(run.channels))
+        filtered = smoother.Filter.settled(system.seen_by(run.channels))
         start = filtered.predicted(run.excitation, run.seen, np.zeros(setting.states))[0][part.start]
         probed = run.excitation[part], run.y[part], start, [(slice(0, part.stop - part.start), run.channels)]
 
@@ -231,7 +208,7 @@ class FrameMotion:
             return model_at(weights, size), model_at(weights, -size)
 
         def moved(system: state_space.Dynamics) -> Floats:
-            return system.outputs.of(state_space.settled_states(system, *probed), run.excitation[part])
+            return system.outputs.of(smoother.settled_states(system, *probed), run.excitation[part])
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
@@ -279,7 +256,7 @@ class SensorCheck:
 
 
 def checked(
-    work: FrameMotion, fitted: frame_fit.FittedFrame, smoothed: Sequence[state_space.Smoothed], channel: int,
+    work: FrameMotion, fitted: frame_fit.FittedFrame, smoothed: Sequence[smoother.Smoothed], channel: int,
     predicted: Sequence[state_space.Response],
 ) -> SensorCheck:  # fmt: skip
     """Predict one sensor from the others in the strongest part of each run, with a fit without this sensor.
@@ -293,18 +270,14 @@ def checked(
     predicted : sequence of Response
         Motion predicted from the excitation alone.
     """
-    every = np.ones(len(work.recording.floors), dtype=bool)
-    whole = [Segment(run.drive, each.completed, every) for run, each in zip(work.recording.runs, smoothed, strict=True)]
-    parts = [each.strongest(frame_fit.FITTED_SAMPLES) for each in whole]
-    other = work.without(channel, parts)
-    others = np.arange(len(every)) != channel
-    stretches = [
-        dataclasses.replace(each, y=each.y[:, others], channels=each.channels[others])
-        for each in fitted.errors.stretches if each.channels[others].any()
-    ]  # fmt: skip
-    errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
-    at = fitted.errors.frame.stop + channel
-    again = frame_fit.refitted(fitted, errors, at, work.frame.backend, free=work.free)
+    others = np.arange(len(work.recording.floors)) != channel
+    pairs = zip(work.recording.runs, smoothed, strict=True)
+    parts = [Segment(run.drive, each.completed, others).strongest(frame_fit.FITTED_SAMPLES) for run, each in pairs]
+    other = dataclasses.replace(work, recording=work.recording.only(others).cut(parts))
+    stretches = [dataclasses.replace(each, channels=each.channels & others) for each in fitted.errors.stretches]
+    stretches = [each for each in stretches if each.channels.any()]
+    errors = PredictionErrors(work.varied, work.setting, stretches, work.noise)
+    again = frame_fit.refitted(fitted, errors, work.frame.backend, free=work.free)
     directions, noise = other.directions(again), errors.noise_at(again.p)
     outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1

@@ -21,10 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.response import state_space
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import DIFFERENCE, NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
+from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood
+from cvxshear.response.smoother import Filter
 from cvxshear.response.sources import covariance_root
-from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
+from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Noise, Setting
+from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
 
@@ -93,14 +96,6 @@ class Directions:
 
     columns: Floats
     rows: Floats
-
-    def without(self, gone: int) -> Directions:
-        """Return the directions without one noise level, which has a direction of its own."""
-        own = int(np.flatnonzero(self.rows[:, gone])[-1])
-        return Directions(*(
-            np.delete(np.delete(each, row, axis=0), column, axis=1)
-            for each, row, column in ((self.columns, gone, own), (self.rows, own, gone))
-        ))  # fmt: skip
 
 
 class PredictionErrors:
@@ -176,7 +171,7 @@ class PredictionErrors:
 
     def dynamics(self, p: Floats) -> Dynamics:
         """Return the state-space model at these unknowns."""
-        return dynamics(self.model(p), self.noise_at(p), self.setting)
+        return state_space.dynamics(self.model(p), self.noise_at(p), self.setting)
 
     def objective(self, p: Floats) -> float:
         """Compute -2 log likelihood, without its constant."""
@@ -223,7 +218,9 @@ class PredictionErrors:
     def _rows(self, p: Floats, columns: Floats) -> list[_Rows]:
         """Return the residuals and their derivatives along some directions."""
         sizes = DIFFERENCE / np.maximum(1.0, np.max(np.abs(columns), axis=0))
-        rates = slopes(self.dynamics(p), [self.dynamics(p + row) for row in sizes[:, None] * columns.T], sizes)
+        rates = state_space.slopes(
+            self.dynamics(p), [self.dynamics(p + row) for row in sizes[:, None] * columns.T], sizes
+        )
         parts: list[_Rows] = []
         for here, runs in self._filtered(p):
             seen = {name: each[:, runs[0][0].channels] if name in ("H", "direct", "R") else each
@@ -310,7 +307,9 @@ def _moved(here: Filter, rates: dict[str, Floats], dK: Floats, run: Segment, x: 
     """Differentiate the innovations of a segment along r directions, shape (samples, r, m)."""
     model, K, dH, direct = here.model, here.K, rates["H"], rates["direct"]
     dF = rates["A"] - dK @ model.H - K @ dH
-    signals = np.hstack([x, run.seen - model.shown(run.excitation), steps_of(run.excitation), run.excitation[:, 1:]])
+    signals = np.hstack(
+        [x, run.seen - model.shown(run.excitation), state_space.steps_of(run.excitation), run.excitation[:, 1:]]
+    )
     changes = [dF.swapaxes(1, 2), dK.swapaxes(1, 2), rates["before"][:, None], rates["after"][:, None]]
     # y - D p changes by -D' p; the gain turns this into a change of the state.
     driven = np.concatenate([*changes, -(direct @ K.T)[:, None]], axis=1)

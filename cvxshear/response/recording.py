@@ -123,22 +123,6 @@ class Recording:
     late: Floats | None = None
     late_remarks: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if not len(self.floors):
-            raise InputError(f"{self.name}: no floor's acceleration was recorded; a reconstruction needs one at least")
-        together = np.concatenate([run.measured for run in self.runs])
-        for column, floor in enumerate(self.floors):
-            there = together[np.isfinite(together[:, column]), column]
-            if not len(there) or not np.any(there != there[0]):
-                raise InputError(f"{self.name}: the channel on floor {floor} shows no motion; leave it out")
-        for run in self.runs:
-            if not np.isfinite(run.excitation).all():
-                missing = int((~np.isfinite(run.excitation)).sum())
-                raise InputError(
-                    f"{self.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
-                    "what drives the frame may not"
-                )
-
     @property
     def force_floor(self) -> int:
         """Floor on which a measured force acts; 0 for other excitations."""
@@ -188,10 +172,9 @@ class Recording:
         """Return the recording with an excitation that is band-limited between its samples, instead of linear."""
         return self.replaced(between=(band_limited(run.excitation) for run in self.runs))
 
-    def without(self, channel: int) -> Recording:
-        """Return the recording with one channel fewer."""
-        runs = tuple(dataclasses.replace(run, measured=np.delete(run.measured, channel, axis=1)) for run in self.runs)
-        return dataclasses.replace(self, runs=runs, floors=np.delete(self.floors, channel))
+    def only(self, channels: Bools) -> Recording:
+        """Return the recording without the samples of the other channels; the mask has shape (m,)."""
+        return self.replaced(measured=(np.where(channels, run.measured, np.nan) for run in self.runs))
 
     def cut(self, parts: Sequence[slice]) -> Recording:
         """Return the recording with one part of each run; `parts` has one slice per run."""
@@ -276,9 +259,25 @@ def _recording(
     floors, right, firsts = sensors.by_floor()
     late = None if sensors.late is None else sensors.late[firsts]
     late_remarks = tuple(sensors.late_remarks[first] for first in firsts) if sensors.late_remarks else ()
-    return Recording(
+    return _refuse_silent(Recording(
         right, rate, floors, driven, **described, remarks=sensors.remarks, late=late, late_remarks=late_remarks
-    )
+    ))  # fmt: skip
+
+
+def _refuse_silent(found: Recording) -> Recording:
+    """Return a recording, or raise InputError if a floor shows no motion or a part of the excitation is missing."""
+    together = np.concatenate([run.measured for run in found.runs])
+    for column, floor in enumerate(found.floors):
+        there = together[np.isfinite(together[:, column]), column]
+        if not len(there) or not np.any(there != there[0]):
+            raise InputError(f"{found.name}: the channel on floor {floor} shows no motion; leave it out")
+    for run in found.runs:
+        if missing := int((~np.isfinite(run.excitation)).sum()):
+            raise InputError(
+                f"{found.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
+                "what drives the frame may not"
+            )
+    return found
 
 
 def _of_motion(motion: DrivenRecord, stories: int) -> Recording:
