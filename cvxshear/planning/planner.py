@@ -19,7 +19,7 @@ from cvxshear.fit.other_frames import other_frames
 from cvxshear.fit.results import OtherFrames
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.planning.choice import CRITERIA, Choice, Criterion, choose
+from cvxshear.planning.choice import CRITERIA, KNOWN_EXACTLY, Choice, Criterion, choose, free_changes
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.tested_model import Declared, TestModel
 from cvxshear.util import checks
@@ -50,14 +50,11 @@ class ExpectedAccuracy(InJson):
         of as many floors.
     floor_mass_std, story_stiffness_std : ndarray, shape (N,)
         Averaged over the frames that are possible before the tests, kg and N/m; nan if undetermined.
-    total_mass_std : float
-        Relative, of the total mass.
     """
 
     choice: Choice
     floor_mass_std: Floats
     story_stiffness_std: Floats
-    total_mass_std: float
 
     json_keys = "sensors=floors objective=choice.value std"
 
@@ -85,12 +82,9 @@ def expected_accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: i
     """
     choice = choose(model.sensors(tests, number), number, by)
     design = model.design
-    covariance, n = model.averaged(tests, choice.chosen), design.stories
-    relative = np.sqrt(np.diag(covariance))
+    relative = np.sqrt(np.diag(model.averaged(tests, choice.chosen)))
     std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
-    share = design.floor_mass / design.floor_mass.sum()
-    total = float(np.sqrt(max(share @ covariance[:n, :n] @ share, 0.0)))
-    return ExpectedAccuracy(choice, std[:n], std[n:], total)
+    return ExpectedAccuracy(choice, *np.split(std, 2))
 
 
 def typical_std(covariance: Floats) -> tuple[float, float]:
@@ -205,7 +199,7 @@ class Plan(Shown):
         n, noise = model.design.stories, model.noise
         share = np.concatenate([model.design.floor_mass, np.zeros(n)]) / model.design.floor_mass.sum()
         found = {}
-        if self.chosen.total_mass_std > 0:
+        if np.linalg.norm(share @ free_changes(model.fixed)) > KNOWN_EXACTLY:
             found["weigh the frame"] = model, floors, share[None]
         if self.more is not None:
             found["one sensor more"] = model, self.more.choice.chosen, None
