@@ -288,9 +288,8 @@ class Document:
 HOMES = {
     kind: home
     for home, kinds in {
-        "identified": "Experiment Identification",
+        "identified": "Experiment Identification ModalResult Screening",
         "closed_loop": "LoopResult",
-        "from_records": "ModalResult Screening",
         "responses": "IdentifiedDamping RecordPrediction Reconstruction",
         "studied": "History Plan Reproduction NoiseStudy Comparison",
     }.items()

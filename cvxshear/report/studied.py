@@ -65,7 +65,7 @@ def history_data(result: History) -> blocks.Table:
         if None not in values:
             texts = values if key == "date" else tuple(map(quantities.significant, values))
             head = f"{key}, {unit}" if unit else key
-            columns.append(blocks.Column(head, texts, words=key == "date", name=key, values=values, unit=unit))
+            columns.append(blocks.Column(head, texts, name=key, values=values, unit=unit))
     for key, name, head, unit, scale in (
         ("frequencies", "frequency", "mode {}, Hz", "Hz", 1.0),
         ("damping_ratios", "damping_ratio", "damping {}, %", "", 100.0),

@@ -1,4 +1,4 @@
-"""Innovations of a frame's filter, their likelihood and its derivatives.
+"""The filter that predicts the sensors of a frame, its innovations, their likelihood and its derivatives.
 
 The filter of a candidate frame predicts each sample of each sensor from all earlier samples. The prediction errors are
 the innovations. The right frame and noise give white innovations with the covariance of the filter (prediction-error
@@ -24,7 +24,6 @@ import numpy as np
 from cvxshear.response import state_space
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood
-from cvxshear.response.smoother import Filter
 from cvxshear.response.sources import covariance_root
 from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Noise, Setting
 from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
@@ -47,6 +46,92 @@ LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
 smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
 reconstruction allows: beyond it, the innovations show that the record is not that of a linear frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Filter:
+    """One step of the Kalman filter.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance of the predicted state.
+    S : ndarray, shape (m, m)
+        Covariance of the innovations.
+    K : ndarray, shape (n, m)
+        Gain.
+    """
+
+    model: Dynamics
+    P: Floats
+    S: Floats
+    K: Floats
+
+    @staticmethod
+    def at(model: Dynamics, P: Floats) -> Filter:
+        """Return the filter for a covariance of the predicted state."""
+        PH = P @ model.H.T
+        S: Floats = model.H @ PH + np.diag(model.R)
+        return Filter(model, P, S, np.asarray(np.linalg.solve(S, (model.A @ PH).T).T))
+
+    @staticmethod
+    def settled(model: Dynamics) -> Filter:
+        """Return the filter whose covariance no longer changes.
+
+        The doubling method for the Riccati equation (Chu, Fan, Lin and Wang 2004) needs no eigenvalues, so it also
+        works for stories without observation, for which `scipy.linalg.solve_discrete_are` fails.
+        """
+        n = len(model.A)
+        power, G, P = model.A.T, model.H.T @ (model.H / model.R[:, None]), model.Q
+        for _ in range(state_space.MOST_DOUBLINGS):
+            inner = np.linalg.inv(np.eye(n) + G @ P)
+            more = power.T @ P @ inner @ power
+            G = G + power @ inner @ G @ power.T
+            power = power @ inner @ power
+            P = P + more
+            P, G = 0.5 * (P + P.T), 0.5 * (G + G.T)
+            # Each round doubles the number of correct digits.
+            if np.all(np.diag(more) ** 2 <= state_space.ROUNDING * np.diag(P) ** 2):
+                break
+        return Filter.at(model, P)
+
+    @property
+    def F(self) -> Floats:  # noqa: N802
+        """A - K H, shape (n, n)."""
+        result: Floats = self.model.A - self.K @ self.model.H
+        return result
+
+    @property
+    def pull(self) -> Floats:
+        """S^-1 H, shape (m, n)."""
+        return np.asarray(np.linalg.solve(self.S, self.model.H))
+
+    @property
+    def following(self) -> Floats:
+        """Covariance of the next predicted state, shape (n, n)."""
+        P: Floats = self.F @ self.P @ self.model.A.T + self.model.Q
+        return 0.5 * (P + P.T)
+
+    def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
+        """Compute the states predicted from the past, shape (samples, n), and the innovations, shape (samples, m)."""
+        seen = y - self.model.shown(excitation)
+        B = np.vstack([self.K.T, self.model.before, self.model.after])
+        x = state_space.recursion(self.F, B, np.hstack([seen, state_space.steps_of(excitation)]), start)
+        return x, seen - x @ self.model.H.T
+
+    def slopes(self, rates: dict[str, Floats]) -> tuple[Floats, Floats]:
+        """Differentiate the gain, shape (r, n, m), and S, shape (r, m, m), of a settled filter.
+
+        The derivative of P solves dP = F dP F' + G. The gain counts as constant there, because it is optimal.
+        """
+        model, K, F, P = self.model, self.K, self.F, self.P
+        dA, dH, dR = rates["A"], rates["H"], rates["R"]
+        turned = (dA - K @ dH) @ P @ F.T
+        dP = state_space.doubled(F, turned + turned.swapaxes(1, 2) + (K * dR[:, None]) @ K.T + rates["Q"])
+        crossed, across = dH @ P @ model.H.T, dP @ model.H.T
+        dS = crossed + crossed.swapaxes(1, 2) + model.H @ across + dR[:, None] * np.eye(len(self.S))
+        dK = dA @ P @ model.H.T + model.A @ (across + P @ dH.swapaxes(1, 2)) - K @ dS
+        return dK @ np.linalg.inv(self.S), dS
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,8 @@ from cvxshear.response.frame_fit import FittedFrame
 from cvxshear.response.frame_prior import GAIN_STDS
 from cvxshear.response.predicted import NO_HEIGHTS, Peaks, limits_in_json, limits_passed, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.smoother import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.util import ranking
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent
@@ -405,13 +405,13 @@ def reconstruct(
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 
-_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed]]
+_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed]]
 """The setup of the motion, the frame, and its motion with only the first states."""
 
 
 def _motion(
     frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, fit: bool, detrend: bool
-) -> tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
+) -> tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
     The motion is the fitted frame's. If the record is not that of a linear frame, or the fit does not settle, or it
@@ -459,19 +459,17 @@ def _implausible(fitted: FittedFrame) -> str:
 def _most_probable(
     frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, free: bool, detrend: bool
 ) -> tuple[_Fit, list[float]]:
-    """Return the most probable fit, and the log evidence of each reading; only one fit is kept, to save memory."""
-    best: _Fit | None = None
-    evidences = []
-    for each in readings:
-        reading = each
+    """Return the most probable fit, and the log evidence of each reading."""
+
+    def fit(reading: Recording) -> _Fit:
         if detrend:
-            moved = predicted_responses(identified, each)
-            reading = each.without_lines([seen(identified, own, each.floors) for own in moved])
+            moved = predicted_responses(identified, reading)
+            reading = reading.without_lines([seen(identified, own, reading.floors) for own in moved])
         work = frame_motion.FrameMotion.around(frame, reading, free=free)
         fitted, smoothed = work.fitted()
-        evidences.append(fitted.log_evidence)
-        if best is None or fitted.log_evidence > best[1].log_evidence:
-            # The states of a long record need much memory; `runs` computes them again with their deviations.
-            best = work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
-    assert best is not None, "there is one reading at least"
-    return best, evidences
+        # The states of a long record need much memory; `runs` computes them again with their deviations.
+        return work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
+
+    fits = [fit(each) for each in readings]
+    evidences = [fitted.log_evidence for _, fitted, _ in fits]
+    return fits[ranking.first_largest(evidences)], evidences

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.record_file import RecordTables
+from cvxshear.io.modes import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
 from cvxshear.records import data_frames, examination, prepare, sick_channels
 from cvxshear.records.identify import identify_modes
@@ -45,11 +45,6 @@ BLOCK_PERIODS = 4.0
 BY_CHANCE = 4.0
 """Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
 deviations, doubled because a line is largest at its ends."""
-
-LEAST_DELAY = 0.25
-"""Least delay that is removed, in samples; a shorter one may be chance. The delay is estimated from the phases of
-the modes, and there may be only three. With 10 % noise on the base motion, a sound record may show a delay of 0.08
-samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,8 +425,6 @@ class SensorRecord:
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
-            elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
-                continue
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"

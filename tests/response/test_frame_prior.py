@@ -24,7 +24,7 @@ from cvxshear.response.frame_prior import (
     ModalRows,
     possible_answers,
 )
-from cvxshear.response.smoother import Filter
+from cvxshear.response.innovations import Filter
 from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import Damped, UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame

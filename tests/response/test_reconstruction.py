@@ -18,10 +18,9 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.blocks import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.compare import as_predicted, readings_of
-from cvxshear.response.frame_motion import FrameMotion
-from cvxshear.response.innovations import Directions, PredictionErrors, Segment
+from cvxshear.response.frame_motion import FrameMotion, Observed, settled_states, smooth
+from cvxshear.response.innovations import Directions, Filter, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
-from cvxshear.response.smoother import Filter, Observed, settled_states, smooth
 from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import UncertainFrame
 from cvxshear.response.varied_frame import VariedFrame

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg
 
-from cvxshear.response.smoother import Filter
+from cvxshear.response.innovations import Filter
 from cvxshear.response.state_space import Noise, Setting, discretized, dynamics, recursion
 from tests.frames import chain
 from tests.response.common import straight

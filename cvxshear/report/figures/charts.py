@@ -121,7 +121,7 @@ def changes_over_time(result: History) -> Figure:
     groups.append(("story stiffness", stiffness))
     groups.append(("damping ratio", {f"mode {mode}": each for mode, each in result.by_mode("damping_ratios").items()}))
     groups = [(label, dict(list(lines.items())[: len(style.MARKERS) - 1])) for label, lines in groups if lines]
-    figure = style.new_figure(style.PAGE_WIDTH, 2.2 * len(groups) + 0.5)
+    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * len(groups) + 0.5)
     for axes, (label, lines) in zip(style.panels(figure, len(groups), 1, sharex=True), groups, strict=True):
         for place, ((name, values), look) in enumerate(zip(lines.items(), style.looks(len(lines)), strict=True)):
             mean = float(np.nanmean(values))
