@@ -235,7 +235,7 @@ def test_a_report_shows_the_choice_the_picture_the_tables_and_the_bound(file, tm
     run("plan", file, "--sensors", "2", "--modes", "3", "--report", out)
     page = out.read_text()
     found = plan(file, sensors=2, modes=3)
-    for said in (str(found).splitlines()[0], "Most would help", "The floors to measure", "<svg", "none is better"):
+    for said in (str(found).splitlines()[0], "Most would help", "The frame as designed", "<svg", "none is better"):
         assert said in page, said
 
 
