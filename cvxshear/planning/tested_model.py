@@ -22,7 +22,7 @@ UNKNOWN_STDS = 10.0
 """Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
 single sensor, finite standard deviations to compare."""
 
-WIDEST = 0.3
+WIDEST_DESIGN = 0.3
 """Largest relative standard deviation of a value in the frames that a plan averages over; unknown values have it."""
 
 
@@ -159,7 +159,7 @@ class TestModel:
         """
         values, axes = np.linalg.eigh(self.covariance([], np.zeros(0, dtype=int)))
         # The symmetric root does not depend on the choice of axes.
-        root = (axes * np.sqrt(np.clip(values, 0.0, WIDEST**2))) @ axes.T
+        root = (axes * np.sqrt(np.clip(values, 0.0, WIDEST_DESIGN**2))) @ axes.T
         drawn = np.random.default_rng(1).standard_normal((pairs, len(root))) @ root
         found = []
         for change in np.concatenate([drawn, -drawn]):
