@@ -154,7 +154,7 @@ class Plan(Shown):
         return self.chosen.choice.gap
 
     @property
-    def expected_modes(self) -> list[dict[str, object]]:
+    def expected_modes(self) -> list[dict[str, float]]:
         """Number and frequency (Hz) of each mode of the first test."""
         test = self.model.expected(self.tests[0]).test
         pairs = zip(test.modes.tolist(), test.frequencies.tolist(), strict=True)

@@ -22,9 +22,6 @@ UNKNOWN_STDS = 10.0
 """Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
 single sensor, finite standard deviations to compare."""
 
-WIDEST_DESIGN = 0.3
-"""Largest relative standard deviation of a value in the frames that a plan averages over; unknown values have it."""
-
 
 @dataclass(frozen=True)
 class Declared:
@@ -150,16 +147,21 @@ class TestModel:
         return np.asarray(half @ half.T)
 
     def averaged(
-        self, tests: Sequence[ExpectedTest], floors: Ints, exact: Floats | None = None, pairs: int = 16
+        self,
+        tests: Sequence[ExpectedTest],
+        floors: Ints,
+        exact: Floats | None = None,
+        pairs: int = 16,
+        widest: float = 0.3,
     ) -> Floats:
         """Average the covariance over the frames that are possible before the tests, shape (2N, 2N).
 
         The frames are drawn from the prior information, in pairs on either side of the design values. The covariance is
-        relative to the values of each frame.
+        relative to the values of each frame. `widest` limits the relative deviation of a value in the draws.
         """
         values, axes = np.linalg.eigh(self.covariance([], np.zeros(0, dtype=int)))
         # The symmetric root does not depend on the choice of axes.
-        root = (axes * np.sqrt(np.clip(values, 0.0, WIDEST_DESIGN**2))) @ axes.T
+        root = (axes * np.sqrt(np.clip(values, 0.0, widest**2))) @ axes.T
         drawn = np.random.default_rng(1).standard_normal((pairs, len(root))) @ root
         found = []
         for change in np.concatenate([drawn, -drawn]):

@@ -168,8 +168,6 @@ def sure(result: Plan) -> str:
         return f"{said}; every choice of as many floors gives the same within 1 %: the floors named are arbitrary"
     if result.gap < quantities.NEGLIGIBLE_STD:
         return f"{said}; every choice of as many floors was looked at, none is better"
-    if not np.isfinite(result.gap):
-        return f"{said}; the convex program gives no bound"
     if result.bound >= UNKNOWN_STD:
         return f"{said}; no choice of as many floors is better than open"
     gap = "" if result.objective >= UNKNOWN_STD else f" (gap {quantities.percent(result.gap, 1)})"
@@ -190,10 +188,9 @@ def grid(result: Plan) -> list[str]:
 
 def expected_modes(result: Plan) -> blocks.Table:
     """Tabulate the modes of the first test."""
-    test = result.model.expected(result.tests[0]).test
     return blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
-        "mode": [str(mode) for mode in test.modes],
-        "frequency, Hz": [quantities.significant(float(frequency)) for frequency in test.frequencies],
+        "mode": [str(each["mode"]) for each in result.expected_modes],
+        "frequency, Hz": [quantities.significant(each["frequency"]) for each in result.expected_modes],
     })  # fmt: skip
 
 
