@@ -168,6 +168,8 @@ def sure(result: Plan) -> str:
         return f"{said}; every choice of as many floors gives the same within 1 %: the floors named are arbitrary"
     if result.gap < quantities.NEGLIGIBLE_STD:
         return f"{said}; every choice of as many floors was looked at, none is better"
+    if not np.isfinite(result.gap):
+        return f"{said}; the convex program gives no bound"
     if result.bound >= UNKNOWN_STD:
         return f"{said}; no choice of as many floors is better than open"
     gap = "" if result.objective >= UNKNOWN_STD else f" (gap {quantities.percent(result.gap, 1)})"
