@@ -131,6 +131,8 @@ def typical(result: Plan) -> str:
     if not result.remedies:
         return said
     name, after = min(result.remedies.items(), key=lambda each: each[1][0] ** 2 + each[1][1] ** 2)
+    if max(after) >= UNKNOWN_STD:
+        return said
     return f"{said} Most would help: {name} ({' and '.join(map(_value, after))})."
 
 
@@ -147,7 +149,7 @@ def remedies(result: Plan) -> blocks.Table:
 def other_frames(result: Plan) -> list[blocks.Block]:
     """Say that several frames will fit the planned tests, and which further test tells them apart."""
     others = result.other_frames
-    if not others.frames:
+    if not others.frames or result.objective >= UNKNOWN_STD:
         return []
     design = result.model.design
     said = f"These tests will fit {len(others.frames) + 1} frames of which one is the design"
