@@ -190,7 +190,7 @@ MOST_NUMBERED = 8
     title="Measured and modelled modes",
     alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
     section="shapes",
-    applies=lambda result: any(each.measured.any() for each in result.experiment.configurations),
+    applies=lambda result: any(each.measured.any() and not each.sensors for each in result.experiment.configurations),
     needs="measured mode shapes",
 )
 def mac(result: LoopResult | Identification) -> Figure:
