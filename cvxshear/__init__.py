@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cvxshear.planning import plan
     from cvxshear.priors import Prior
     from cvxshear.response import predict, reconstruct
-    from cvxshear.screening import close_loop
+    from cvxshear.screening import close_loop, history
 
 name_module("show", "cvxshear.report.terminal")
 name_module("read", "cvxshear.io.modes")
@@ -59,6 +59,7 @@ __all__ = [
     "close_loop",
     "compare_backends",
     "effects",
+    "history",
     "identify",
     "load",
     "plan",
@@ -80,7 +81,7 @@ _HOMES = {
         "cvxshear.io.toml": "load",
         "cvxshear.planning": "plan",
         "cvxshear.response": "predict reconstruct",
-        "cvxshear.screening": "close_loop",
+        "cvxshear.screening": "close_loop history",
     }.items()
     for name in names.split()
 }

@@ -28,8 +28,8 @@ app = typer.Typer(
 )
 study = typer.Typer(help="Many identifications at once.", no_args_is_help=True)
 for command in (
-    frames.identify, frames.loop, frames.predict, frames.reconstruct, modes_and_check.modes, modes_and_check.new,
-    modes_and_check.check, studies.backends, studies.plan, studies.reproduce,
+    frames.identify, frames.loop, frames.predict, frames.reconstruct, frames.history, modes_and_check.modes,
+    modes_and_check.new, modes_and_check.check, studies.backends, studies.plan, studies.reproduce,
 ):  # fmt: skip
     app.command()(documented(command))
 study.command()(documented(studies.noise))

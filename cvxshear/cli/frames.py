@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import cvxshear
 from cvxshear.cli import options
-from cvxshear.cli.modes_and_check import DOUBT_STATUS, measured, records_in_json, tables_of
-from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show
+from cvxshear.cli.modes_and_check import DOUBT_STATUS, MISTAKE_STATUS, measured, records_in_json, tables_of
+from cvxshear.cli.output import as_typed, deliver, doubts_of, names, numbers, progress, show, used
 from cvxshear.report import terminal
 from cvxshear.util.errors import NoScaleError, UnsuitableError
 from cvxshear.util.results import as_json
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cvxshear.response import IdentifiedDamping, Models, Reconstruction, RecordPrediction
-    from cvxshear.screening import FileFinding
+    from cvxshear.screening import FileFinding, History
 
 
 def identify(
@@ -210,10 +211,10 @@ class Motion:
         return {name: getattr(self, name) for name in shared}
 
 
-def _write_page(path: str, result: RecordPrediction | Reconstruction) -> None:
-    from cvxshear.report.html import render_response
+def _write_page(path: str, result: RecordPrediction | Reconstruction | History) -> None:
+    from cvxshear.report.html import render_described
 
-    write_file(path, render_response(result, as_typed()))
+    write_file(path, render_described(result, as_typed()))
 
 
 def predict(*, motion: Motion, outputs: options.ResultOptions) -> None:
@@ -258,6 +259,38 @@ def reconstruct(*, motion: Motion, fit: bool = True, leave_out: bool = True, out
             source, motion.record, fit=fit, leave_out=leave_out, progress=advance, **motion.model
         )
     _deliver_motion(result, doubts, outputs.out, *files_of(result), *motion.written(result))
+
+
+def history(
+    folder: Annotated[str, typer.Argument(metavar="FOLDER")],
+    backend: options.BackendName = "auto",
+    report: options.ReportOut = None,
+    *,
+    outputs: options.ResultOptions,
+) -> None:
+    """Find the changes of stiffness over many tests of one frame: steps, slopes, temperature and amplitude.
+
+    A file that cannot be used does not keep the others from being read; the status is 2 then.
+
+    Example: cvxshear history monitoring --report history.html
+
+    Parameters
+    ----------
+    folder
+        Measurement files (TOML) of one frame; each configuration is a test with its date, temperature and amplitude.
+    """
+    from cvxshear import screening
+
+    files_of = outputs.prepared(screening.History)
+    used.extend(map(str, sorted(Path(folder).glob("*.toml"))))
+    with progress("reading the tests", outputs.quiet):
+        result = cvxshear.history(folder, backend)
+    files = files_of(result)
+    if report is not None:
+        files.append(partial(_write_page, report, result))
+    deliver(result.to_dict(), outputs.out, lambda: terminal.shown(result), *files, title=result.loop.experiment.name)
+    if result.skipped:
+        raise typer.Exit(MISTAKE_STATUS)
 
 
 def _deliver_motion(

@@ -202,6 +202,12 @@ class Model:
     by: slice
     derivatives: bool
 
+    def without_derivatives(self) -> Model:
+        """Return the same without derivatives: of a tall frame they take most of the memory."""
+        system = self.state.system
+        none = np.zeros((0, *system.K.shape))
+        return Model(self.state.having(system=System(system.M, system.K, none, none)), self.by, False)
+
     @decorators.cached_property
     def modes(self) -> Modes:
         """All modes."""

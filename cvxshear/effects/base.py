@@ -148,6 +148,10 @@ class Effect(ABC):
         own unit.
     size : float or None
         Expected size of the first parameter, in its unit; replaces the value from `sizes`.
+    says : str
+        Clause on the effect for the first parameter, with {size}, {place} (a `Place`) and {word} in it, the first of
+        `words` for a value above null and the second below; empty if `phrase` is written out.
+    words : tuple of str
     tail : float
         Degrees of freedom of Student's t, the prior of each parameter about its null value. Fewer degrees of freedom
         make sizes far above the expected one more probable; infinite for a normal prior.
@@ -190,6 +194,8 @@ class Effect(ABC):
     usual: ClassVar[float] = np.inf
     usual_in: ClassVar[str] = ""
     size: float | None = None
+    says: str = ""
+    words: ClassVar[tuple[str, str]] = ("", "")
     tail: ClassVar[float] = 4.0
     common_size: ClassVar[bool] = False
     size_width: ClassVar[float] = 1.0
@@ -317,11 +323,21 @@ class Effect(ABC):
         units : sequence of str
             Units of the parameters.
         """
+        if self.says:
+            size = without_sign(values[0], std[0], units[0])
+            return self.says.format(size=size, word=self.words[int(values[0] < 0)], place=place)
         sizes = ", ".join(
             f"{item.name} = {quantities.with_std(float(value), float(error), unit)}"
             for item, value, error, unit in zip(self.parameters, values, std, units, strict=True)
         )
         return f"{place.label(self.label)} is there ({sizes})"
+
+    def of_story(self, place: Place, stories: int) -> tuple[int, str] | None:
+        """Return the one story whose stiffness the effect changes, and the part of it that changes, such as "its feet".
+
+        The phrase of such an effect says first, up to a colon, what the story lost or gained. None by default.
+        """
+        return None
 
     def known_anyway(self, experiment: Experiment, floor_mass: Floats, story_stiffness: Floats) -> str:
         """Return a sentence on prior knowledge of the effect that the data need not show; empty by default."""
@@ -409,11 +425,7 @@ class LocatedEffect(InJson):
         return tuple(item.unit if metric else item.unit_in_stories or item.unit for item in self.effect.parameters)
 
 
-def in_percent(value: float, std: float) -> str:
-    """Return the size of a ratio and its standard deviation, without the sign, such as "15.1 ± 0.4 %"."""
-    return quantities.with_std(100 * abs(float(value)), 100 * float(std), "%")
-
-
-def off_by(value: float, std: float, above: str, below: str) -> str:
-    """Return a ratio in words, such as "15.1 ± 0.4 % heavier"."""
-    return f"{in_percent(value, std)} {above if value > 0 else below}"
+def without_sign(value: float, std: float, unit: str = "") -> str:
+    """Return the size of a number and its standard deviation, such as "15.1 ± 0.4 %"; a ratio is in percent."""
+    factor = 1 if unit else 100
+    return quantities.with_std(factor * abs(float(value)), factor * float(std), unit or "%")

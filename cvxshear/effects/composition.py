@@ -66,10 +66,11 @@ def compose(
         state = _applied(placed, state, theta, own)
     if frame:
         state = _assembled(state)
-        _refuse_not_finite(state.system, [placed for placed, _ in frame])
-    for placed, own in acting[len(frame) :]:
-        state = _applied(placed, state, theta, own)
-        _refuse_not_finite(state.system, [placed])
+        _refuse_not_finite(state.system, frame)
+    if acting[len(frame) :]:
+        for placed, own in acting[len(frame) :]:
+            state = _applied(placed, state, theta, own)
+        _refuse_not_finite(state.system, acting[len(frame) :])
     return state
 
 
@@ -86,11 +87,11 @@ def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> 
     return found
 
 
-def _refuse_not_finite(system: System, effects: Sequence[LocatedEffect]) -> None:
+def _refuse_not_finite(system: System, effects: Sequence[tuple[LocatedEffect, slice]]) -> None:
     """Raise an error if effects made a matrix or a derivative that is not finite."""
     for name in ("M", "K", "dM", "dK"):
         if not np.isfinite(np.sum(getattr(system, name))):
-            names = ", ".join(placed.label for placed in effects)
+            names = ", ".join(placed.label for placed, _ in effects)
             raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
 

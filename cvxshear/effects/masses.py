@@ -8,13 +8,16 @@ from typing import Self
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place, off_by, shown_states
+from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place, shown_states
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.model import System
 from cvxshear.priors import Constraints
 from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
+
+HEAVIER = ("heavier", "lighter")
+"""Words for a mass above and below the declared one."""
 
 LEAST_MASS = 1e-6
 """Minimum attached mass, as a fraction of the mean floor mass, added to the parameter. The frame then has modes even if
@@ -55,6 +58,8 @@ class AddedMass(Effect):
     stage = "mass"
     parameters = (Parameter("mass", "kg"),)
     usual, usual_in = 0.15, "floor_mass"
+    says = "floor {place.floor} carries {size} {word}{place.in_state} than declared"
+    words = ("more", "less")
     sits_at = ("floor", "state")
 
     def lacks(self, experiment: Experiment) -> str:
@@ -87,11 +92,6 @@ class AddedMass(Effect):
         row[at] = row[-1] = -1.0
         return Constraints(G=row[None], h=np.array([min(declared, default=0.0)]))
 
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        size = with_std(abs(values[0]), std[0], units[0])
-        word = "more" if values[0] > 0 else "less"
-        return f"floor {place.floor} carries {size} {word}{place.in_state} than declared"
-
 
 class StateMass(Effect):
     """Every floor mass of the frame times 1 + e in one state; declared added masses do not change.
@@ -109,6 +109,8 @@ class StateMass(Effect):
     source = "one factor on the floor masses"
     stage = "mass"
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
+    says = 'all floors of "{place.state}" are {size} {word}'
+    words = HEAVIER
     usual = 0.1
     sits_at = ("state",)
     needs = ("several states",)
@@ -120,9 +122,6 @@ class StateMass(Effect):
 
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         return "state_stiffness", place
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        return f'all floors of "{place.state}" are {off_by(values[0], std[0], "heavier", "lighter")}'
 
 
 class MassCoupling(Effect):
@@ -145,6 +144,7 @@ class MassCoupling(Effect):
     source = "consistent mass matrix of a Bernoulli beam in sway, Archer 1963"
     stage = "inertia"
     parameters = (Parameter("mu", "kg", lower=0.0),)
+    says = "the columns of a story weigh {size}, and their mass moves with both floors that they join"
     usual, usual_in = 0.1, "floor_mass"
     probability = 0.05
 
@@ -158,10 +158,6 @@ class MassCoupling(Effect):
         n = experiment.stories
         lightest = np.hstack([-np.eye(n), np.zeros((n, n)), 0.5 * _ends(n)[:, None]])
         return Constraints(G=lightest, h=np.zeros(n))
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        size = with_std(values[0], std[0], units[0])
-        return f"the columns of a story weigh {size}, and their mass moves with both floors that they join"
 
 
 def on_floors(floors: Sequence[int], stories: int) -> Floats:
@@ -204,6 +200,8 @@ class TotalMass(Effect):
     source = "error of the declared total mass, or of a density on all floors"
     stage = "mass"
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
+    says = "the frame is {size} {word} than its declared total mass"
+    words = HEAVIER
     usual = 0.1
     probability = 0.02
     releases = ("total_mass",)
@@ -216,7 +214,7 @@ class TotalMass(Effect):
         if experiment.frame.floor_masses is None:
             return self
         own = copy.copy(self)
-        own.by_floor = True
+        own.by_floor, own.says = True, "all floors are {size} {word} than declared"
         return own
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
@@ -241,11 +239,6 @@ class TotalMass(Effect):
             return "what else tells the scale of the masses, such as a second test with other added mass"
         return ""
 
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        if self.by_floor:
-            return f"all floors are {off_by(values[0], std[0], 'heavier', 'lighter')} than declared"
-        return f"the frame is {off_by(values[0], std[0], 'heavier', 'lighter')} than its declared total mass"
-
 
 class FloorMass(Effect):
     """M + mass e_j e_j' at one floor in every state: the declared mass of that floor is wrong.
@@ -262,6 +255,8 @@ class FloorMass(Effect):
     source = "error of one declared floor mass"
     stage = "mass"
     parameters = (Parameter("mass", "kg"),)
+    says = "floor {place.floor} is {size} {word} than declared"
+    words = HEAVIER
     usual, usual_in = 0.25, "floor_mass"
     probability = 0.05
     sits_at = ("floor",)
@@ -279,10 +274,6 @@ class FloorMass(Effect):
         row = np.zeros(2 * experiment.stories + 1)
         row[place.floor_index] = row[-1] = -1.0
         return Constraints(G=row[None], h=np.zeros(1))
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        size = with_std(abs(values[0]), std[0], units[0])
-        return f"floor {place.floor} is {size} {'heavier' if values[0] > 0 else 'lighter'} than declared"
 
 
 class LoadScale(Effect):
@@ -302,6 +293,8 @@ class LoadScale(Effect):
     source = "calibration of the scale that weighed the added masses"
     stage = "mass"
     parameters = (Parameter("e", "", lower=-0.9, upper=9.0),)
+    says = "the added masses are {size} {word} than declared"
+    words = HEAVIER
     usual = 0.1
     probability = 0.02
     assumption_text = "that the added masses weigh what was declared"
@@ -314,9 +307,6 @@ class LoadScale(Effect):
             return "added_mass"
         frame = experiment.frame
         return "total_mass or floor_masses" if frame.total_mass is None and frame.floor_masses is None else ""
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        return f"the added masses are {off_by(values[0], std[0], 'heavier', 'lighter')} than declared"
 
 
 class _OnSprings(Effect):
@@ -422,6 +412,7 @@ class LoadMounting(_OnSprings):
     summary = "The added masses are not fast to the floors: on rubber, on sand bags or in a loose stack they move."
     formula = "a_j off floor j; M + a_j e_v e_v', K + a_j (2 pi f)^2 d d',  d = e_v - e_j, for every load j"
     parameters = (Parameter("frequency", "Hz", lower=0.01, upper=1000.0, start=10.0),)
+    says = "the added masses are not fast to the floors: they swing at {size}"
     probability = 0.03
 
     def ranged(self, experiment: Experiment, lowest: float, highest: float) -> Sequence[Parameter]:
@@ -446,9 +437,6 @@ class LoadMounting(_OnSprings):
         for floor in np.flatnonzero(loads).tolist():
             state = with_attached(state, floor, float(loads[floor]), none, float(values[0]), own.start)
         return state
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        return f"the added masses are not fast to the floors: they swing at {with_std(values[0], std[0], units[0])}"
 
 
 def with_attached(state: State, floor: int, mass: float, by_mass: Floats, frequency: float, own: int) -> State:

@@ -10,16 +10,12 @@ from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.masses import on_floors
 from cvxshear.effects.state import Scale, State
 from cvxshear.effects.stories import with_changed_story
-from cvxshear.effects.whole_frame import unit_springs
+from cvxshear.effects.whole_frame import MOST_JOINED, unit_springs
 from cvxshear.measurement.configuration import DEFAULT_FREQUENCY_STD, Configuration
 from cvxshear.measurement.experiment import Experiment, Tested
 from cvxshear.priors import Constraints
 from cvxshear.util import quantities, ranking
 from cvxshear.util.typing import Bools, Floats, Ints
-
-MOST_OPEN_STORIES = 40
-"""Largest number of stories for a class of springs or masses between all floors. In taller frames its N(N-1)/2
-parameters make every fit take minutes."""
 
 STANDS_OUT = 3.0
 """Smallest distance from zero, in standard deviations, of an entry that is named as a place of a model error."""
@@ -54,8 +50,8 @@ class OpenClass(Effect):
 
     def lacks(self, experiment: Experiment) -> str:
         # The entries of springs and masses between all pairs of floors.
-        if self.stage in ("spring", "inertia") and experiment.stories > MOST_OPEN_STORIES:
-            return f"at most {MOST_OPEN_STORIES} stories"
+        if self.stage in ("spring", "inertia") and experiment.stories > MOST_JOINED:
+            return f"at most {MOST_JOINED} stories"
         return super().lacks(experiment) or ("" if self.entries(experiment) else "more floors")
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:

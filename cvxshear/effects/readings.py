@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, off_by
+from cvxshear.effects.base import Effect, Parameter, Place
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.declaration import StaticTest
 from cvxshear.measurement.experiment import Configuration, Experiment
@@ -31,6 +31,8 @@ class SensorGain(Effect):
     source = "calibration error of one sensor"
     stage = "shape"
     parameters = (Parameter("g", "", lower=-0.9, upper=9.0),)
+    says = "the sensor at floor {place.floor} reads {size} {word}{place.in_state}"
+    words = ("too much", "too little")
     usual = 0.05
     sits_at = ("floor", "state")
 
@@ -49,10 +51,6 @@ class SensorGain(Effect):
         observation = state.observation.scaled(place.floor_index, 1.0 + values[0], own.start)
         return state.having(observation=observation)
 
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        size = off_by(values[0], std[0], "too much", "too little")
-        return f"the sensor at floor {place.floor} reads {size}{place.in_state}"
-
 
 class ShapeScale(Effect):
     """The entries of mass-normalized shapes are 1 + g times the true ones: in every test, or in one state.
@@ -69,6 +67,8 @@ class ShapeScale(Effect):
     source = "calibration error of the force, ISO 7626"
     stage = "shape"
     parameters = (Parameter("g", "", lower=-0.9, upper=9.0),)
+    says = "all mass-normalized shapes{place.in_state} are {size} {word}, as where the force was misread"
+    words = ("too large", "too small")
     usual = 0.05
     sits_at = ("state",)
 
@@ -85,10 +85,6 @@ class ShapeScale(Effect):
             for floor in range(len(state.floor_mass)):
                 observation = observation.scaled(floor, 1.0 + values[0], own.start)
         return state.having(observation=observation)
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        size = off_by(values[0], std[0], "too large", "too small")
-        return f"all mass-normalized shapes{place.in_state} are {size}, as where the force was misread"
 
 
 def _normalized(experiment: Experiment) -> list[str]:
@@ -110,6 +106,8 @@ class ForceScale(Effect):
     source = "calibration error of a load cell"
     stage = "shape"
     parameters = (Parameter("g", "", lower=-0.9, upper=9.0),)
+    says = "the forces of the static tests are {size} {word} than declared"
+    words = ("larger", "smaller")
     usual = 0.05
 
     def lacks(self, experiment: Experiment) -> str:
@@ -123,9 +121,6 @@ class ForceScale(Effect):
         dK = part * state.system.dK
         dK[own] -= part**2 * state.system.K
         return state.with_stiffness(part * state.system.K, dK)
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        return f"the forces of the static tests are {off_by(values[0], std[0], 'larger', 'smaller')} than declared"
 
 
 class _Statement(Effect):

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from cvxshear.effects.base import Effect, Parameter, Place, in_percent, off_by
+from cvxshear.effects.base import Effect, Parameter, Place, without_sign
 from cvxshear.effects.state import Scale, State
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util.typing import Floats
@@ -40,8 +40,12 @@ class StoryChange(Effect):
         assert place.story is not None
         return "added_mass", Place(floor=stories + 1 - place.story, state=place.state)
 
+    def of_story(self, place: Place, stories: int) -> tuple[int, str] | None:
+        assert place.story is not None
+        return place.story, "its columns"
+
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        size = in_percent(values[0], std[0])
+        size = without_sign(values[0], std[0])
         if values[0] > 0:
             return f"story {place.story} is {size} stiffer{place.in_state}"
         return f"story {place.story} lost {size} of its stiffness{place.in_state}"
@@ -94,6 +98,8 @@ class StateStiffness(Effect):
     source = "one factor on the elastic modulus of the frame"
     stage = "story"
     parameters = (Parameter("e", "", lower=-0.99, upper=99.0),)
+    says = 'all stories of "{place.state}" are {size} {word}'
+    words = ("stiffer", "softer")
     sits_at = ("state",)
     needs = ("several states",)
     probability = 0.05
@@ -113,9 +119,6 @@ class StateStiffness(Effect):
     def dual(self, place: Place, stories: int) -> tuple[str, Place]:
         return "state_mass", place
 
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        return f'all stories of "{place.state}" are {off_by(values[0], std[0], "stiffer", "softer")}'
-
 
 class Bracing(Effect):
     """A part beta of every story's stiffness is braces, which do not rotate joints.
@@ -133,6 +136,7 @@ class Bracing(Effect):
     source = "diagonals hinged at both ends, which resist the drift of their story alone"
     stage = "bracing"
     parameters = (Parameter("beta", "", lower=0.0, upper=0.99),)
+    says = "braces make up {size} of the stiffness of every story"
     probability = 0.03
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
@@ -147,9 +151,6 @@ class Bracing(Effect):
             brace_stiffness=brace,
             d_brace_stiffness=state.d_brace_stiffness + d_brace,
         )
-
-    def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
-        return f"braces make up {in_percent(values[0], std[0])} of the stiffness of every story"
 
 
 class JointRotation(Effect):
@@ -184,7 +185,7 @@ class JointRotation(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         return (
             "the beams bend and the joints turn, which adds "
-            f"{in_percent(values[0], std[0])} to the sway of a story among equal ones (eta = {values[0]:.2g})"
+            f"{without_sign(values[0], std[0])} to the sway of a story among equal ones (eta = {values[0]:.2g})"
         )
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
@@ -220,7 +221,7 @@ class SoftFeet(Effect):
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         lost, error = _lost_by_turning(values[0], std[0], columns=1)
         return (
-            f"the feet of the columns turn, which takes {in_percent(lost, error)} of the stiffness that story 1 has "
+            f"the feet of the columns turn, which takes {without_sign(lost, error)} of the stiffness that story 1 has "
             f"between rigid beams (rho = {values[0]:.2g})"
         )
 
@@ -288,16 +289,18 @@ class JointRelease(Effect):
         kept = 1.0 - loss
         by_turning, error = _lost_by_turning(rho * kept, rho_std * kept, len(_adjoining(place, top)))
         lost = 1.0 - (1.0 - by_turning) * kept
-        size = in_percent(lost, float(np.hypot(kept * error, (1.0 - by_turning) * loss_std)))
-        where = f'in "{place.state}"'
-        if place.floor == 0:
-            return f"the feet of the columns are loose {where}, which costs story 1 {size} of its stiffness"
-        if place.floor == top:
-            return f"the joints of floor {top} are loose {where}, which costs story {top} {size} of its stiffness"
+        size = without_sign(lost, float(np.hypot(kept * error, (1.0 - by_turning) * loss_std)))
+        if end := self.of_story(place, top):
+            loose = "the feet of the columns" if place.floor == 0 else f"the joints of floor {top}"
+            return f"story {end[0]} lost {size} of its stiffness{place.in_state}: {loose} are loose"
         return (
-            f"the joints of floor {place.floor} are loose {where}, which costs stories {place.floor} and "
+            f"the joints of floor {place.floor} are loose{place.in_state}, which costs stories {place.floor} and "
             f"{place.floor_index + 2} about {size} of their stiffness"
         )
+
+    def of_story(self, place: Place, stories: int) -> tuple[int, str] | None:
+        (story, *more) = _adjoining(place, stories)
+        return None if more else (story + 1, "its feet" if place.floor == 0 else "its joints")
 
 
 def _lost_by_turning(rho: float, std: float, columns: int) -> tuple[float, float]:

@@ -14,6 +14,10 @@ from cvxshear.model import transformation
 from cvxshear.util.quantities import per_force, scaled, significant, with_std
 from cvxshear.util.typing import Floats
 
+MOST_JOINED = 40
+"""Largest number of stories for springs or masses between all pairs of floors. In taller frames their N(N-1)/2
+parameters make every fit take minutes."""
+
 
 class Gravity(Effect):
     """K - gamma T diag(P_i / h_i) T', with P_i the weight of all mass at and above floor i.
@@ -294,7 +298,7 @@ class Spring(_Tie):
         ]
 
     def lacks(self, experiment: Experiment) -> str:
-        return "" if experiment.stories > 2 else "three stories"
+        return "" if 2 < experiment.stories <= MOST_JOINED else f"three to {MOST_JOINED} stories"
 
 
 def _in_all_or_since(experiment: Experiment) -> list[str | None]:

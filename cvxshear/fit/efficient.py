@@ -312,6 +312,7 @@ def fitted_with(
     """
     domain = domain_of(misfit.experiment, misfit.effects, theta)
     fit = gauss_newton(misfit, theta, domain, backend, accuracy, start)
+    fit = dataclasses.replace(fit, at=fit.at.of_a_result())
     names = parameter_names(misfit.experiment, misfit.effects)
     return Estimate(misfit, domain, fit, uncertainty(fit.at.known_triangle, fit.theta, domain, names))
 

@@ -12,6 +12,7 @@ compares two fits by the distance of their predictions (`fit/gaussian.py`).
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -65,6 +66,12 @@ class Evaluation(PlainResiduals):
     def chi2(self) -> float:
         """Sum of squares of the residuals of data and soft priors."""
         return float(self.r[: self.measured] @ self.r[: self.measured])
+
+    def of_a_result(self) -> Evaluation:
+        """Return the same with models that hold no derivatives of their matrices."""
+        changed = copy.copy(self)
+        changed.__dict__["models"] = tuple(model.without_derivatives() for model in self.models)
+        return changed
 
     @decorators.cached_property
     def known_triangle(self) -> Floats:

@@ -21,7 +21,7 @@ relative to the sum over all frames that were found.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import linalg, special
@@ -109,7 +109,11 @@ def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:
         A fit, with effects or without.
     backend : Backend
     """
-    fits, searched = equivalent_fits(estimate, backend)
+    return weighed(estimate, *equivalent_fits(estimate, backend))
+
+
+def weighed(estimate: Estimate, fits: Sequence[Estimate], searched: str) -> results.OtherFrames:
+    """Weigh the frames of an estimate and of `equivalent_fits`."""
     n = estimate.experiment.stories
     mass, stiffness = (float(np.median(part)) for part in np.split(estimate.theta[: 2 * n], 2))
     prior = domain.EffectPrior(Scale(mass, stiffness, heights_of(estimate.experiment)))

@@ -1,10 +1,10 @@
 """The one-shot identification of a frame whose floors turn, with deviations and what its data leave open.
 
 Deviations follow by linear propagation of the noise of readings and frequencies through both programs, with their
-active constraints. The rows of a program hold the noise of the shapes, too: R'R is on average the
-product of the true rows and the noise's own product N. A direction v is open where the noise is at least as large as what the rows tell,
-v'R'R v <= 2 v'N v. Exact modes without eccentricity leave such directions, and noise does not hide them. The values
-along them are held at even floors and stories, and are not reported.
+active constraints. The rows of a program hold the noise of the shapes, too: on average, R'R is the
+product of the true rows plus the noise's own product N. A direction v is open where the noise is at least as large as
+what the rows tell, v'R'R v <= 2 v'N v. Exact modes without eccentricity leave such directions, and noise does not hide
+them. The values along them are held at even floors and stories, and are not reported.
 """
 
 from __future__ import annotations

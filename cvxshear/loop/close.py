@@ -7,29 +7,31 @@ best.
 
 from __future__ import annotations
 
-import dataclasses
+import copy
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.effects import Effect, LocatedEffect, Scale
-from cvxshear.effects.state import heights_of
+from cvxshear.effects import Effect, LocatedEffect, Scale, heights_of
 from cvxshear.fit import domain, gauss_newton, other_frames
 from cvxshear.fit.efficient import Estimate, efficient
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.start import nearest_start
 from cvxshear.loop import comparison, conclusion, hypotheses
-from cvxshear.loop.fitter import Fitter, ModelClass, with_stand_in
+from cvxshear.loop.fitter import Fitter, with_stand_in
 from cvxshear.loop.posterior import Posterior, from_the_first_state
-from cvxshear.loop.results import VERDICTS, LoopResult
+from cvxshear.loop.results import LoopResult
 from cvxshear.loop.search import WITHIN, Search, holds_open
 from cvxshear.measurement.experiment import Experiment, Measurement, opened
 from cvxshear.measurement.reading import without_repeated
 from cvxshear.priors import Prior
-from cvxshear.util import errors, ranking
+from cvxshear.util import decorators, errors, ranking
 from cvxshear.util.typing import Floats
+
+TALLEST_SEARCH = 100
+"""Tallest frame: the derivatives by its effects, once, take some seconds, and the fourth power of the stories."""
 
 
 def search_for_effects(
@@ -44,22 +46,27 @@ def search_for_effects(
     `cvxshear.close_loop` has the same parameters; it screens the measurement and then calls this function.
     """
     experiment, repeated = without_repeated(opened(experiment).with_priors(tuple(priors)))
+    if experiment.stories > TALLEST_SEARCH:
+        raise errors.UnsuitableError(
+            f"the loop takes frames of up to {TALLEST_SEARCH} stories, not {experiment.stories:,}: join stories, or "
+            "identify the frame without effects"
+        )
     wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)
-    solver = backends.get(backend)
     assumed = hypotheses.assumed_effects(experiment, assume)
-    looked_for = hypotheses.hypotheses(experiment, wanted, assumed)
-    start = _first(experiment, solver, assumed)
-    searches = Searches(solver, assumed, looked_for, _expectation(experiment, start.theta, looked_for), start)
-    found = searches.run(experiment)
+    searches = Searches(experiment, wanted, assumed, backends.get(backend))
+    found = searches.run()
     messages = (
         *(f'"{name}" repeats "{same}" to the last digit: both count as one test' for name, same in repeated),
         *(f"an effect was left out: {message}" for message in left_out),
     )
     result = _concluded(found, found, wanted, messages)
-    if not VERDICTS[result.verdict].provisional or not (excess := _excess(result)):
+    judged = result.judged
+    if not (result.provisional and judged.improbable):
         return result
-    # The residual refutes the noise, so the evidence is invalid: judge the sets again under sufficient noise.
-    again = dataclasses.replace(searches, noise_inflation=excess).run(experiment)
+    # The residual refutes the noise, so the evidence is invalid: judge the sets again under noise that suffices.
+    inflated = copy.copy(searches)
+    inflated.noise_inflation = float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1)))
+    again = inflated.run()
     numbered = [each.fitter.numbering.changes for each in found]
     # Only the wider noise makes these mode numbers probable: report their fit under the declared noise.
     new = {each.fitter.numbering.changes: each.fitter.numbering for each in again}
@@ -90,57 +97,52 @@ def _concluded(
     return conclusion.conclude(fits, posterior, wanted, messages=messages, effort=effort)
 
 
-def _excess(result: LoopResult) -> float | None:
-    """Return the factor on the noise that makes the residual probable; None if the residual is probable already."""
-    judged = result.judged
-    return float(np.sqrt(judged.fit.at.chi2 / max(judged.dof, 1))) if judged.improbable else None
-
-
-def _first(experiment: Experiment, backend: backends.Backend, assumed: tuple[LocatedEffect, ...]) -> Estimate:
-    """Make the first fit on the requested backend, so that a failing backend is found at once."""
-    return with_stand_in(backend, lambda by: efficient(experiment, by, assumed), (errors.UnsuitableError,))[0]
-
-
-def _expectation(
-    experiment: Experiment, theta: Floats, looked_for: Sequence[hypotheses.Hypothesis]
-) -> domain.EffectPrior:
-    """Collect the priors of effects and frame, in units of a typical floor and story of a first fit."""
-    n = experiment.stories
-    mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
-    scale = Scale(float(mass), float(stiffness), heights_of(experiment))
-    stds = {
-        item.placed: item.placed.effect.expecting(size=item.size).expected_sizes(scale)
-        for item in looked_for
-        if item.size is not None
-    }
-    return domain.EffectPrior(scale, stds)
-
-
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Searches:
-    """Settings that all searches of one loop share.
+    """An experiment with everything that all of its searches share.
 
     Parameters
     ----------
-    backend : Backend
+    experiment : Experiment
+    wanted : sequence of Effect
     assumed : tuple of LocatedEffect
         Effects that the model holds from the start.
-    looked_for : sequence of Hypothesis
-    expectation : EffectPrior
-    start : Estimate
-        The shear model with the modes as given.
+    backend : Backend
     noise_inflation : float
         Factor on the standard deviations of the data.
     """
 
-    backend: backends.Backend
+    experiment: Experiment
+    wanted: Sequence[Effect]
     assumed: tuple[LocatedEffect, ...]
-    looked_for: Sequence[hypotheses.Hypothesis]
-    expectation: domain.EffectPrior
-    start: Estimate
+    backend: backends.Backend
     noise_inflation: float = 1.0
 
-    def run(self, experiment: Experiment) -> list[Search]:
+    @decorators.cached_property
+    def looked_for(self) -> Sequence[hypotheses.Hypothesis]:
+        """Every effect at every place, with its prior."""
+        return hypotheses.hypotheses(self.experiment, self.wanted, self.assumed)
+
+    @decorators.cached_property
+    def start(self) -> Estimate:
+        """The shear model with the modes as given, on the requested backend, so that a failing one is found at once."""
+        fit, refusals = (lambda by: efficient(self.experiment, by, self.assumed)), (errors.UnsuitableError,)
+        return with_stand_in(self.backend, fit, refusals)[0]
+
+    @decorators.cached_property
+    def expectation(self) -> domain.EffectPrior:
+        """Priors of effects and frame, in units of a typical floor and story of the first fit."""
+        n, theta = self.experiment.stories, self.start.theta
+        mass, stiffness = np.median(theta[:n]), np.median(theta[n : 2 * n])
+        scale = Scale(float(mass), float(stiffness), heights_of(self.experiment))
+        stds = {
+            item.placed: item.placed.effect.expecting(size=item.size).expected_sizes(scale)
+            for item in self.looked_for
+            if item.size is not None
+        }
+        return domain.EffectPrior(scale, stds)
+
+    def run(self) -> list[Search]:
         """Run the searches: with the modes numbered as given, then with each numbering near the best.
 
         Each search runs to its end.
@@ -150,6 +152,7 @@ class Searches:
         NoSolutionError
             If the shear model could not be fitted to the modes as given.
         """
+        experiment = self.experiment
         given = self.start_search(hypotheses.Numbering(experiment))
         given.run()
         others = list(self._possible(hypotheses.named_numberings(experiment)))
@@ -204,7 +207,7 @@ class Searches:
         otherwise, or if the dual start leads to the same frame.
         """
         numbering = search.fitter.numbering
-        if search.base.estimate is None or not hypotheses.few_floors_seen(numbering.experiment):
+        if not hypotheses.few_floors_seen(numbering.experiment):
             return None
         if search.visit_from([*self._duals(search), *self._changes(search)]):
             search.run()
@@ -220,7 +223,9 @@ class Searches:
         except errors.CvxshearError:
             # The declarations exclude the dual.
             return None
-        if other.base.score < search.base.score - WITHIN or _same_frame(other.base, search.base):
+        same = np.allclose(other.base.estimate.theta, search.base.estimate.theta, rtol=other_frames.INSEPARABLE)
+        if same or other.base.score < search.base.score - WITHIN:
+            # The same frame, or another that hardly fits.
             return None
         other.visit(effects for effects, _ in self._duals(search))
         other.run()
@@ -234,7 +239,7 @@ class Searches:
         return [
             (dual, hypotheses.dual_frame(model.estimate.theta[: 2 * n]))
             for model in search.beam
-            if model.estimate is not None and (dual := hypotheses.dual_set(model.effects, known, n)) is not None
+            if (dual := hypotheses.dual_set(model.effects, known, n)) is not None
         ]
 
     def _changes(self, search: Search) -> list[tuple[frozenset[LocatedEffect], Floats]]:
@@ -244,7 +249,6 @@ class Searches:
         and may be nearer to another minimum.
         """
         base, experiment = search.base.estimate, search.fitter.experiment
-        assert base is not None, "the shear model was fitted"
         n = experiment.stories
         placed = [each.placed for each in self.looked_for if each.placed.effect.dual(each.placed.place, n)]
         frames = []
@@ -260,10 +264,3 @@ class Searches:
             frame = search.fitter.fit(misfit, base.theta, gauss_newton.ROUGH).theta[: 2 * n]
             frames += [frame, hypotheses.dual_frame(frame)]
         return [(frozenset([each]), frame) for each in placed for frame in frames]
-
-
-def _same_frame(a: ModelClass, b: ModelClass) -> bool:
-    """Whether two fits have the same frame. Another frame that fits equally well leads to other sets."""
-    assert a.estimate is not None, "the shear model was fitted"
-    assert b.estimate is not None, "the shear model was fitted"
-    return bool(np.allclose(a.estimate.theta, b.estimate.theta, rtol=other_frames.INSEPARABLE))

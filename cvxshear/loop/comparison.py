@@ -6,14 +6,16 @@ test that mere extra freedom does not pass.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from cvxshear import backends
 from cvxshear.data.base import numbered
 from cvxshear.effects import LocatedEffect, compose
+from cvxshear.fit import other_frames
 from cvxshear.fit.efficient import Estimate, fitted_with
 from cvxshear.fit.gauss_newton import FULL, ROUGH
 from cvxshear.fit.misfit import Misfit
@@ -28,9 +30,6 @@ from cvxshear.util.typing import Bools
 
 USEFUL = 0.1
 """Largest relative standard deviation of a prediction that counts; an undetermined direction counts with its length."""
-
-MOST_PREDICTIONS = 24
-"""Largest number of predictions: each is a fit, and a tall frame has many modes."""
 
 Errors = dict[tuple[str, int], float]
 """|predicted / measured - 1| by configuration and place of the frequency in it."""
@@ -51,6 +50,10 @@ class VerdictFits:
     steps : tuple of Step
     chi2_without : dict of LocatedEffect to float
         Chi-square without each effect of the set, in the noise of the final fit.
+    equivalents : list of Estimate
+        Fits of the set with other frames that fit the same data.
+    searched : str
+        What was searched for them, in words; empty if the data determine the frame.
     """
 
     search: Search
@@ -58,11 +61,12 @@ class VerdictFits:
     final: Estimate
     steps: tuple[Step, ...]
     chi2_without: dict[LocatedEffect, float]
+    equivalents: list[Estimate]
+    searched: str
 
     @property
     def judged(self) -> Estimate:
         """Fit that determines the effects; under wider noise if the residual is unexplained."""
-        assert self.model.estimate is not None, "a set without a fit has no probability"
         return self.model.estimate
 
 
@@ -83,9 +87,7 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
         each.fit_of(wanted)
     search = ranking.ranked(own, lambda each: each.visited[wanted].score, same=ranking.SAME_ODDS)[0]
     model, fitter = search.visited[wanted], search.fitter
-    judged = model.estimate
-    assert judged is not None, "a set without a fit has no probability"
-    final = judged
+    final = judged = model.estimate
     if judged.misfit.noise_inflation != 1.0:
         final = fitter.fit(judged.misfit.replaced(noise_inflation=1.0), judged.theta)
     effects = [placed for placed in judged.effects if placed not in fitter.assumed]
@@ -94,7 +96,8 @@ def verdict_fits(searches: Sequence[Search], posterior: Posterior, as_given: Fit
         placed: _in_noise_of(judged, [each for each in effects if each is not placed], fitter).chi2
         for placed in effects
     }
-    return VerdictFits(search, model, final, steps, chi2_without)
+    equivalents = other_frames.equivalent_fits(judged, backends.get("auto"))
+    return VerdictFits(search, model, final, steps, chi2_without, *equivalents)
 
 
 def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_given: Fitter) -> tuple[Step, ...]:
@@ -105,17 +108,16 @@ def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_g
     what = "the shear model" if fitter is as_given else "the shear model, the modes numbered as given"
     if fitter.assumed:
         what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
-    ways: list[tuple[str, Callable[[], Estimate]]] = [(what, lambda: _in_noise_of(final, [], as_given))]
+    ways = [(what, order[:0], as_given)]
     if fitter is not as_given:
-        ways.append(("with the modes numbered otherwise", lambda: _in_noise_of(final, [], fitter)))
-    for count, placed in enumerate(order, 1):
-        ways.append((f"with {placed.label}", partial(_in_noise_of, final, order[:count], fitter)))
-    estimates = [*(make() for _, make in ways[:-1]), final]
+        ways.append(("with the modes numbered otherwise", order[:0], fitter))
+    ways += [(f"with {placed.label}", order[:count], fitter) for count, placed in enumerate(order, 1)]
+    estimates = [*(_in_noise_of(final, effects, by) for _, effects, by in ways[:-1]), final]
     left_out = held_out_frequency_errors(estimates[0], final, fitter)
     held_out = [left_out[0], *[None] * (len(ways) - 2), left_out[1]] if len(ways) > 1 else [left_out[1]]
     return tuple(
         Step(estimate, what, estimate.p_value, error)
-        for (what, _), estimate, error in zip(ways, estimates, held_out, strict=True)
+        for (what, *_), estimate, error in zip(ways, estimates, held_out, strict=True)
     )
 
 
@@ -169,10 +171,10 @@ def _left_out(experiment: Experiment, concerned: set[str | None]) -> list[tuple[
     configurations = experiment.configurations
     if len(configurations) > 1:
         alone = [each for each in configurations if _judged(each, experiment, concerned)]
-        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone][:MOST_PREDICTIONS]
+        return [(each.name, np.ones(len(each.frequencies), dtype=bool)) for each in alone]
     (only,) = configurations
     rows = list(np.eye(len(only.frequencies), dtype=bool))
-    return [(only.name, row) for row in rows][:MOST_PREDICTIONS] if len(only.frequencies) > 1 else []
+    return [(only.name, row) for row in rows] if len(only.frequencies) > 1 else []
 
 
 def _judged(test: Configuration, experiment: Experiment, concerned: set[str | None]) -> bool:

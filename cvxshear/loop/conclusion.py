@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special
 
 from cvxshear.effects import Effect, LocatedEffect, masses
-from cvxshear.fit import next_test
+from cvxshear.fit import next_test, other_frames
 from cvxshear.fit.efficient import Estimate, parameter_names
 from cvxshear.loop import comparison, hypotheses, results
 from cvxshear.loop.fitter import ModelClass
@@ -63,12 +63,14 @@ def conclude(
     significant = final.improbable
     negligible = significant and _negligible(final)
     by_set = {model.effects: model.estimate for model in reversed(here.models)}
-    rivals = [estimate for rival in _rival_sets(here, added) if (estimate := by_set[rival]) is not None]
+    rivals = [by_set[rival] for rival in _rival_sets(here, added)]
+    others = other_frames.weighed(judged, fits.equivalents, fits.searched)
     granted = (
         *_granted(search, found),
         *_granted_of_the_frame(added, fitter.experiment),
         *_granted_of_the_scale(search, found),
         *_granted_of_bounds(fitter.experiment),
+        *([f"that the frame is this one of the {len(others.frames) + 1} that fit"] if others.frames else []),
     )
     return results.LoopResult(
         experiment=fitter.experiment,
@@ -86,7 +88,8 @@ def conclude(
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(results.where_it_sits(final)) if significant and not negligible else (),
         information=(*messages, *_information(search, posterior, judged, negligible=negligible)),
-        next_test=next_test.next_test(judged, rivals),
+        next_test=next_test.next_test(judged, [*rivals, *fits.equivalents]),
+        others=others,
         fits=effort[0],
         programs=effort[1],
     )
@@ -158,15 +161,28 @@ def _added(posterior: Posterior, final: Estimate, placed: LocatedEffect) -> resu
         factor = final.noise.of(placed.label) or {}
         parameters, std = {"factor": factor["factor"]}, {"factor": factor["std"]}
         said = f"{said}: {quantities.significant(factor['factor'], 2)} times"
+    probability, rivals = posterior.of_effects[placed], tuple(posterior.rivals(placed))
+    parts = _parts_of_the_story(placed, [rival.placed for rival in rivals], final.experiment.stories)
+    story = None
+    if len(parts) > 1:
+        either = probability + sum(rival.probability for rival in rivals if rival.placed in parts)
+        story = results.SharedStory(said.partition(":")[0], min(either, 1.0), parts)
     return results.AddedEffect(
-        placed,
-        posterior.of_effects[placed],
-        parameters,
-        std,
-        said,
-        tuple(posterior.rivals(placed)),
-        tuple(_remarks(final, placed)),
+        placed, probability, parameters, std, said, rivals, tuple(_remarks(final, placed)), story
     )
+
+
+def _parts_of_the_story(
+    placed: LocatedEffect, rivals: Sequence[LocatedEffect], stories: int
+) -> dict[LocatedEffect, str]:
+    """List the effects that change the one story of an effect in the same state, each with its part of the story."""
+    found = {each: each.effect.of_story(each.place, stories) for each in (placed, *rivals)}
+    mine = found[placed]
+    return {
+        each: own[1]
+        for each, own in found.items()
+        if mine and own and (own[0], each.place.state) == (mine[0], placed.place.state)
+    }
 
 
 def _remarks(final: Estimate, placed: LocatedEffect) -> Iterator[str]:
@@ -203,7 +219,7 @@ def _shown_sets(posterior: Posterior) -> Iterator[results.EffectSet]:
     best = {(model.effects, model.changes): model for model in reversed(posterior.models)}
     for key in ranking.ranked(best, sums.__getitem__):
         model = best[key]
-        if sums[key] >= REPORTED and model.estimate is not None:
+        if sums[key] >= REPORTED:
             order = tuple(placed for placed in model.estimate.effects if placed in model.effects)
             yield results.EffectSet(order, min(sums[key], 1.0), model.log_evidence, model.estimate.chi2, model.changes)
 
@@ -231,7 +247,7 @@ def _candidates(posterior: Posterior, fits: comparison.VerdictFits) -> list[resu
             # Otherwise the derivatives at the null value carry no information on the effect here.
             gain = linear.decrease(placed)
             chi2 -= gain
-            if linear.precision_gained(placed) < LITTLE_GAINED and posterior.keeps_odds(placed):
+            if linear.precision_gained(placed) < LITTLE_GAINED and placed in posterior.kept_odds:
                 confounded = linear.confounders(placed, names)
         p_value = min(1.0, len(fitter.hypotheses) * float(special.chdtrc(count, max(gain, 0.0))))
         probability = posterior.of_effects[placed]
@@ -324,15 +340,18 @@ def _information(search: Search, posterior: Posterior, final: Estimate, *, negli
         yield f"the modes of {_quoted(named)} are those given: that they are the other ones named is hardly probable"
     if not final.noise.settled:
         yield "the estimate of the standard deviations that nobody declared did not settle; its last value is used"
-    if search.spent:
-        yield f"the search ended after {len(search.visited)} sets of effects; sets that it did not visit may be better"
+    if search.untried:
+        yield (
+            f"the search ended after {len(search.visited)} sets of effects, as its budget of work was spent; not tried "
+            f"with every good set: {quantities.listed(search.untried)}"
+        )
     if not final.fit.converged:
         yield f"the final fit did not converge ({final.fit.reason}); its numbers are where it stopped"
     for placed in posterior.untold():
         yield f"{placed.label}: these data tell nothing of it; masses and stiffnesses are averaged without it"
-    failed = [model for model in search.visited.values() if model.failure is not None]
-    if failed:
-        yield f"{len(failed)} of {len(search.visited)} sets of effects could not be fitted ({failed[0].failure})"
+    if failed := [each for each in fitter.failures if each not in search.visited]:
+        tried = len(failed) + len(search.visited)
+        yield f"{len(failed)} of {tried} sets of effects could not be fitted ({fitter.failures[failed[0]]})"
     if fitter.stand_ins:
         yield f"{fitter.stand_ins} of {fitter.fits} fits that {fitter.backend.name} refused were made by auto"
     if experiment.frame.story_heights is None and any(placed.effect.uses_heights for placed in final.effects):

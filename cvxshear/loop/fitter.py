@@ -36,6 +36,9 @@ from cvxshear.util.typing import Floats
 TINY = 1e-12
 """Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
 
+SMALL_FIT = 300
+"""Tests times parameters of a fit that takes as long as a smaller one: the solver's part is then as large."""
+
 TOUCHING = 1e-4
 """Largest distance from an active inequality, in standard deviations."""
 
@@ -52,22 +55,18 @@ class ModelClass:
     ----------
     effects : frozenset of LocatedEffect
         Effects in addition to the assumed ones.
-    estimate : Estimate or None
-        None if no fit was found.
+    estimate : Estimate
     log_evidence : float
     log_prior : float
         Sum of the logarithms of the prior odds of the effects and of the mode numbers.
-    failure : CvxshearError or None
-        Reason for a missing fit.
     changes : tuple
         Configurations with other mode numbers than the given ones (`Numbering.changes`).
     """
 
     effects: frozenset[LocatedEffect]
-    estimate: Estimate | None
+    estimate: Estimate
     log_evidence: float
     log_prior: float
-    failure: errors.CvxshearError | None = None
     changes: Changes = ()
 
     @property
@@ -78,13 +77,11 @@ class ModelClass:
     @property
     def improbable(self) -> bool:
         """Whether the residual, or the noise that the residual requires, is improbable."""
-        return self.estimate is not None and self.estimate.improbable
+        return self.estimate.improbable
 
     def same_optimum(self, other: ModelClass) -> bool:
         """Whether another fit of this set ended at the same frame, within the resolution of the data and priors."""
         mine, theirs = self.estimate, other.estimate
-        if mine is None or theirs is None:
-            return False
         n2 = 2 * mine.experiment.stories
         values = {placed: theirs.theta[own] for placed, own in composition.slices(theirs.effects, n2)}
         there = np.concatenate([theirs.theta[:n2], *(values[placed] for placed in mine.effects)])
@@ -130,6 +127,11 @@ class Fitter:
         Fits made so far, and step programs that they solved.
     stand_ins : int
         Fits that another backend made after the backend refused.
+    failures : dict of frozenset of LocatedEffect to CvxshearError
+        Sets that could not be fitted, with the reason.
+    work : float
+        Work done so far, in small fits: a larger one counts by its tests times parameters (`SMALL_FIT`). It does not
+        depend on the machine.
     base : Estimate or None
         Fit of the set without effects, after this fit was made.
     """
@@ -142,6 +144,8 @@ class Fitter:
     fits: int = 0
     programs: int = 0
     stand_ins: int = 0
+    failures: dict[frozenset[LocatedEffect], errors.CvxshearError] = field(default_factory=dict)
+    work: float = 0.0
     base: Estimate | None = None
     _log_odds: dict[LocatedEffect, float] = field(init=False)
 
@@ -178,7 +182,7 @@ class Fitter:
 
     def fit(self, misfit: Misfit, start: Floats, accuracy: gauss_newton.Accuracy = gauss_newton.FULL) -> Estimate:
         """Fit a model from a starting point."""
-        self.fits += 1
+        self.count(misfit.parameters, fits=1)
         found, stood_in = with_stand_in(self.backend, lambda by: fitted(misfit, start, by, accuracy))
         self.stand_ins += stood_in
         return found
@@ -186,21 +190,26 @@ class Fitter:
     def models(
         self, proposals: Sequence[FitProposal], accuracy: gauss_newton.Accuracy = gauss_newton.ROUGH
     ) -> list[ModelClass]:
-        """Fit sets."""
-        return [self._model(proposal, accuracy) for proposal in proposals]
+        """Fit sets; the reasons of missing fits are kept in `failures`."""
+        return [found for proposal in proposals if (found := self._model(proposal, accuracy)) is not None]
 
     def set_of(self, proposal: FitProposal) -> frozenset[LocatedEffect]:
         """Return the set of a proposal, without the assumed effects."""
         return frozenset(proposal.effects) - frozenset(self.assumed)
 
-    def _model(self, proposal: FitProposal, accuracy: gauss_newton.Accuracy) -> ModelClass:
-        self.fits += 1
+    def count(self, parameters: int, fits: int = 0) -> None:
+        """Count fits of so many parameters, or derivatives of all data by so many."""
+        self.fits += fits
+        self.work += max(1.0, len(self.experiment.tested) * parameters / SMALL_FIT)
+
+    def _model(self, proposal: FitProposal, accuracy: gauss_newton.Accuracy) -> ModelClass | None:
+        self.count(proposal.misfit.parameters, fits=1)
         try:
             start, at = _start(proposal)
             found, stood_in = with_stand_in(self.backend, lambda by: fitted(proposal.misfit, start, by, accuracy, at))
         except errors.CvxshearError as error:
-            effects = self.set_of(proposal)
-            return ModelClass(effects, None, -np.inf, self.log_prior(effects), error, self.numbering.changes)
+            self.failures[self.set_of(proposal)] = error
+            return None
         self.stand_ins += stood_in
         self.programs += found.fit.steps
         return self.model_of(found)
@@ -214,10 +223,7 @@ class Fitter:
 
     def refined(self, model: ModelClass) -> ModelClass:
         """Fit the same set to full accuracy; return the old fit if this fails."""
-        if model.estimate is None:
-            return model
-        (found,) = self.models([self.proposal(model.estimate, model.estimate.effects)], gauss_newton.FULL)
-        return model if found.estimate is None else found
+        return self._model(self.proposal(model.estimate, model.estimate.effects), gauss_newton.FULL) or model
 
 
 def with_stand_in(

@@ -17,7 +17,8 @@ also visited from this frame.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,21 +111,22 @@ def _of(effect: Effect, experiment: Experiment) -> list[Hypothesis]:
     said = {place: _said(experiment, effect, place) for place in effect.places(experiment)}
     places = [place for place, known in said.items() if not any(each.exclude for each in known)]
     by_state = experiment.frame.reference is not None and effect.kind != OPEN
+    weights = {place: effect.weight(place, experiment) for place in places}
+    totals = defaultdict[tuple[object, str | None], float](float)
+    for place in places:
+        for source in (None, *map(id, said[place])):
+            totals[source, place.state if by_state else None] += weights[place]
 
-    def share(place: Place, among: Iterable[Place]) -> float:
-        alike = [other for other in among if not by_state or other.state == place.state]
-        return effect.weight(place, experiment) / sum(effect.weight(other, experiment) for other in alike)
+    def spread(probability: float, place: Place, source: object = None) -> float:
+        share = weights[place] / totals[source, place.state if by_state else None]
+        return float(-np.expm1(np.log1p(-probability) * share))
 
     return [
         Hypothesis(
             LocatedEffect(effect.bound_at(experiment, place), place),
             _last(
-                [
-                    _spread(each.probability, share(place, [other for other in places if each in said[other]]))
-                    for each in said[place]
-                    if each.probability is not None
-                ],
-                _spread(effect.probability, share(place, places)),
+                [spread(each.probability, place, id(each)) for each in said[place] if each.probability is not None],
+                spread(effect.probability, place),
             ),
             _last([each.size for each in said[place] if each.size is not None], None),
         )
@@ -138,10 +140,6 @@ def _said(experiment: Experiment, effect: Effect, place: Place) -> list[Expected
     names = (effect.name, OPEN) if effect.kind == OPEN else (effect.name,)
     said = [each for each in experiment.expected if any(each.concerns(name, at) for name in names)]
     return sorted(said, key=lambda each: sum(getattr(each, part, None) is not None for part in at))
-
-
-def _spread(probability: float, share: float) -> float:
-    return float(-np.expm1(np.log1p(-probability) * share))
 
 
 def _last(values: Sequence[T], default: T) -> T:

@@ -86,6 +86,11 @@ class Linearised:
         shift: Floats = -unit[:, None] * (np.linalg.pinv(A[:, :n2] * unit) @ A[:, len(base.theta) :])
         return shift
 
+    @property
+    def parameters(self) -> int:
+        """Number of parameters of the candidates."""
+        return int(self._columns.shape[1])
+
     @decorators.cached_property
     def gains(self) -> Floats:
         """Gain in log evidence of each candidate, shape (n,)."""

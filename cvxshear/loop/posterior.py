@@ -76,7 +76,7 @@ class Posterior:
         twins: Mapping[LocatedEffect, Sequence[LocatedEffect]] | None = None,
     ) -> None:
         self._twins = twins or {}
-        fitted = [model for model in models if model.estimate is not None and np.isfinite(model.score)]
+        fitted = [model for model in models if np.isfinite(model.score)]
         self.models = _distinct(ranking.ranked(fitted, lambda model: model.score, same=ranking.SAME_ODDS))
         scores = np.array([model.score for model in self.models])
         weights = np.exp(scores - scores[0])
@@ -168,7 +168,7 @@ class Posterior:
         For each effect of the best set: if the effect or one of its rivals is present with sufficient probability, add
         the most probable of them. Also add each effect outside the best set whose probability exceeds one half.
         """
-        best = [placed for placed in self.ranked(self.best.effects) if placed not in self._kept_odds]
+        best = [placed for placed in self.ranked(self.best.effects) if placed not in self.kept_odds]
         rivals = {placed: {rival.placed: rival.probability for rival in self.rivals(placed)} for placed in best}
         # An effect that replaces several others belongs to the one that it replaces most often.
         alternatives_of = {
@@ -201,7 +201,7 @@ class Posterior:
         return float(self.probabilities[including].sum())
 
     @decorators.cached_property
-    def _kept_odds(self) -> frozenset[LocatedEffect]:
+    def kept_odds(self) -> frozenset[LocatedEffect]:
         """Effects with odds that the data hardly changed."""
         return frozenset(placed for placed in self._prior if 1.0 / RAISED < self._raised([placed]) < RAISED)
 
@@ -218,28 +218,21 @@ class Posterior:
             for model in self.models
             if model.score >= self.models[0].score + np.log(RIVAL)
             for placed in model.effects
-            if model.score - score.get(model.effects - {placed}, np.inf) - self._log_odds(placed) > np.log(RAISED)
+            if model.score - score.get(model.effects - {placed}, np.inf) - log_odds(self._prior[placed])
+            > np.log(RAISED)
         }
-        return self._kept_odds - missed
-
-    def _log_odds(self, placed: LocatedEffect) -> float:
-        """Return the logarithm of an effect's prior odds."""
-        return log_odds(self._prior[placed])
+        return self.kept_odds - missed
 
     def something(self) -> float:
         """Return the probability that any effect is present, among the effects that the data made more probable."""
         return self._any([placed for placed in self._prior if self._raised([placed]) >= RAISED])
-
-    def keeps_odds(self, placed: LocatedEffect) -> bool:
-        """Return whether the data hardly changed an effect's odds."""
-        return placed in self._kept_odds
 
     def untold(self) -> list[LocatedEffect]:
         """List effects with odds that the data hardly changed, if the prior or posterior odds are at least even."""
         return [
             placed
             for placed, probability in self._in_sets.items()
-            if max(probability, self._prior[placed]) >= ADDED and placed in self._kept_odds
+            if max(probability, self._prior[placed]) >= ADDED and placed in self.kept_odds
         ]
 
     def rivals(self, placed: LocatedEffect) -> list[Rival]:
@@ -248,19 +241,16 @@ class Posterior:
         These are the effects that replace it in sets with at least a twentieth of the best probability, and its twins,
         even those with a small prior probability.
         """
-        found = self._in_place_of(placed, self._holding(placed))
+        found = self._in_place_of(placed)
         twins = self._twins.get(placed, ())
         for other in twins:
             found.setdefault(other, self._in_sets[other])
         order = self.ranked(found, found)
         return [Rival(each, min(found[each], 1.0), each in twins) for each in order]
 
-    def _holding(self, placed: LocatedEffect) -> ModelClass:
-        """Find the most probable set that holds an effect; the best set of all if none does."""
-        return next((model for model in self.models if placed in model.effects), self.best)
-
-    def _in_place_of(self, placed: LocatedEffect, best: ModelClass) -> dict[LocatedEffect, float]:
-        """Find the effects that replace an effect of the best set in other sets, with their probability there."""
+    def _in_place_of(self, placed: LocatedEffect) -> dict[LocatedEffect, float]:
+        """Find the effects that replace an effect of its most probable set elsewhere, with their probability there."""
+        best = next((model for model in self.models if placed in model.effects), self.best)
         found: dict[LocatedEffect, float] = {}
         for model, probability in zip(self.models, self.probabilities, strict=True):
             if probability < RIVAL * self.probabilities[0]:
@@ -283,7 +273,7 @@ class Posterior:
         here, std, weights, squares = estimate.theta[mine], estimate.std[mine], [], []
         for model, probability in zip(self.models, self.probabilities, strict=True):
             other = model.estimate
-            if other is not None and placed in model.effects and (other is estimate or probability >= least):
+            if placed in model.effects and (other is estimate or probability >= least):
                 own = other.own(placed)
                 weights.append(float(probability))
                 within = np.where(np.isnan(other.std[own]), std, other.std[own])
@@ -300,7 +290,7 @@ class Posterior:
         untold = self.untold()
         counts = np.array([model.effects.isdisjoint(untold) for model in self.models])
         weights = self.of_sets * counts if counts.any() else self.of_sets
-        frames = [model.estimate.expected_frame for model in self.models if model.estimate is not None]
+        frames = [model.estimate.expected_frame for model in self.models]
 
         def mixture(values: Sequence[Floats], stds: Sequence[Floats]) -> tuple[Floats, Floats]:
             x, s, share = np.array(values), np.array(stds), weights[:, None] / weights.sum()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -184,6 +184,25 @@ class Step(InJson):
         return self.estimate.quality
 
 
+@dataclass(frozen=True)
+class SharedStory:
+    """A story that several effects explain, one of which is there.
+
+    Parameters
+    ----------
+    change : str
+        What the story lost or gained, in words.
+    probability : float
+        Probability that one of the effects is there.
+    parts : dict of LocatedEffect to str
+        The effects, each with the part of the story in words.
+    """
+
+    change: str
+    probability: float
+    parts: dict[LocatedEffect, str]
+
+
 @dataclass(frozen=True, eq=False)
 class AddedEffect(InJson):
     """Added effect, with its rivals.
@@ -200,6 +219,8 @@ class AddedEffect(InJson):
         Effects that may be present instead.
     remarks : tuple of str
         Parameters on a physical bound.
+    story : SharedStory or None
+        The story, if rivals are other parts of the same story in the same state.
     """
 
     placed: LocatedEffect
@@ -209,6 +230,7 @@ class AddedEffect(InJson):
     size: str
     rivals: tuple[posterior.Rival, ...]
     remarks: tuple[str, ...] = ()
+    story: SharedStory | None = None
 
     json_keys = "*placed kind=placed.effect.kind probability parameters std size rivals"
 
@@ -317,6 +339,8 @@ class LoopResult(Shown):
         Number of fits, and number of step programs that they solved.
     warnings : tuple of screening.Finding
         Doubtful parts of the measurement; empty if `cvxshear.screening` was not used.
+    others : OtherFrames
+        Other frames that fit the same data as well with these effects, if these are few.
     """
 
     experiment: Experiment
@@ -338,12 +362,13 @@ class LoopResult(Shown):
     fits: int
     programs: int
     warnings: tuple[Any, ...] = ()
+    others: results.OtherFrames = field(default_factory=results.OtherFrames)
 
     json_keys = (
         "verdict rests_on backend provisional effects assumed numberings models averaged noise before after steps "
         "candidates not_considered frame undetermined=estimate.uncertainty.null_directions "
         "at_bounds=estimate.uncertainty.active predictions=estimate.predictions residual remains information "
-        "next_test fits programs warnings"
+        "next_test other_frames searched=others.searched fits programs warnings"
     )
 
     @property
@@ -365,6 +390,11 @@ class LoopResult(Shown):
     def frame(self) -> results.IdentifiedFrame:
         """Identified frame; its standard deviations follow from the noise that explains the residual."""
         return self.judged.frame
+
+    @property
+    def other_frames(self) -> tuple[results.OtherFrame, ...]:
+        """Other frames that fit the same data as well, the most probable first."""
+        return self.others.frames
 
     @property
     def noise(self) -> misfit.NoiseEstimate:

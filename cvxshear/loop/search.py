@@ -6,15 +6,15 @@ come first: they lose superfluous effects and are expanded. Then one cause repla
 all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
 and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
 information at zero mass, so such effects are fitted from their own starting points. There are finitely many sets and
-none is fitted or expanded twice, so the search ends; at the latest when its budget is spent. Sets that tie are then
-tried with each other's exchanges.
+none is fitted or expanded twice, so the search ends; at the latest when its budget of work is spent, and then it says
+what it has not tried. Sets that tie are tried with each other's exchanges.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -51,9 +51,9 @@ RESCALING = 3
 MOST_STARTS = 20
 """Largest number of fits from given starting points, the best after one step."""
 
-MOST_SETS = 300
-"""Number of visited sets after which a search ends, except for the current step. The limit is twice the need of
-consistent data of three states (about 150 sets). The result reports that the search was cut short."""
+MOST_WORK = 600
+"""Work, in small fits (`fitter.SMALL_FIT`), after which a search ends at the end of its step: twice the need of
+consistent data of three states. The result says what was not tried."""
 
 TWINS_DIFFER = 0.1
 """Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
@@ -78,6 +78,7 @@ class Search:
         self.base = fitter.model_of(base)
         self.visited: dict[Set, ModelClass] = {self.base.effects: self.base}
         self.other_optima: list[ModelClass] = []
+        self.untried: list[str] = []
         self._done: set[tuple[str, Set]] = set()
         self._last: Linearised | None = None
 
@@ -92,8 +93,7 @@ class Search:
 
         Sets with an open class are counted apart, because a class can join every cause.
         """
-        fitted = [model for model in self.visited.values() if model.estimate is not None]
-        fitted = ranking.ranked(fitted, lambda model: model.score, same=ranking.SAME_ODDS)
+        fitted = ranking.ranked(self.visited.values(), lambda model: model.score, same=ranking.SAME_ODDS)
         causes = [model for model in fitted if not holds_open(model.effects)][:BEAM]
         others: list[ModelClass] = []
         for model in fitted:
@@ -104,29 +104,36 @@ class Search:
                 break
         return ranking.ranked((*causes, *others), lambda model: model.score, same=ranking.SAME_ODDS)
 
-    @property
-    def spent(self) -> bool:
-        """Whether the budget of sets is spent."""
-        return len(self.visited) >= MOST_SETS
+    def _steps(self) -> Iterator[tuple[str, Callable[[ModelClass], None], Sequence[ModelClass]]]:
+        """Yield what is tried in words, the step, and the sets that take it; each step begins when none before is left.
+
+        The order is that of the module's docstring.
+        """
+        yield "fewer effects", self._prune, self._leaders
+        yield "further effects", self._expand, self._leaders
+        if self._unsatisfied:
+            yield "masses on springs", self.add_motions, [self.best]
+        yield "one cause for several", self._regroup, [self.best]
+        yield "further effects", self._expand, self._near
+        yield "one cause for several", self._regroup, self._near
+        yield "exchanges of effects", self._exchange, self._near
+        yield "masses on springs", self.add_motions, [self.best]
 
     def run(self) -> None:
         """Visit sets until no good set is left to expand, to group or to exchange, or the budget is spent."""
-        while not self.spent and (
-            self._follow(self._prune, self._leaders)
-            or self._follow(self._expand, self._leaders)
-            or (self._unsatisfied and self._follow(self.add_motions, [self.best]))
-            or self._follow(self._regroup, [self.best])
-            or self._follow(self._expand, self._near)
-            or self._follow(self._regroup, self._near)
-            or self._follow(self._exchange, self._near)
-            or self._follow(self.add_motions, [self.best])
-        ):
+        while self.fitter.work < MOST_WORK and any(self._follow(step, models) for _, step, models in self._steps()):
             pass
+        if self.fitter.work >= MOST_WORK:
+            left = [words for words, step, models in self._steps() if not all(self._had(step, each) for each in models)]
+            self.untried = list(dict.fromkeys(left))
+
+    def _had(self, step: Callable[[ModelClass], None], model: ModelClass) -> bool:
+        return (step.__name__, model.effects) in self._done
 
     def _follow(self, step: Callable[[ModelClass], None], models: Sequence[ModelClass]) -> bool:
         """Apply a step to the first of these sets that has not had it; return whether there was such a set."""
         for model in models:
-            if (step.__name__, model.effects) not in self._done:
+            if not self._had(step, model):
                 self._done.add((step.__name__, model.effects))
                 step(model)
                 return True
@@ -162,7 +169,6 @@ class Search:
         may have a ridge with several optima, and all of them count.
         """
         base = self.base.estimate
-        assert base is not None, "the shear model was fitted"
         if model is self.base and not model.improbable:
             return
         if ("motions", self.base.effects) not in self._done:
@@ -176,8 +182,7 @@ class Search:
 
     def visit(self, sets: Iterable[Set]) -> None:
         """Fit sets that are named from outside, started at the shear model."""
-        new = [each for each in sets if each not in self.visited]
-        if new and self.base.estimate is not None:
+        if new := [each for each in sets if not self._tried(each)]:
             self._visit(self.base.estimate, self.linearised(self.base), new)
 
     def visit_from(self, starts: Sequence[tuple[Set, Floats]]) -> bool:
@@ -188,11 +193,9 @@ class Search:
         starts : sequence of (frozenset of LocatedEffect, ndarray of shape (2N,))
             Sets, each with the floor masses and story stiffnesses of the start. Effects start at null.
         """
-        base = self.base.estimate
-        assert base is not None, "the shear model was fitted"
         proposals = []
         for effects, frame in starts:
-            plain = self._proposal(base, effects)
+            plain = self._proposal(self.base.estimate, effects)
             start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
             proposals.append(dataclasses.replace(plain, starts=(start,)))
         return self._record(self.fitter.models(_best_starts(proposals)))
@@ -203,14 +206,13 @@ class Search:
         Far from the frame of the linearisation, the linearised model does not locate a change.
         """
         best = self.best
-        assert best.estimate is not None, "a best set has a fit"
         sets = [
             (best.effects - {placed}) | {other}
             for placed in best.effects
             for other in self.candidates(best)
             if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
         ]
-        proposals = [self._proposal(best.estimate, effects) for effects in sets if effects not in self.visited]
+        proposals = [self._proposal(best.estimate, effects) for effects in sets if not self._tried(effects)]
         self._record(self.fitter.models(proposals))
         return self.best is not best
 
@@ -229,13 +231,13 @@ class Search:
         moves = {(one - other, other - one): None for one in tied for other in tied}
         proposals: dict[Set, FitProposal] = {}
         for model in self.beam:
-            if model.effects not in tied or model.estimate is None:
+            if model.effects not in tied:
                 continue
             for gone, new in moves:
                 effects = (model.effects - gone) | new
                 if max(len(gone), len(new)) > 1 or not gone <= model.effects or new & model.effects:
                     continue
-                if effects not in self.visited and effects not in proposals:
+                if not self._tried(effects) and effects not in proposals:
                     proposals[effects] = self._proposal(model.estimate, effects)
         self._record(self.fitter.models(list(proposals.values())))
 
@@ -247,24 +249,19 @@ class Search:
             found = self.linearised(model)
             for placed in model.effects:
                 rest = model.effects - {placed}
-                new = [rest | {twin} for twin in found.twins(placed) if rest | {twin} not in self.visited]
-                if not new:
-                    continue
-                self._fit_without(model, [rest])
-                base = self.visited[rest]
-                if base.estimate is not None:
+                new = [rest | {twin} for twin in found.twins(placed) if not self._tried(rest | {twin})]
+                for base in self._without(model, [rest]) if new else []:
                     self._visit(base.estimate, self.linearised(base), new, FULL)
 
     def linearised(self, model: ModelClass) -> Linearised:
         """Linearise the model at the fit of a set, with all effects that the set lacks; the latest result is kept."""
-        assert model.estimate is not None, "only sets with a fit are linearised"
         if self._last is None or self._last.base is not model.estimate:
             self._last = Linearised(model.estimate, self.candidates(model), self.fitter.expectation)
+            self.fitter.count(self._last.parameters)
         return self._last
 
     def twins(self, model: ModelClass, placed: LocatedEffect) -> list[LocatedEffect]:
         """List the twins of an effect in a set whose fit with the twin is equally good."""
-        assert model.estimate is not None
         found = []
         for twin in self.linearised(model).twins(placed):
             other = self.visited.get((model.effects - {placed}) | {twin})
@@ -278,17 +275,12 @@ class Search:
 
     def fit_of(self, effects: Set) -> Estimate:
         """Return the fit of a set; fit the set first if it was not visited."""
-        model = self.visited.get(effects)
-        if model is not None and model.estimate is not None:
-            return model.estimate
-        near = [each.estimate for each in (self.best, self.base) if each.estimate is not None]
-        found = self.fitter.models([self._proposal(estimate, effects) for estimate in near], FULL)
-        self._record(found)
-        model = self.visited[effects]
-        if model.estimate is None:
-            assert model.failure is not None
-            raise model.failure
-        return model.estimate
+        if effects not in self.visited:
+            near = [self._proposal(each.estimate, effects) for each in (self.best, self.base)]
+            self._record(self.fitter.models(near, FULL))
+        if effects not in self.visited:
+            raise self.fitter.failures[effects]
+        return self.visited[effects].estimate
 
     def candidates(self, model: ModelClass) -> list[LocatedEffect]:
         """List the effects that a set lacks and that the linearised model at its fit can judge."""
@@ -312,15 +304,15 @@ class Search:
             Distance in log probability that the further effects must close. Default: the distance from the best set;
             none for the shear model, so that rivals of an effect tried first are found.
         """
-        if model.estimate is None or not self.candidates(model):
+        if not self.candidates(model):
             return
         linear = self.linearised(model)
         if behind is None:
             behind = 0.0 if model is self.base else self.best.score - model.score
         further = promising(model, linear, self.fitter, behind, barred)
-        new = [each for each in further if each not in self.visited and not self._hopeless(each)]
+        new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
-        named = [each for each in named_entries(model, self.fitter) if self.fitter.set_of(each) not in self.visited]
+        named = [each for each in named_entries(model, self.fitter) if not self._tried(self.fitter.set_of(each))]
         self._record(self.fitter.models(named))
 
     def _hopeless(self, effects: Set) -> bool:
@@ -369,38 +361,38 @@ class Search:
         neither cause gains anything.
         """
         for group in groups(model.effects, open_too=self._unsatisfied):
-            rest = model.effects - group
-            self._fit_without(model, [rest])
-            self._expand(self.visited[rest], group, behind=0.0)
+            for rest in self._without(model, [model.effects - group]):
+                self._expand(rest, group, behind=0.0)
 
     def _prune(self, model: ModelClass) -> None:
         """Visit sets with fewer effects, the weakest removed first: an effect added early may be superfluous."""
         at = model
-        while at.effects and at.estimate is not None:
+        while at.effects:
             self._done.add(("_prune", at.effects))
             strength = {placed: _strength(at.estimate, placed) for placed in at.effects}
             weakest = min(strength, key=lambda placed: (strength[placed], placed.label))
-            fewer = at.effects - {weakest}
-            self._fit_without(at, [fewer])
-            if self.visited[fewer].score <= at.score:
+            fewer = self._without(at, [at.effects - {weakest}])
+            if not fewer or fewer[0].score <= at.score:
                 break
-            at = self.visited[fewer]
+            at = fewer[0]
 
     def _exchange(self, model: ModelClass) -> None:
         """Visit the sets with one effect less, and expand them: the added effect replaces the removed one."""
-        assert model.estimate is not None
         fewer = [model.effects - {placed} for placed in model.estimate.effects if placed in model.effects]
-        self._fit_without(model, fewer)
-        for each in fewer:
-            self._follow(self._expand, [self.visited[each]])
+        for each in self._without(model, fewer):
+            self._follow(self._expand, [each])
 
-    def _fit_without(self, model: ModelClass, sets: Sequence[Set]) -> None:
-        """Fit subsets of a fitted set that were not visited, started at its fit."""
-        assert model.estimate is not None
+    def _without(self, model: ModelClass, sets: Sequence[Set]) -> list[ModelClass]:
+        """Return the fits of subsets of a set, started at its fit if they were not visited."""
         assumed = set(self.fitter.assumed)
-        new = [each for each in sets if each not in self.visited]
+        new = [each for each in sets if not self._tried(each)]
         effects_of = [[placed for placed in model.estimate.effects if placed in each | assumed] for each in new]
         self._record(self.fitter.models([self.fitter.proposal(model.estimate, effects) for effects in effects_of]))
+        return [self.visited[each] for each in sets if each in self.visited]
+
+    def _tried(self, effects: Set) -> bool:
+        """Whether a set was fitted, or could not be."""
+        return effects in self.visited or effects in self.fitter.failures
 
 
 def _strength(estimate: Estimate, placed: LocatedEffect) -> float:
@@ -414,8 +406,6 @@ def _strength(estimate: Estimate, placed: LocatedEffect) -> float:
 
 def fits_alike(a: ModelClass, b: ModelClass) -> bool:
     """Whether two sets fit the same data equally well."""
-    if a.estimate is None or b.estimate is None:
-        return False
     return abs(a.estimate.chi2 - b.estimate.chi2) <= TWINS_DIFFER * max(1.0, b.estimate.chi2)
 
 
@@ -441,7 +431,6 @@ def promising(
     order = [i for i in ranking.order(gains)[:MOST_FURTHER] if np.isfinite(gains[i])]
     floor = max(float(np.max(gains)), 0.0, behind) - WITHIN
     # Far from the data the model is not linear: the order of the gains is still useful, their sizes are not.
-    assert model.estimate is not None
     far_off = model.estimate.fit.at.objective > HOPELESS * len(model.estimate.fit.at.r)
     single = [linear.candidates[i] for i in order if far_off or gains[i] > floor]
     if model.improbable:
@@ -458,7 +447,6 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
     Derivatives at null hardly show several simultaneous large changes; the fitted class provides their sizes.
     """
     estimate, experiment = model.estimate, fitter.experiment
-    assert estimate is not None, "only sets with a fit are expanded"
     known = {(item.placed.effect.name, item.placed.place): item.placed for item in fitter.hypotheses}
     proposals = []
     for placed in model.effects:
@@ -491,7 +479,6 @@ def with_companions(fitter: Fitter, best: ModelClass) -> list[tuple[FitProposal,
     from the fit without it. Another effect at the same place, such as a lighter floor, may have imitated the missing
     one, so the pair is also tried without the other effects of this place.
     """
-    assert best.estimate is not None, "a best set has a fit"
     looked_for = [item.placed for item in fitter.hypotheses]
     pairs = [
         (companion, motion)

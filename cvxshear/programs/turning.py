@@ -158,7 +158,7 @@ class TurningTest:
 
     @cached_property
     def radius(self) -> Floats:
-        """Radius of gyration of each floor, shape (N,), m: of its plan, or without a plan of the places of the sensors."""
+        """Radius of gyration of each floor, shape (N,), m: of its plan, else of the places of the sensors."""
         plan = self.experiment.frame.plan
         if plan is not None:
             return np.broadcast_to(np.sqrt(np.sum(plan**2, axis=-1) / 12.0), (self.stories,))

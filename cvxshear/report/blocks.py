@@ -288,11 +288,10 @@ class Document:
 HOMES = {
     kind: home
     for home, kinds in {
-        "identified": "Experiment Identification",
+        "identified": "Experiment Identification ModalResult Screening",
         "closed_loop": "LoopResult",
-        "from_records": "ModalResult Screening",
         "responses": "IdentifiedDamping RecordPrediction Reconstruction",
-        "studied": "Plan Reproduction NoiseStudy Comparison",
+        "studied": "History Plan Reproduction NoiseStudy Comparison",
     }.items()
     for kind in kinds.split()
 }

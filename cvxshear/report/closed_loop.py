@@ -25,6 +25,7 @@ def _closure(result: LoopResult) -> blocks.Document:
         limits_section(result),
         states_section(result, units),
         frame_section(result, units),
+        *([identified.other_frames_section(result, units)] if result.other_frames else []),
         effects_section(result),
         *headline.numbering_sections(result),
         sets_section(result),

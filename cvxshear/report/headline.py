@@ -178,6 +178,7 @@ def _effects(result: LoopResult) -> str:
     """
     said = [
         item.size if verdict_of(result).provisional
+        else f"{item.story.change} ({chance(item.story.probability)} probable)" if item.story
         else f"{item.size[:-1]}; {chance(item.probability)} probable)" if item.size.endswith(")")
         else f"{item.size} ({chance(item.probability)} probable)"
         for item in result.effects
@@ -201,10 +202,12 @@ def _piled(result: LoopResult) -> bool:
 
 def _rivals(item: AddedEffect, *, several: bool) -> str:
     """Name the rivals of an effect: first the indistinguishable ones, then the less probable ones."""
-    twins = [rival.placed.label for rival in item.rivals if rival.twin]
-    others = [f"{rival.placed.label} ({chance(rival.probability)})" for rival in item.rivals if not rival.twin]
+    parts = item.story.parts if item.story else {}
+    rivals = [rival for rival in item.rivals if rival.placed not in parts]
+    twins = [rival.placed.label for rival in rivals if rival.twin]
+    others = [f"{rival.placed.label} ({chance(rival.probability)})" for rival in rivals if not rival.twin]
     mine = item.placed.label if several else "it"
-    said = []
+    said = [f"whether {listed(list(parts.values()), 'or')}, these data do not tell"] if parts else []
     if twins:
         said.append(f"these data cannot distinguish {mine} from {listed(twins, 'or')}")
     if others:

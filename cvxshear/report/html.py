@@ -15,7 +15,6 @@ from cvxshear.loop import LoopResult
 from cvxshear.records import ModalResult
 from cvxshear.report.blocks import describe
 from cvxshear.report.headline import headline, verdict_of
-from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.util.errors import printable
 from cvxshear.util.quantities import capital
 from cvxshear.util.results import as_json
@@ -135,15 +134,20 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
     )
 
 
-def render_response(result: RecordPrediction | Reconstruction, command: str) -> str:
-    """Write the report of a prediction or of a reconstruction as HTML."""
+HEADINGS = {
+    "RecordPrediction": "Predicted response",
+    "Reconstruction": "Reconstructed response",
+    "History": "History of a frame",
+}
+"""Headings of the pages by the type of their result."""
+
+
+def render_described(result: object, command: str) -> str:
+    """Write the page of a prediction, a reconstruction or a history as HTML: its description and its figures."""
+    heading = HEADINGS[type(result).__name__]
+    found = as_json(result)
     return page(
-        "prediction_report.html",
-        result.to_dict(),
-        heading=f"{'Reconstructed' if isinstance(result, Reconstruction) else 'Predicted'} response",
-        prediction=describe(result),
-        figure=drawings(result),
-        command=command,
+        "described.html", found, heading=heading, described=describe(result), figure=drawings(result), command=command
     )
 
 

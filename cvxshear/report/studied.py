@@ -1,4 +1,4 @@
-"""Describe a planned test, the recomputed figures of the paper, the noise study, and the comparison of backends."""
+"""Describe histories, planned tests, the recomputed figures of the paper, the noise study, and compared backends."""
 
 import math
 from collections.abc import Iterator
@@ -15,8 +15,75 @@ from cvxshear.paper.setups import Setup
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.planner import ExpectedAccuracy, Plan
 from cvxshear.report import blocks
+from cvxshear.report.identified import units_for
+from cvxshear.screening import History
 from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
+
+
+@blocks.describe.register
+def _history(result: History) -> blocks.Document:
+    skipped = (blocks.Sentence(f"skipped: {each}", "warning") for each in result.skipped)
+    sections = (
+        blocks.section("changes", "Changes that are more than scatter", *_changes(result), *skipped),
+        blocks.section("tests", "The tests", *history_data(result).folded(blocks.PAGE_COLUMNS)),
+    )
+    title = result.loop.experiment.name
+    return blocks.Document(title, f"{title}, {_history_headline(result)}", sections, (history_data(result),))
+
+
+def _history_headline(result: History) -> str:
+    """State the changes with their probabilities."""
+    tests = quantities.counted(len(result.fitted), "test")
+    said = [f"{each.text} ({quantities.chance(each.probability)} probable)" for each in result.changes]
+    return f"{tests}: {'; '.join(said) or 'no change is more than scatter'}"
+
+
+def _changes(result: History) -> Iterator[blocks.Block | str]:
+    """Tabulate the changes with their rivals, and state the noise that they stand out from."""
+    if result.loop.provisional:
+        yield blocks.Sentence("A significant residual is left, so that every change is provisional.", "warning")
+    if result.changes:
+        cells = {
+            "change": [each.text for each in result.changes],
+            "probability": [quantities.chance(each.probability) for each in result.changes],
+            "or from": [", ".join(each.other_tests) for each in result.changes],
+            "or in its place": [", ".join(each.rivals) for each in result.changes],
+        }
+        told = {head: texts for head, texts in cells.items() if any(texts)}
+        yield blocks.table("changes-table", "", told, words=(0, 2, 3))
+    yield f"It rests on {result.loop.rests_on[0]}; masses are the same in all tests."
+
+
+def history_data(result: History) -> blocks.Table:
+    """Tabulate date, temperature, amplitude, frequencies, damping and stiffnesses of every test."""
+    tests = result.loop.experiment.configurations
+    names = tuple(each.name for each in tests)
+    columns = [blocks.Column("test", names, words=True, name="test", values=names)]
+    for key, unit in (("date", ""), ("temperature", "°C"), ("amplitude", "")):
+        values = tuple(getattr(each, key) for each in tests)
+        if None not in values:
+            texts = values if key == "date" else tuple(map(quantities.significant, values))
+            head = f"{key}, {unit}" if unit else key
+            columns.append(blocks.Column(head, texts, name=key, values=values, unit=unit))
+    for key, name, head, unit, scale in (
+        ("frequencies", "frequency", "mode {}, Hz", "Hz", 1.0),
+        ("damping_ratios", "damping_ratio", "damping {}, %", "", 100.0),
+    ):
+        for mode, found in result.by_mode(key).items():
+            values = tuple(found.tolist())
+            texts = tuple(quantities.significants([scale * value for value in values], 4))
+            columns.append(blocks.Column(head.format(mode), texts))
+            columns.append(blocks.exact(f"{name}_{mode}", values, unit=unit))
+    factor, unit = units_for(result.loop.experiment).of_stiffness(result.story_stiffness.ravel().tolist())
+    for story, both in enumerate(zip(result.story_stiffness.T, result.story_stiffness_std.T, strict=True), 1):
+        values, stds = (tuple(each.tolist()) for each in both)
+        texts = tuple(quantities.with_std(*pair, factor=factor) for pair in zip(values, stds, strict=True))
+        columns.append(
+            blocks.Column(f"story {story}, {unit}", texts, name=f"story_stiffness_{story}", values=values, std=stds,
+                          unit="N/m")
+        )  # fmt: skip
+    return blocks.Table("history", "Measured modes, and the stiffnesses of each test alone", tuple(columns), brief=True)
 
 
 @blocks.describe.register

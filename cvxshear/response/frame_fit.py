@@ -22,6 +22,7 @@ from cvxshear.response import frame_prior
 from cvxshear.response.damping import DampedModel
 from cvxshear.response.innovations import Directions, PredictionErrors
 from cvxshear.response.sources import covariance_root
+from cvxshear.response.varied_frame import DIFFERENCE
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
@@ -38,8 +39,7 @@ FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, mos
 """Accuracy of the last and of the first fit; four to eight steps are usual."""
 
 MOST_REFITS = 4
-"""Maximum number of selections of the changes, and of fits that fill in gaps and spikes for the next one. An error of a
-gap decreases by its share of the information: to a tenth if a tenth of the strong motion is missing."""
+"""Maximum number of selections of the changes, each with a fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +184,8 @@ class FittedFrame:
         centre, change = described(self.p), np.zeros(len(self.p))
         variance = np.zeros_like(centre)
         for column in covariance_root(self.covariance[frame, frame]).T:
-            change[frame] = frame_prior.DIFFERENCE * column
-            variance += ((described(self.p + change) - centre) / frame_prior.DIFFERENCE) ** 2
+            change[frame] = DIFFERENCE * column
+            variance += ((described(self.p + change) - centre) / DIFFERENCE) ** 2
         frequencies, ratios = np.sqrt(variance)
         return frequencies, ratios
 
@@ -317,31 +317,17 @@ def informative(
     return short.informed(p, root, least * np.sqrt(short.samples / errors.samples))
 
 
-def refitted(frame: FittedFrame, errors: PredictionErrors, gone: int, backend: Backend, *, free: bool) -> FittedFrame:
-    """Fit the frame again without one sensor, with the same possible answers.
+def refitted(frame: FittedFrame, errors: PredictionErrors, backend: Backend, *, free: bool) -> FittedFrame:
+    """Fit the frame again to other innovations, without a sensor, with the same possible answers.
 
     One Gauss-Newton step is enough: the fit starts from the result with all sensors, and mainly needs the new
-    covariance.
-
-    Parameters
-    ----------
-    gone : int
-        Index of the unknown of the sensor's noise.
-    free : bool
-        Whether the frame is fitted; otherwise it stays unchanged.
+    covariance. A frame that is not free stays unchanged.
     """
-    changes = [dataclasses.replace(each, columns=np.delete(each.columns, gone, axis=0)) for each in frame.prior.changes]
-    prior = dataclasses.replace(frame.prior, others=frame.prior.others - 1, changes=tuple(changes))
-    start = np.delete(frame.p, gone)
     if not free:
-        covariance = np.delete(np.delete(frame.covariance, gone, axis=0), gone, axis=1)
-        return FittedFrame(errors, prior, start, covariance, frame.answers, 1.0, True, frame.along, frame.log_evidence)
-    along = frame.along.without(gone)
-    best = frame.answers[0]
-    at, converged = _Posterior(errors, along, prior.gaussian(*best.prior)).maximum(
-        start, backend, dataclasses.replace(FITTED, most_steps=1)
-    )
-    return _mixed(errors, prior, at, frame.answers, converged)
+        return dataclasses.replace(frame, errors=errors)
+    posterior = _Posterior(errors, frame.along, frame.prior.gaussian(*frame.answers[0].prior))
+    at, converged = posterior.maximum(frame.p, backend, dataclasses.replace(FITTED, most_steps=1))
+    return _mixed(errors, frame.prior, at, frame.answers, converged)
 
 
 def _mixed(

@@ -1,4 +1,4 @@
-"""Motion of a frame in a record, with standard deviations, and its check by sensors that are left out.
+"""Motion of a frame in a record by a smoother, its standard deviations, and its check by sensors that are left out.
 
 A standard deviation has two parts: the smoother's own for a given frame, and the effect of the frame's uncertainty,
 along the directions that change the motion most.
@@ -10,26 +10,202 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from cvxshear.response import frame_fit, state_space
 from cvxshear.response.compare import predicted_responses
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import DIFFERENCE, FramePrior, VariedFrame
-from cvxshear.response.innovations import FIRST_NOISE, PredictionErrors, Segment
+from cvxshear.response.frame_prior import FramePrior
+from cvxshear.response.innovations import FIRST_NOISE, Filter, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, rms
 from cvxshear.response.sources import covariance_root
+from cvxshear.response.state_space import BLOCK, Dynamics
 from cvxshear.response.uncertain import UncertainFrame, with_modes
+from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats
 
-SAME_FIT = 0.1
-"""Largest change of an unknown, in its standard deviations, at convergence of the fits that fill in gaps and spikes."""
+SPIKE = 5.0
+"""Minimum residual of a spike, in standard deviations; Gaussian noise has one in two million samples."""
+
+MOST_REWEIGHTINGS = 12
+"""Maximum number of rounds of reweighting; each needs one sweep."""
+
+SAME_WEIGHT = 0.02
+"""Maximum change of a weight at convergence: a fiftieth of the sample's influence."""
+
+NEAR_LIMIT = 0.05
+"""Relative difference of variances from their limits, a `BLOCK` or more after a change of the weights, at which the
+limits replace them. The replacement saves time and memory."""
 
 MOST_DIRECTIONS = 8
 """Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """One run's excitation and measured accelerations.
+
+    Parameters
+    ----------
+    excitation : ndarray, shape (samples, 2)
+        As in `Dynamics`.
+    measured : ndarray, shape (samples, m)
+        m/s2; nan for missing samples.
+    start_scale : float
+        Factor on the standard deviation of the state at the start.
+    """
+
+    excitation: Floats
+    measured: Floats
+    start_scale: float = 1.0
+
+    @property
+    def present(self) -> Bools:
+        """Mask of the measured samples, shape (samples, m)."""
+        return np.isfinite(self.measured)
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """The states of a run and their uncertainty.
+
+    Parameters
+    ----------
+    states : ndarray, shape (samples, n)
+    weights : ndarray, shape (samples, m)
+        Weights of the samples: 1, less for a spike, 0 if missing.
+    output_std : ndarray, shape (samples, outputs)
+        Standard deviations of the requested outputs, given the frame.
+    completed : ndarray, shape (samples, m)
+        The measured accelerations, spikes cut to Huber's limit and missing samples estimated. An ordinary
+        smoother finds the same motion from them.
+    """
+
+    states: Floats
+    weights: Floats
+    output_std: Floats
+    completed: Floats
+
+
+Stretch = tuple[int, int, Filter]
+"""First sample of a segment, the sample after its end, and its filter."""
+
+
+def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
+    """Find the most probable motion, and standard deviations of rows times the states.
+
+    Over the states x_0, x_1, ... of `Dynamics`, the motion minimizes
+
+        |P0^(-1/2) x_0|^2 + sum |Q^(-1/2) (x_(t+1) - A x_t - B p_t)|^2 + sum w_tj (y_tj - H_j x_t - D_j p_t)^2 / R_j.
+
+    The normal matrix is block tridiagonal. It is eliminated forward (the Kalman filter) and back (the smoother of
+    Bryson and Frazier 1963, which needs no inverse of a covariance). A missing sample has the weight zero. Iterative
+    reweighting minimizes Huber's loss, which grows linearly beyond `SPIKE` standard deviations and limits the influence
+    of spikes.
+    """
+    weights = run.present.astype(np.float64)
+    shown, measured = model.shown(run.excitation), np.nan_to_num(run.measured)
+    for _ in range(MOST_REWEIGHTINGS):
+        stretches = _stretches(model, run, weights)
+        states = _swept(stretches, run.excitation, measured, np.zeros(len(model.A)))
+        fitted = states @ model.H.T + shown
+        size = np.abs(measured - fitted) / np.sqrt(model.R)
+        found = np.where(run.present, np.minimum(1.0, SPIKE / np.maximum(size, SPIKE)), 0.0)
+        if np.max(np.abs(found - weights), initial=0.0) <= SAME_WEIGHT:
+            break
+        weights = found
+    completed = fitted + weights * (measured - fitted)
+    std = _deviations(rows, stretches, len(states))
+    return Smoothed(states, weights, std, completed)
+
+
+def _stretches(model: Dynamics, run: Observed, weights: Floats) -> list[Stretch]:
+    """Split a run into segments with one filter: a filter that settles has one sample per segment."""
+    edges = [0, *(np.flatnonzero(np.any(np.diff(weights, axis=0), axis=1)) + 1).tolist(), len(weights)]
+    P, found = run.start_scale**2 * model.P0, []
+    for first, last in pairwise(edges):
+        own = model.weighted(weights[first])
+        limit = Filter.settled(own) if last - first > BLOCK else None
+        t = first
+        while t < last:
+            settled = limit if limit and t - first >= BLOCK and _near(P, limit.P) else None
+            here, until = (Filter.at(own, P), t + 1) if settled is None else (settled, last)
+            found.append((t, until, here))
+            t, P = until, here.following
+    return found
+
+
+def _near(covariance: Floats, limit: Floats) -> bool:
+    """Return whether all variances are close to their limits."""
+    variances, limits = covariance.diagonal(), limit.diagonal()
+    return bool(np.all(np.abs(variances - limits) <= NEAR_LIMIT * limits))
+
+
+def _swept(stretches: Sequence[Stretch], excitation: Floats, y: Floats, start: Floats) -> Floats:
+    """Compute the smoothed states: one sweep forward, one back."""
+    states, e = np.empty((len(y), len(start))), np.empty_like(y)
+    for first, last, here in stretches:
+        # The filter predicts the first sample of the next segment, too.
+        reached = slice(first, last + 1)
+        own = np.where(here.model.H.any(axis=1), y[reached], here.model.shown(excitation[reached]))
+        predicted, left = here.predicted(excitation[reached], own, start)
+        if last == len(y):
+            predicted, left = np.vstack([predicted, start]), np.vstack([left, left[-1]])
+        states[first:last], start = predicted[: last - first], predicted[last - first]
+        e[first:last] = left[: last - first]
+    # The backward sweep adds the information of later samples: r_(t-1) = H' S^-1 e_t + F' r_t.
+    r = np.zeros(len(start))
+    for first, last, here in reversed(stretches):
+        ahead = np.concatenate([e[first:last][::-1], np.zeros((1, e.shape[1]))])
+        pulls = state_space.recursion(here.F.T, here.pull, ahead, r)[:0:-1]
+        states[first:last] += pulls @ here.P
+        r = pulls[0]
+    return states
+
+
+def _deviations(rows: Floats, stretches: Sequence[Stretch], samples: int) -> Floats:
+    """Compute standard deviations of smoothed outputs: P - P N P with N = H' S^-1 H + F' N F, backward."""
+    N: Floats = np.zeros_like(stretches[0][2].P)
+    result = np.empty((samples, len(rows)))
+    for first, last, here in reversed(stretches if len(rows) else ()):
+        F, own, spread = here.F, here.model.H.T @ here.pull, rows @ here.P
+        plain = np.sum(spread * rows, axis=1)
+        limit = state_space.doubled(F.T, own) if last - first > BLOCK else None
+        for t in range(last - 1, first - 1, -1):
+            N = own + F.T @ N @ F
+            N = 0.5 * (N + N.T)
+            settled = limit is not None and last - t > BLOCK and _near(N, limit)
+            N = limit if limit is not None and settled else N
+            variance = plain - np.sum((spread @ N) * spread, axis=1)
+            result[first if settled else t : t + 1] = np.sqrt(np.maximum(variance, 0.0))
+            if settled:
+                break
+    return result
+
+
+Piece = tuple[slice, Bools]
+"""A part of a run, and the mask of the m sensors that recorded in it, shape (m,)."""
+
+
+def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats, pieces: Sequence[Piece]) -> Floats:
+    """Compute smoothed states with filters that are settled from the beginning of each piece, shape (samples, n).
+
+    Parameters
+    ----------
+    excitation : ndarray, shape (samples, 2)
+    y : ndarray, shape (samples, m)
+        Accelerations without missing samples.
+    start : ndarray, shape (n,)
+    pieces : sequence of Piece
+        Consecutive pieces from the first to the last sample.
+    """
+    filters = {each.tobytes(): Filter.settled(model.weighted(each.astype(np.float64))) for _, each in pieces}
+    stretches = [(part.start, part.stop, filters[each.tobytes()]) for part, each in pieces]
+    return _swept(stretches, excitation, y, start)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,19 +282,11 @@ class FrameMotion:
         noise = state_space.Noise(FIRST_NOISE * recording.rms(), FIRST_NOISE, FIRST_NOISE * driven)
         return FrameMotion(frame, varied, recording, setting, noise, free)
 
-    def without(self, channel: int, parts: list[slice]) -> FrameMotion:
-        """Leave out one channel, and keep a part of each run."""
-        return dataclasses.replace(
-            self,
-            recording=self.recording.without(channel).cut(parts),
-            setting=self.setting.without(channel),
-            noise=dataclasses.replace(self.noise, sensors=np.delete(self.noise.sensors, channel)),
-        )
+    def fitted(self) -> tuple[frame_fit.FittedFrame, list[Smoothed]]:
+        """Fit the frame and find its motion; first the identified frame, then the fitted one fills in short gaps.
 
-    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, frame_fit.FittedFrame, list[state_space.Smoothed]]:
-        """Fit the frame and find its motion; with `detrend`, remove straight lines from the residuals of the record.
-
-        First the identified frame, then the fitted one fills in gaps and spikes.
+        Spikes are filled in as well. One more fit is enough: an error of a gap decreases by its share of the
+        information, and longer gaps are not filled in.
         """
         errors = self.errors()
         prior = FramePrior.around(self.frame, self.varied, errors.size - errors.frame.stop)
@@ -126,27 +294,14 @@ class FrameMotion:
         if any(np.isnan(run.measured).any() for run in self.recording.runs):
             errors = self.errors(self.smoothed(errors, p))
         fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, free=self.free)
-        work, smoothed = self, self.smoothed(errors, fitted.p)
-        if detrend:
-            model = errors.dynamics(fitted.p)
-            shown = [
-                found.states @ model.H.T + model.shown(run.drive)
-                for run, found in zip(self.recording.runs, smoothed, strict=True)
-            ]
-            work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
-            smoothed = work.smoothed(errors, fitted.p)
-        for _ in range(frame_fit.MOST_REFITS):
-            if all(bool(np.all(each.weights == 1.0)) for each in smoothed):
-                break
-            errors = work.errors(smoothed)
-            before, fitted = fitted, frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
-            smoothed = work.smoothed(errors, fitted.p)
-            std = np.sqrt(np.maximum(np.diag(fitted.covariance), 1e-300))
-            if np.max(np.abs(fitted.p - before.p) / std) <= SAME_FIT:
-                break
-        return work, fitted, smoothed
+        smoothed = self.smoothed(errors, fitted.p)
+        if any(bool(np.any(each.weights < 1.0)) for each in smoothed):
+            errors = self.errors(smoothed)
+            fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
+            smoothed = self.smoothed(errors, fitted.p)
+        return fitted, smoothed
 
-    def errors(self, smoothed: list[state_space.Smoothed] | None = None) -> PredictionErrors:
+    def errors(self, smoothed: list[Smoothed] | None = None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run; the smoother fills in spikes and short gaps."""
         stretches = []
         for place, run in enumerate(self.recording.runs):
@@ -155,11 +310,11 @@ class FrameMotion:
             stretches += [Segment(run.drive[part], y[part], channels) for part, channels in parts]
         return PredictionErrors(self.varied, self.setting, stretches, self.noise).shortened(frame_fit.FITTED_SAMPLES)
 
-    def pieces(self, run: RecordedRun) -> list[state_space.Piece]:
+    def pieces(self, run: RecordedRun) -> list[Piece]:
         """Split a run at the ends of gaps of a sensor that last a period of the frame or longer."""
         return run.pieces(self.varied.first_samples(self.recording.step))
 
-    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[state_space.Smoothed]:
+    def smoothed(self, errors: PredictionErrors, p: Floats, rows: Floats | None = None) -> list[Smoothed]:
         """Find the motion of each run; rows on the state, if any, define outputs with standard deviations."""
         model = errors.dynamics(p)
         asked = np.zeros((0, self.setting.states)) if rows is None else rows
@@ -169,7 +324,7 @@ class FrameMotion:
             begins = run.measured[: self.varied.first_samples(self.recording.step)]
             moved = rms(begins if np.isfinite(begins).any() else run.measured)
             scale = max(1.0, moved / rms(stationary))
-            found.append(state_space.smooth(model, state_space.Observed(run.drive, run.measured, scale), asked))
+            found.append(smooth(model, Observed(run.drive, run.measured, scale), asked))
         return found
 
     def runs(self, fitted: frame_fit.FittedFrame, wider: float) -> list[ReconstructedRun]:
@@ -202,11 +357,11 @@ class FrameMotion:
             result.append(ReconstructedRun(run.name, motion, stds, run.measured, run.excitation))
         return result
 
-    def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: state_space.Smoothed) -> Floats:
+    def moved_by(self, sides: Sides, noise: state_space.Noise, run: RecordedRun, found: Smoothed) -> Floats:
         """Compute half the difference of all outputs between two frames, per standard deviation, (samples, outputs)."""
         systems = [state_space.dynamics(model, noise, self.setting) for model in sides[:2]]
         of_run = run.drive, found.completed, found.states[0], self.pieces(run)
-        there, back = (system.outputs.of(state_space.settled_states(system, *of_run), run.drive) for system in systems)
+        there, back = (system.outputs.of(settled_states(system, *of_run), run.drive) for system in systems)
         return 0.5 * sides[2] * (there - back)
 
     def directions(self, fitted: frame_fit.FittedFrame) -> FrameDirections:
@@ -218,7 +373,7 @@ class FrameMotion:
         part = run.strongest(frame_fit.PROBED_SAMPLES)
         system = fitted.errors.dynamics(fitted.p)
         # Starting at rest in the middle of the motion would give other directions.
-        filtered = state_space.Filter.settled(system.seen_by(run.channels))
+        filtered = Filter.settled(system.seen_by(run.channels))
         start = filtered.predicted(run.excitation, run.seen, np.zeros(setting.states))[0][part.start]
         probed = run.excitation[part], run.y[part], start, [(slice(0, part.stop - part.start), run.channels)]
 
@@ -231,7 +386,7 @@ class FrameMotion:
             return model_at(weights, size), model_at(weights, -size)
 
         def moved(system: state_space.Dynamics) -> Floats:
-            return system.outputs.of(state_space.settled_states(system, *probed), run.excitation[part])
+            return system.outputs.of(settled_states(system, *probed), run.excitation[part])
 
         centre = moved(system)
         scale = np.maximum(np.sqrt(np.mean(centre**2, axis=0)), 1e-300)
@@ -279,7 +434,7 @@ class SensorCheck:
 
 
 def checked(
-    work: FrameMotion, fitted: frame_fit.FittedFrame, smoothed: Sequence[state_space.Smoothed], channel: int,
+    work: FrameMotion, fitted: frame_fit.FittedFrame, smoothed: Sequence[Smoothed], channel: int,
     predicted: Sequence[state_space.Response],
 ) -> SensorCheck:  # fmt: skip
     """Predict one sensor from the others in the strongest part of each run, with a fit without this sensor.
@@ -293,18 +448,14 @@ def checked(
     predicted : sequence of Response
         Motion predicted from the excitation alone.
     """
-    every = np.ones(len(work.recording.floors), dtype=bool)
-    whole = [Segment(run.drive, each.completed, every) for run, each in zip(work.recording.runs, smoothed, strict=True)]
-    parts = [each.strongest(frame_fit.FITTED_SAMPLES) for each in whole]
-    other = work.without(channel, parts)
-    others = np.arange(len(every)) != channel
-    stretches = [
-        dataclasses.replace(each, y=each.y[:, others], channels=each.channels[others])
-        for each in fitted.errors.stretches if each.channels[others].any()
-    ]  # fmt: skip
-    errors = PredictionErrors(work.varied, other.setting, stretches, other.noise)
-    at = fitted.errors.frame.stop + channel
-    again = frame_fit.refitted(fitted, errors, at, work.frame.backend, free=work.free)
+    others = np.arange(len(work.recording.floors)) != channel
+    pairs = zip(work.recording.runs, smoothed, strict=True)
+    parts = [Segment(run.drive, each.completed, others).strongest(frame_fit.FITTED_SAMPLES) for run, each in pairs]
+    other = dataclasses.replace(work, recording=work.recording.only(others).cut(parts))
+    stretches = [dataclasses.replace(each, channels=each.channels & others) for each in fitted.errors.stretches]
+    stretches = [each for each in stretches if each.channels.any()]
+    errors = PredictionErrors(work.varied, work.setting, stretches, work.noise)
+    again = frame_fit.refitted(fitted, errors, work.frame.backend, free=work.free)
     directions, noise = other.directions(again), errors.noise_at(again.p)
     outputs = errors.dynamics(again.p).outputs
     place = int(work.recording.floors[channel]) - 1

@@ -1,4 +1,4 @@
-"""Innovations of a frame's filter, their likelihood and its derivatives.
+"""The filter that predicts the sensors of a frame, its innovations, their likelihood and its derivatives.
 
 The filter of a candidate frame predicts each sample of each sensor from all earlier samples. The prediction errors are
 the innovations. The right frame and noise give white innovations with the covariance of the filter (prediction-error
@@ -21,10 +21,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvxshear.response import state_space
 from cvxshear.response.damping import DampedModel
-from cvxshear.response.frame_prior import DIFFERENCE, NO_DASHPOT_STD, Gaussian, Likelihood, VariedFrame
+from cvxshear.response.frame_prior import NO_DASHPOT_STD, Gaussian, Likelihood
 from cvxshear.response.sources import covariance_root
-from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Filter, Noise, Setting, dynamics, slopes, steps_of
+from cvxshear.response.state_space import BLOCK, ROUNDING, Dynamics, Noise, Setting
+from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
 
@@ -44,6 +46,92 @@ LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
 """Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
 smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
 reconstruction allows: beyond it, the innovations show that the record is not that of a linear frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Filter:
+    """One step of the Kalman filter.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance of the predicted state.
+    S : ndarray, shape (m, m)
+        Covariance of the innovations.
+    K : ndarray, shape (n, m)
+        Gain.
+    """
+
+    model: Dynamics
+    P: Floats
+    S: Floats
+    K: Floats
+
+    @staticmethod
+    def at(model: Dynamics, P: Floats) -> Filter:
+        """Return the filter for a covariance of the predicted state."""
+        PH = P @ model.H.T
+        S: Floats = model.H @ PH + np.diag(model.R)
+        return Filter(model, P, S, np.asarray(np.linalg.solve(S, (model.A @ PH).T).T))
+
+    @staticmethod
+    def settled(model: Dynamics) -> Filter:
+        """Return the filter whose covariance no longer changes.
+
+        The doubling method for the Riccati equation (Chu, Fan, Lin and Wang 2004) needs no eigenvalues, so it also
+        works for stories without observation, for which `scipy.linalg.solve_discrete_are` fails.
+        """
+        n = len(model.A)
+        power, G, P = model.A.T, model.H.T @ (model.H / model.R[:, None]), model.Q
+        for _ in range(state_space.MOST_DOUBLINGS):
+            inner = np.linalg.inv(np.eye(n) + G @ P)
+            more = power.T @ P @ inner @ power
+            G = G + power @ inner @ G @ power.T
+            power = power @ inner @ power
+            P = P + more
+            P, G = 0.5 * (P + P.T), 0.5 * (G + G.T)
+            # Each round doubles the number of correct digits.
+            if np.all(np.diag(more) ** 2 <= state_space.ROUNDING * np.diag(P) ** 2):
+                break
+        return Filter.at(model, P)
+
+    @property
+    def F(self) -> Floats:  # noqa: N802
+        """A - K H, shape (n, n)."""
+        result: Floats = self.model.A - self.K @ self.model.H
+        return result
+
+    @property
+    def pull(self) -> Floats:
+        """S^-1 H, shape (m, n)."""
+        return np.asarray(np.linalg.solve(self.S, self.model.H))
+
+    @property
+    def following(self) -> Floats:
+        """Covariance of the next predicted state, shape (n, n)."""
+        P: Floats = self.F @ self.P @ self.model.A.T + self.model.Q
+        return 0.5 * (P + P.T)
+
+    def predicted(self, excitation: Floats, y: Floats, start: Floats) -> tuple[Floats, Floats]:
+        """Compute the states predicted from the past, shape (samples, n), and the innovations, shape (samples, m)."""
+        seen = y - self.model.shown(excitation)
+        B = np.vstack([self.K.T, self.model.before, self.model.after])
+        x = state_space.recursion(self.F, B, np.hstack([seen, state_space.steps_of(excitation)]), start)
+        return x, seen - x @ self.model.H.T
+
+    def slopes(self, rates: dict[str, Floats]) -> tuple[Floats, Floats]:
+        """Differentiate the gain, shape (r, n, m), and S, shape (r, m, m), of a settled filter.
+
+        The derivative of P solves dP = F dP F' + G. The gain counts as constant there, because it is optimal.
+        """
+        model, K, F, P = self.model, self.K, self.F, self.P
+        dA, dH, dR = rates["A"], rates["H"], rates["R"]
+        turned = (dA - K @ dH) @ P @ F.T
+        dP = state_space.doubled(F, turned + turned.swapaxes(1, 2) + (K * dR[:, None]) @ K.T + rates["Q"])
+        crossed, across = dH @ P @ model.H.T, dP @ model.H.T
+        dS = crossed + crossed.swapaxes(1, 2) + model.H @ across + dR[:, None] * np.eye(len(self.S))
+        dK = dA @ P @ model.H.T + model.A @ (across + P @ dH.swapaxes(1, 2)) - K @ dS
+        return dK @ np.linalg.inv(self.S), dS
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +181,6 @@ class Directions:
 
     columns: Floats
     rows: Floats
-
-    def without(self, gone: int) -> Directions:
-        """Return the directions without one noise level, which has a direction of its own."""
-        own = int(np.flatnonzero(self.rows[:, gone])[-1])
-        return Directions(*(
-            np.delete(np.delete(each, row, axis=0), column, axis=1)
-            for each, row, column in ((self.columns, gone, own), (self.rows, own, gone))
-        ))  # fmt: skip
 
 
 class PredictionErrors:
@@ -176,7 +256,7 @@ class PredictionErrors:
 
     def dynamics(self, p: Floats) -> Dynamics:
         """Return the state-space model at these unknowns."""
-        return dynamics(self.model(p), self.noise_at(p), self.setting)
+        return state_space.dynamics(self.model(p), self.noise_at(p), self.setting)
 
     def objective(self, p: Floats) -> float:
         """Compute -2 log likelihood, without its constant."""
@@ -223,7 +303,9 @@ class PredictionErrors:
     def _rows(self, p: Floats, columns: Floats) -> list[_Rows]:
         """Return the residuals and their derivatives along some directions."""
         sizes = DIFFERENCE / np.maximum(1.0, np.max(np.abs(columns), axis=0))
-        rates = slopes(self.dynamics(p), [self.dynamics(p + row) for row in sizes[:, None] * columns.T], sizes)
+        rates = state_space.slopes(
+            self.dynamics(p), [self.dynamics(p + row) for row in sizes[:, None] * columns.T], sizes
+        )
         parts: list[_Rows] = []
         for here, runs in self._filtered(p):
             seen = {name: each[:, runs[0][0].channels] if name in ("H", "direct", "R") else each
@@ -310,7 +392,9 @@ def _moved(here: Filter, rates: dict[str, Floats], dK: Floats, run: Segment, x: 
     """Differentiate the innovations of a segment along r directions, shape (samples, r, m)."""
     model, K, dH, direct = here.model, here.K, rates["H"], rates["direct"]
     dF = rates["A"] - dK @ model.H - K @ dH
-    signals = np.hstack([x, run.seen - model.shown(run.excitation), steps_of(run.excitation), run.excitation[:, 1:]])
+    signals = np.hstack(
+        [x, run.seen - model.shown(run.excitation), state_space.steps_of(run.excitation), run.excitation[:, 1:]]
+    )
     changes = [dF.swapaxes(1, 2), dK.swapaxes(1, 2), rates["before"][:, None], rates["after"][:, None]]
     # y - D p changes by -D' p; the gain turns this into a change of the state.
     driven = np.concatenate([*changes, -(direct @ K.T)[:, None]], axis=1)

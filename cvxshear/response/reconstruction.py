@@ -24,21 +24,19 @@ from cvxshear.response import frame_motion, sources
 from cvxshear.response.compare import as_predicted, predicted_responses, readings_of, seen
 from cvxshear.response.damping import HIGH, DampedModel
 from cvxshear.response.frame_fit import FittedFrame
+from cvxshear.response.frame_prior import GAIN_STDS
 from cvxshear.response.predicted import NO_HEIGHTS, Peaks, limits_in_json, limits_passed, peaks_of
 from cvxshear.response.recording import Recording, RecordingSource, recording_of
-from cvxshear.response.state_space import Smoothed
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.util import ranking
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import NoModesError, NoSolutionError, UnsuitableError
 from cvxshear.util.quantities import NORMAL_95, SURE, listed, percent
 from cvxshear.util.results import Shown, as_json
-from cvxshear.util.typing import Floats, Ints, Json
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 SIGN_KNOWN = float(special.ndtri(SURE))
-"""Minimum change of a reported story, in standard deviations: its sign is certain."""
-
-GAIN_OFF = 3.0, 0.005
-"""Minimum gain error that is reported, in standard deviations and relative: a good calibration has less."""
+"""Minimum size of a reported change, in standard deviations: its sign is certain."""
 
 NONLINEAR = 4.0
 """Largest inflation of the scores for a record of a linear frame with sound sensors. Linear frames have 1 to 2, a clock
@@ -134,14 +132,10 @@ class Reconstruction(Shown):
     def changed(self) -> tuple[int, ...]:
         """Stories (from 1) that changed by themselves with a probability of at least `SURE`.
 
-        The sign of the change must be known. If the modes contradict the model, the change must also exceed twice the
-        model's shape error.
+        If the modes contradict the model, the change must also exceed twice the model's shape error.
         """
-        if self.change_probability is None or not self.names_changes:
-            return ()
-        change, std = self.frame.against_others
-        large = np.abs(change) > np.maximum(2.0 * self.fitted.lacking, SIGN_KNOWN * std)
-        return tuple(int(j) + 1 for j in np.flatnonzero((self.change_probability >= SURE) & large))
+        large = np.abs(self.frame.against_others[0]) > 2.0 * self.fitted.lacking
+        return self._sure((self.frame.story_probability >= SURE) & large)
 
     @property
     def names_changes(self) -> bool:
@@ -182,15 +176,8 @@ class Reconstruction(Shown):
 
     @property
     def dampers(self) -> tuple[int, ...]:
-        """Stories (from 1) that have a damper of their own, with a probability of at least `SURE`.
-
-        The damper must also exceed `SIGN_KNOWN` standard deviations.
-        """
-        if not self.names_changes:
-            return ()
-        damper, std = self.frame.dashpots
-        there = (self.frame.dashpot_probability >= SURE) & (damper > SIGN_KNOWN * std)
-        return tuple(int(j) + 1 for j in np.flatnonzero(there))
+        """Stories (from 1) that have a damper of their own, with a probability of at least `SURE`."""
+        return self._sure(self.frame.dashpot_probability >= SURE)
 
     @property
     def masses_changed(self) -> bool:
@@ -199,20 +186,21 @@ class Reconstruction(Shown):
 
     @property
     def gains_off(self) -> tuple[tuple[str, float, float], ...]:
-        """Sensors with a wrong gain: name, relative gain error, and its standard deviation."""
+        """Sensors whose gain error surely exceeds a field calibration's: name, relative error, standard deviation."""
         names = [f"the sensor of floor {floor}" for floor in self.recording.floors]
         names.append(f"the sensor of the {sources.DRIVING[self.recording.input]}")
-        deviations, least = GAIN_OFF
-        return tuple(
-            (name, float(value), float(std))
-            for name, value, std in zip(names, *self.frame.gains, strict=True)
-            if self.names_changes and abs(value) > max(deviations * std, least)
-        )
+        values, stds = self.frame.gains
+        sure = self._sure(np.abs(values) - GAIN_STDS[1] > SIGN_KNOWN * stds)
+        return tuple((names[place - 1], float(values[place - 1]), float(stds[place - 1])) for place in sure)
+
+    def _sure(self, sure: Bools) -> tuple[int, ...]:
+        """Return the places (from 1) of a mask; none if changes are not reported."""
+        return tuple(int(place) + 1 for place in np.flatnonzero(sure)) if self.names_changes else ()
 
     @property
     def change_probability(self) -> Floats | None:
         """Probability that each story changed by itself, shape (N,); None if the frame was not fitted or determined."""
-        return self.frame.story_probability if self.frame_fitted and not self.undetermined else None
+        return self.frame.story_probability if self.names_changes else None
 
     def to_dict(self) -> Json:
         """Return the documented JSON; null for values that do not apply."""
@@ -417,13 +405,13 @@ def reconstruct(
     return dataclasses.replace(found, remarks=(*said, *remarks_of(found, recorded)))
 
 
-_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed]]
+_Fit = tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed]]
 """The setup of the motion, the frame, and its motion with only the first states."""
 
 
 def _motion(
     frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, fit: bool, detrend: bool
-) -> tuple[frame_motion.FrameMotion, FittedFrame, list[Smoothed], list[float], str]:
+) -> tuple[frame_motion.FrameMotion, FittedFrame, list[frame_motion.Smoothed], list[float], str]:
     """Find the motion under the most probable reading; return the log evidence of each, and the reason of a fallback.
 
     The motion is the fitted frame's. If the record is not that of a linear frame, or the fit does not settle, or it
@@ -471,18 +459,17 @@ def _implausible(fitted: FittedFrame) -> str:
 def _most_probable(
     frame: UncertainFrame, readings: Sequence[Recording], identified: DampedModel, *, free: bool, detrend: bool
 ) -> tuple[_Fit, list[float]]:
-    """Return the most probable fit, and the log evidence of each reading; only one fit is kept, to save memory."""
-    best: _Fit | None = None
-    evidences = []
-    for each in readings:
-        reading = each
+    """Return the most probable fit, and the log evidence of each reading."""
+
+    def fit(reading: Recording) -> _Fit:
         if detrend:
-            moved = predicted_responses(identified, each)
-            reading = each.without_lines([seen(identified, own, each.floors) for own in moved])
-        work, fitted, smoothed = frame_motion.FrameMotion.around(frame, reading, free=free).fitted(detrend=detrend)
-        evidences.append(fitted.log_evidence)
-        if best is None or fitted.log_evidence > best[1].log_evidence:
-            # The states of a long record need much memory; `runs` computes them again with their deviations.
-            best = work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
-    assert best is not None, "there is one reading at least"
-    return best, evidences
+            moved = predicted_responses(identified, reading)
+            reading = reading.without_lines([seen(identified, own, reading.floors) for own in moved])
+        work = frame_motion.FrameMotion.around(frame, reading, free=free)
+        fitted, smoothed = work.fitted()
+        # The states of a long record need much memory; `runs` computes them again with their deviations.
+        return work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
+
+    fits = [fit(each) for each in readings]
+    evidences = [fitted.log_evidence for _, fitted, _ in fits]
+    return fits[ranking.first_largest(evidences)], evidences

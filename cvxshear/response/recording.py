@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.record_file import RecordTables
+from cvxshear.io.modes import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
 from cvxshear.records import data_frames, examination, prepare, sick_channels
 from cvxshear.records.identify import identify_modes
@@ -45,11 +45,6 @@ BLOCK_PERIODS = 4.0
 BY_CHANCE = 4.0
 """Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
 deviations, doubled because a line is largest at its ends."""
-
-LEAST_DELAY = 0.25
-"""Least delay that is removed, in samples; a shorter one may be chance. The delay is estimated from the phases of
-the modes, and there may be only three. With 10 % noise on the base motion, a sound record may show a delay of 0.08
-samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,22 +118,6 @@ class Recording:
     late: Floats | None = None
     late_remarks: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if not len(self.floors):
-            raise InputError(f"{self.name}: no floor's acceleration was recorded; a reconstruction needs one at least")
-        together = np.concatenate([run.measured for run in self.runs])
-        for column, floor in enumerate(self.floors):
-            there = together[np.isfinite(together[:, column]), column]
-            if not len(there) or not np.any(there != there[0]):
-                raise InputError(f"{self.name}: the channel on floor {floor} shows no motion; leave it out")
-        for run in self.runs:
-            if not np.isfinite(run.excitation).all():
-                missing = int((~np.isfinite(run.excitation)).sum())
-                raise InputError(
-                    f"{self.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
-                    "what drives the frame may not"
-                )
-
     @property
     def force_floor(self) -> int:
         """Floor on which a measured force acts; 0 for other excitations."""
@@ -188,10 +167,9 @@ class Recording:
         """Return the recording with an excitation that is band-limited between its samples, instead of linear."""
         return self.replaced(between=(band_limited(run.excitation) for run in self.runs))
 
-    def without(self, channel: int) -> Recording:
-        """Return the recording with one channel fewer."""
-        runs = tuple(dataclasses.replace(run, measured=np.delete(run.measured, channel, axis=1)) for run in self.runs)
-        return dataclasses.replace(self, runs=runs, floors=np.delete(self.floors, channel))
+    def only(self, channels: Bools) -> Recording:
+        """Return the recording without the samples of the other channels; the mask has shape (m,)."""
+        return self.replaced(measured=(np.where(channels, run.measured, np.nan) for run in self.runs))
 
     def cut(self, parts: Sequence[slice]) -> Recording:
         """Return the recording with one part of each run; `parts` has one slice per run."""
@@ -276,9 +254,25 @@ def _recording(
     floors, right, firsts = sensors.by_floor()
     late = None if sensors.late is None else sensors.late[firsts]
     late_remarks = tuple(sensors.late_remarks[first] for first in firsts) if sensors.late_remarks else ()
-    return Recording(
+    return _refuse_silent(Recording(
         right, rate, floors, driven, **described, remarks=sensors.remarks, late=late, late_remarks=late_remarks
-    )
+    ))  # fmt: skip
+
+
+def _refuse_silent(found: Recording) -> Recording:
+    """Return a recording, or raise InputError if a floor shows no motion or a part of the excitation is missing."""
+    together = np.concatenate([run.measured for run in found.runs])
+    for column, floor in enumerate(found.floors):
+        there = together[np.isfinite(together[:, column]), column]
+        if not len(there) or not np.any(there != there[0]):
+            raise InputError(f"{found.name}: the channel on floor {floor} shows no motion; leave it out")
+    for run in found.runs:
+        if missing := int((~np.isfinite(run.excitation)).sum()):
+            raise InputError(
+                f"{found.name}, {run.name}: {missing} samples of the excitation are missing; floors may have gaps, "
+                "what drives the frame may not"
+            )
+    return found
 
 
 def _of_motion(motion: DrivenRecord, stories: int) -> Recording:
@@ -431,8 +425,6 @@ class SensorRecord:
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
-            elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
-                continue
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"

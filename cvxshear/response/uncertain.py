@@ -23,7 +23,7 @@ from cvxshear.fit.efficient import Estimate
 from cvxshear.measurement.experiment import DAMPING_KINDS, Configuration, Measurement, opened
 from cvxshear.model import Modes, modes, stiffness_matrix
 from cvxshear.response import damping
-from cvxshear.response.sources import Fitted
+from cvxshear.response.sources import Fitted, covariance_root
 from cvxshear.util import checks
 from cvxshear.util.errors import NoModesError, UnsuitableError
 from cvxshear.util.results import Shown
@@ -103,13 +103,11 @@ class UncertainFrame:
         covariance = self.fitted.covariance
         if covariance is None:
             return np.zeros((n, n))
-        own, rest = slice(n, 2 * n), np.r_[0:n, 2 * n : len(self.fitted.theta)]
-        cross = covariance[own][:, rest]
-        given = covariance[own, own] - cross @ np.linalg.pinv(covariance[np.ix_(rest, rest)], rcond=1e-10) @ cross.T
-        relative = given / np.outer(self.fitted.theta[own], self.fitted.theta[own])
-        values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
-        spread: Floats = self.fitted.misfit * (vectors * np.maximum(values, 0.0)) @ vectors.T
-        return spread
+        own = slice(n, 2 * n)
+        along = self.nuisance_root()[own]
+        given = self.fitted.misfit * covariance[own, own] - along @ along.T
+        root = covariance_root(given / np.outer(self.fitted.theta[own], self.fitted.theta[own]))
+        return root @ root.T
 
     def nuisance_root(self) -> Floats:
         """Return L; L L' is the covariance of masses and effects, with the stiffnesses conditional on both."""
@@ -118,12 +116,9 @@ class UncertainFrame:
         if covariance is None:
             return np.zeros((len(self.fitted.theta), 0))
         rest = np.r_[0:n, 2 * n : len(self.fitted.theta)]
-        std = np.sqrt(np.maximum(np.diag(covariance)[rest], 0.0))
-        unit = np.where(std > 0, std, 1.0)
-        values, vectors = np.linalg.eigh(covariance[np.ix_(rest, rest)] / np.outer(unit, unit))
-        kept = values > 1e-10 * max(float(values[-1]), 1e-300)
-        scaled = vectors[:, kept] / np.sqrt(values[kept])
-        root: Floats = np.sqrt(self.fitted.misfit) * (covariance[:, rest] / unit) @ scaled
+        # With R R' the covariance of masses and effects, the stiffnesses follow by their regression.
+        own = covariance_root(covariance[np.ix_(rest, rest)])
+        root: Floats = np.sqrt(self.fitted.misfit) * covariance[:, rest] @ np.linalg.pinv(own).T
         return root
 
     def at(self, xi: Floats) -> Damped:

@@ -38,7 +38,7 @@ def faults(name, said):
 
 
 def test_every_schema_is_one():
-    results = {"backends", "check", "identify", "loop", "modes", "plan", "predict", "reconstruct"}
+    results = {"backends", "check", "history", "identify", "loop", "modes", "plan", "predict", "reconstruct"}
     assert {path.stem for path in SCHEMAS.glob("*.json")} == {"measurement", *results}
     for path in SCHEMAS.glob("*.json"):
         validator(path.stem)

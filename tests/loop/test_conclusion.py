@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cvxshear import close_loop
+from cvxshear import close_loop, identify
 from cvxshear.effects import named
 from cvxshear.priors import Bounds, Ratio
 from tests.frames import configuration, experiment
@@ -132,3 +132,37 @@ def test_the_probability_of_an_effect_is_shared_by_its_places_as_the_file_expect
     assert 1 - said[1] == pytest.approx((1 - gain.probability) ** (1 / 2))
     anywhere = priors({"name": "sensor_gain", "probability": 0.5})
     assert 1 - np.prod([1 - each for each in anywhere.values()]) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("story", "parts"), [(1, "its columns or its feet"), (3, "its columns or its joints")])
+def test_rivals_that_soften_one_story_are_one_finding_of_that_story(story, parts):
+    """A looser end of the columns softens the lowest or highest story alone, exactly as softer columns do."""
+    softer = np.array(STIFFNESS)
+    softer[story - 1] *= 0.9
+    rng = np.random.default_rng(1)
+    tests = [
+        configuration(MASS, stiffness, rng=rng, shape_noise=0.01, frequency_noise=0.001, name=name)
+        for name, stiffness in (("before", STIFFNESS), ("after", softer.tolist()))
+    ]
+    result = close_loop(experiment(MASS, STIFFNESS, *tests, frame={"total_mass": 24.0, "reference": "before"}))
+    assert str(result).startswith(f"AMBIGUOUS: story {story} lost ")
+    assert f"; but whether {parts}, these data do not tell; " in " ".join(str(result).split())
+    (effect,) = result.effects
+    assert effect.story.probability == pytest.approx(
+        effect.probability + sum(rival.probability for rival in effect.rivals if rival.placed in effect.story.parts)
+    )
+    assert effect.story.probability > 0.9 > effect.probability
+
+
+def test_other_frames_that_fit_are_listed_with_the_test_that_tells_them():
+    """Three frequencies of equal floors fit two frames (tests/fit/test_other_frames.py)."""
+    bench = {"frame": {"floor_masses": [5.36] * 3}, "configuration": [{"frequencies": [7.203, 20.961, 30.435]}]}
+    result, found = close_loop(bench), identify(bench)
+    ((loop,), (alone,)) = result.other_frames, found.other_frames
+    np.testing.assert_allclose(loop.story_stiffness, alone.story_stiffness, rtol=1e-3)
+    assert loop.probability == pytest.approx(alone.probability, rel=0.1)
+    assert result.to_dict()["other_frames"] == [loop.to_dict()]
+    assert result.next_test.added_mass > 0
+    assert result.next_test.standard_deviations > 10
+    assert "that the frame is this one of the 2 that fit" in result.rests_on
+    assert "155.3, 31.7" in str(result)

@@ -1,5 +1,6 @@
 """Test probabilities of sets and effects for given scores."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,6 @@ from cvxshear.fit.results import IdentifiedFrame
 from cvxshear.loop.fitter import ModelClass
 from cvxshear.loop.hypotheses import Hypothesis
 from cvxshear.loop.posterior import Posterior
-from cvxshear.util.errors import NoSolutionError
 
 
 def put(name, **place):
@@ -95,8 +95,8 @@ def test_the_deviation_of_an_effect_holds_the_scatter_between_its_sets():
     assert found == pytest.approx(np.sqrt(0.75 * 0.003**2 + 0.25 * (0.004**2 + 0.02**2)))
 
 
-def test_sets_that_were_not_fitted_take_no_part():
-    failed = ModelClass(frozenset({B}), None, -np.inf, 0.0, NoSolutionError("any", "it gave up"))
+def test_sets_without_evidence_take_no_part():
+    failed = dataclasses.replace(model([B], 0.5), log_evidence=-np.inf)
     of = posterior(model([A], 0.75), model([], 0.25), failed)
     assert len(of.models) == 2
     assert of.of_effects[A] == pytest.approx(0.75)
@@ -182,9 +182,3 @@ def test_the_averaged_frame_is_a_mixture():
 def test_averaged_mixture_leaves_undetermined_what_no_set_determines():
     nan = model([], 1.0, mass=float("nan"), std=float("nan"))
     assert np.isnan(posterior(nan).averaged().floor_mass).all()
-
-
-@pytest.mark.parametrize("improbable", [True, False])
-def test_a_set_is_improbable_where_its_fit_is_and_not_where_it_has_none(improbable):
-    assert ModelClass(frozenset(), SimpleNamespace(improbable=improbable), -1.0, 0.0).improbable is improbable
-    assert ModelClass(frozenset(), None, -np.inf, 0.0, NoSolutionError("any", "it gave up")).improbable is False

@@ -14,10 +14,11 @@ from cvxshear.fit.efficient import efficient, fitted_with
 from cvxshear.fit.gauss_newton import ROUGH
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.next_test import next_test
-from cvxshear.loop import conclusion
+from cvxshear.loop import conclusion, search
 from cvxshear.loop.close import search_for_effects
 from cvxshear.loop.fitter import Fitter, log_evidence
 from cvxshear.loop.linear import Linearised
+from cvxshear.util import errors
 from tests.fe.experiments import simulated
 
 
@@ -288,3 +289,22 @@ def test_the_next_test_tells_rivals_of_two_parameters_apart(monkeypatch):
     # The library's derivative uses the accepted model's scales of the shapes (Kaufman).
     assert proposed.standard_deviations == pytest.approx(distances[floor, part], rel=0.02)
     assert proposed.standard_deviations > 1.0
+
+
+def test_a_search_whose_budget_is_spent_says_what_it_did_not_try(monkeypatch):
+    """The budget counts fits by their size, so that the same sets are visited on every machine."""
+    declared, _ = simulated("story_change", stories=4, configurations=3, rng=np.random.default_rng(3))
+    whole = search_for_effects(Experiment.from_dict(declared))
+    assert not any("budget" in said for said in whole.information)
+    monkeypatch.setattr(search, "MOST_WORK", 5)
+    short, again = (search_for_effects(Experiment.from_dict(declared)) for _ in range(2))
+    (said,) = (text for text in short.information if "budget of work" in text)
+    assert "not tried with every good set: " in said
+    assert "exchanges of effects" in said
+    assert short.fits == again.fits < whole.fits
+
+
+def test_a_frame_of_many_stories_is_refused_at_once():
+    tall = {"frame": {"stories": 101, "total_mass": 1e6}, "configuration": [{"frequencies": [0.2, 0.6]}]}
+    with pytest.raises(errors.UnsuitableError, match="up to 100 stories, not 101: join stories"):
+        search_for_effects(Experiment.from_dict(tall))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.io.modes import modes_from_file
-from cvxshear.io.record_file import read_record
+from cvxshear.io.modes import modes_from_file, read_record
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError

@@ -11,8 +11,7 @@ from scipy import io
 import cvxshear
 from cvxshear.io.arrays import read_mat, read_uff
 from cvxshear.io.csv import read_csv
-from cvxshear.io.modes import write_merged
-from cvxshear.io.record_file import read_record
+from cvxshear.io.modes import read_record, write_merged
 from cvxshear.io.toml import write_measurement
 from cvxshear.records import IdentifiedRecord, from_arrays
 from cvxshear.util.errors import InputError

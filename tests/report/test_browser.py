@@ -16,7 +16,7 @@ from cvxshear.records import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.records.simulate import PAPER_FRAME, base_record, hammer_record
 from cvxshear.report.blocks import describe
-from cvxshear.report.html import render, render_modes, render_response
+from cvxshear.report.html import render, render_described, render_modes
 from cvxshear.response import predict
 from tests.report.test_modal_figures import twenty_modes
 from tests.response.common import damped_frame, declared, shaking
@@ -144,7 +144,7 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     mass, stiffness, _ = damped_frame(12)
     estimate = efficient(cvxshear.Experiment.from_dict(declared(mass, stiffness, [0.02] * 12)), backends.get("auto"))
     prediction = predict(estimate, DrivenRecord((DrivenRun(shaking(600)),), 100.0))
-    (tmp_path / "p.html").write_text(render_response(prediction, "cvxshear"))
+    (tmp_path / "p.html").write_text(render_described(prediction, "cvxshear"))
     page = browser.new_page(viewport=viewport)
     page.goto((tmp_path / "p.html").as_uri())
     drawings = page.query_selector_all(".drawing svg")

@@ -22,11 +22,12 @@ from cvxshear.response.frame_prior import (
     Likelihood,
     Linear,
     ModalRows,
-    VariedFrame,
     possible_answers,
 )
-from cvxshear.response.state_space import Filter, Noise, Setting, dynamics, recursion
+from cvxshear.response.innovations import Filter
+from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import Damped, UncertainFrame
+from cvxshear.response.varied_frame import VariedFrame
 from tests.frames import chain
 from tests.response.common import damped_frame, declared, matrices, pole_ratios
 

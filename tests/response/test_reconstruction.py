@@ -18,12 +18,12 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun, band_limited
 from cvxshear.report.blocks import describe
 from cvxshear.response import DampedModel, Fitted, reconstruct, response
 from cvxshear.response.compare import as_predicted, readings_of
-from cvxshear.response.frame_motion import FrameMotion
-from cvxshear.response.frame_prior import VariedFrame
-from cvxshear.response.innovations import Directions, PredictionErrors, Segment
+from cvxshear.response.frame_motion import FrameMotion, Observed, settled_states, smooth
+from cvxshear.response.innovations import Directions, Filter, PredictionErrors, Segment
 from cvxshear.response.recording import RecordedRun, Recording, recording_of
-from cvxshear.response.state_space import Filter, Noise, Observed, Setting, dynamics, recursion, settled_states, smooth
+from cvxshear.response.state_space import Noise, Setting, dynamics, recursion
 from cvxshear.response.uncertain import UncertainFrame
+from cvxshear.response.varied_frame import VariedFrame
 from cvxshear.util.errors import InputError, UnsuitableError
 from tests.frames import chain
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking, straight
@@ -454,10 +454,10 @@ def test_a_fit_that_fails_leaves_the_frame_as_identified(softened, monkeypatch):
     drive = dataclasses.replace(drive, excitation=drive.excitation[:600], responses=drive.responses[:600])
     motion = dataclasses.replace(motion, runs=(drive,))
 
-    def failing(work, *, detrend):
+    def failing(work):
         if work.free:
             raise np.linalg.LinAlgError("Eigenvalues did not converge")
-        return fit(work, detrend=detrend)
+        return fit(work)
 
     monkeypatch.setattr(FrameMotion, "fitted", failing)
     found = reconstruct(models, motion, leave_out=False)
@@ -468,7 +468,7 @@ def test_a_fit_that_fails_leaves_the_frame_as_identified(softened, monkeypatch):
         reconstruct(models, motion, leave_out=False)
 
 
-def failing_always(work, *, detrend):
+def failing_always(work):
     raise np.linalg.LinAlgError("Matrix is not positive definite")
 
 

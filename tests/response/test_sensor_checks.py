@@ -32,7 +32,7 @@ def uncertain():
     fitted = SimpleNamespace(
         experiment=SimpleNamespace(stories=3), covariance=root.T @ root, theta=theta, misfit=1.7, root=None
     )
-    return SimpleNamespace(fitted=fitted)
+    return UncertainFrame(fitted, None, None, "modal", None)
 
 
 def test_stiffnesses_given_the_rest_have_the_inverse_of_their_block_of_the_precision(uncertain):
@@ -185,10 +185,11 @@ def test_a_recording_is_cut_and_does_without_channels():
     np.testing.assert_allclose(limited.runs[1].drive[:, 0], band_limited(whole.runs[1].excitation))
     np.testing.assert_array_equal(limited.runs[1].drive[:, 1], whole.runs[1].excitation)
     parts = [slice(3, 20), slice(0, 30)]
-    cut = limited.without(0).cut(parts)
-    assert cut.floors.tolist() == [3]
+    cut = limited.only(np.array([False, True])).cut(parts)
+    assert cut.floors.tolist() == [1, 3]
     for own, before, part in zip(cut.runs, limited.runs, parts, strict=True):
-        np.testing.assert_array_equal(own.measured, before.measured[part, 1:])
+        np.testing.assert_array_equal(own.measured[:, 1], before.measured[part, 1])
+        assert np.isnan(own.measured[:, 0]).all()
         np.testing.assert_array_equal(own.drive, before.drive[part])
         assert own.name == before.name
     np.testing.assert_allclose(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg
 
-from cvxshear.response.state_space import Filter, Noise, Setting, discretized, dynamics, recursion
+from cvxshear.response.innovations import Filter
+from cvxshear.response.state_space import Noise, Setting, discretized, dynamics, recursion
 from tests.frames import chain
 from tests.response.common import straight
 

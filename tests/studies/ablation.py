@@ -31,7 +31,7 @@ RULES: dict[str, tuple[str, dict[str, Any]]] = {
     "beam of six sets": ("loop.search", {"BEAM": 3}),
     "sets within a thousandth of the best are followed": ("loop.search", {"WITHIN": 4.0}),
     "two equal sets are both expanded": ("loop.search", {"TIE": 0.0}),
-    "at most 300 sets": ("loop.search", {"MOST_SETS": 100}),
+    "at most 600 small fits": ("loop.search", {"MOST_WORK": 200}),
     "at most twelve starts of motions and frames": ("loop.search", {"MOST_STARTS": 4}),
     "at most ten further effects": ("loop.search", {"MOST_FURTHER": 5}),
     "effects on accuracy": ("loop.search", {"RESCALING": 0}),

@@ -6,10 +6,10 @@ flexural cantilever beside them, and the later state is as before. Times are pro
 eigenproblems of size 200 in the same run. Each frame has a process of its own, so the peak of memory is its own.
 """
 
-import argparse
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -96,15 +96,12 @@ def run(name: str) -> None:
     print(seconds, peak, outcome, sep="\t")
 
 
-def main() -> None:
-    """Print the processor time in units and the peak memory of each case."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"by default all: {', '.join(CASES)}")
-    given = parser.parse_args()
+def main(names: Sequence[str] = ()) -> None:
+    """Print the processor time in units and the peak memory of these cases; by default of all."""
     matrices = np.random.default_rng(0).standard_normal((60, 200, 200))
     unit, _ = fastest(lambda: np.linalg.eigh(matrices + matrices.swapaxes(1, 2)), 3, time.process_time)
     rows = []
-    for name in given.names or CASES:
+    for name in names or CASES:
         program = f"from tests.studies.loops import run; run({name!r})"
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
         seconds, peak, *outcome = done.strip().split("\t")
@@ -113,4 +110,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

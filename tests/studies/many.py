@@ -5,11 +5,10 @@ import time
 import numpy as np
 
 from cvxshear import Experiment, identify
-from cvxshear.loop.close import search_for_effects
 from cvxshear.paper.scatter import one_shot_batch, two_stage_batch
 from cvxshear.paper.setups import three_story
 from cvxshear.util.parallel import each
-from tests.frames import configuration, experiment, modes_of
+from tests.frames import configuration, experiment
 from tests.studies.timing import fastest, shown, table
 
 SAMPLES = 100_000
@@ -22,7 +21,7 @@ def main():
         [_batch("two-stage", two_stage_batch), _batch("one-shot", one_shot_batch)],
     )
     table("Efficient method, 200 samples", ["processes", "time", "ratio"], _processes())
-    table("Larger problems", ["what", "time", "outcome"], [*_fits(), *_loop()])
+    table("Larger problems", ["what", "time", "outcome"], _fits())
 
 
 def _batch(method, batch):
@@ -65,37 +64,3 @@ def _fits():
         if found.undetermined:
             outcome += f", {len(found.undetermined)} directions undetermined"
         yield f"efficient fit, 100 stories, 20 modes at 25 floors, {said}", shown(seconds), outcome
-
-
-def _loop():
-    rng = np.random.default_rng(3)
-    n = 20
-    mass, stiffness = np.linspace(3e4, 2e4, n), np.linspace(8e7, 3e7, n)
-    tests = []
-    for floor in (None, 20, 11):
-        added = np.zeros(n)
-        if floor is not None:
-            added[floor - 1] = 6e3
-        tests.append(
-            configuration(
-                mass, stiffness, added, rng=rng, shape_noise=0.01, frequency_noise=0.001, modes=list(range(1, 9))
-            )
-        )
-    # The third test has an undeclared mass at floor 5.
-    missed = np.asarray(tests[2]["added_mass"]) + 3e3 * np.eye(n)[4]
-    frequencies, shapes = modes_of(mass + missed, stiffness)
-    tests[2]["frequencies"] = (frequencies[:8] * (1 + 0.001 * rng.standard_normal(8))).tolist()
-    tests[2]["mode_shapes"] = (shapes[:8] + 0.01 * rng.standard_normal((8, n))).tolist()
-    of = Experiment.from_dict(
-        experiment(mass, stiffness, *tests, frame={"total_mass": float(mass.sum()), "story_heights": 3.5})
-    )
-    for jobs in (1, 2):
-        began = time.perf_counter()
-        found = search_for_effects(of, jobs=jobs)
-        what = f"loop, 20 stories, 3 configurations, {jobs} process{'es' * (jobs > 1)}"
-        added = ", ".join(one.placed.label for one in found.effects)
-        yield (
-            what,
-            shown(time.perf_counter() - began),
-            f"{found.verdict}: {added} ({found.fits} fits, {found.programs} step programs)",
-        )

@@ -1,4 +1,4 @@
-"""Draw charts: residuals, and scatter under noise."""
+"""Draw charts: residuals, histories over many tests, and scatter under noise."""
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.dates import ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
@@ -16,6 +17,7 @@ from cvxshear.loop.results import by_part
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, figure
+from cvxshear.screening import History
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats
 
@@ -95,6 +97,47 @@ def _dumbbells(axes: Axes, places: Floats, before: Floats, after: Floats) -> Non
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlim(-largest, largest)
+
+
+@figure(
+    "history",
+    History,
+    title="Frequencies, stiffnesses and damping over the tests",
+    alternative="Change of each frequency, story stiffness and damping ratio over the tests; the numbers are in the "
+    "table below.",
+    section="changes",
+)
+def changes_over_time(result: History) -> Figure:
+    """Draw the change of frequencies, story stiffnesses and damping ratios over the tests.
+
+    Dots: each test alone, relative to the mean over the tests, with one standard deviation. Lines: stiffnesses with
+    the changes that are more than scatter.
+    """
+    tests = result.loop.experiment.configurations
+    dated = all(each.date is not None for each in tests)
+    at = np.array([each.date for each in tests], dtype="datetime64[s]") if dated else np.arange(1, len(tests) + 1)
+    stiffness = {f"story {i}": each for i, each in enumerate(result.story_stiffness.T, 1)}
+    groups = [("frequency", {f"mode {mode}": each for mode, each in result.by_mode("frequencies").items()})]
+    groups.append(("story stiffness", stiffness))
+    groups.append(("damping ratio", {f"mode {mode}": each for mode, each in result.by_mode("damping_ratios").items()}))
+    groups = [(label, dict(list(lines.items())[: len(style.MARKERS) - 1])) for label, lines in groups if lines]
+    figure = style.new_figure(style.PAGE_WIDTH, 1.75 * len(groups) + 0.5)
+    for axes, (label, lines) in zip(style.panels(figure, len(groups), 1, sharex=True), groups, strict=True):
+        for place, ((name, values), look) in enumerate(zip(lines.items(), style.looks(len(lines)), strict=True)):
+            mean = float(np.nanmean(values))
+            std = None
+            if lines is groups[1][1]:
+                std = 100 * result.story_stiffness_std[:, place] / mean
+                axes.plot(at, 100 * (result.fitted[:, place] / mean - 1.0), color=look["color"], lw=1.0)
+            dots = {key: look[key] for key in ("color", "marker")}
+            axes.errorbar(at, 100 * (values / mean - 1.0), yerr=std, ls="none", ms=3.5, lw=0.7, label=name, **dots)
+        axes.set_ylabel(f"{label},\nchange in %")
+        axes.grid(visible=True, axis="y")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7)
+    if dated:
+        axes.xaxis.set_major_formatter(ConciseDateFormatter(axes.xaxis.get_major_locator()))  # type: ignore[no-untyped-call]
+    axes.set_xlabel("date" if dated else "test")
+    return figure
 
 
 BOX = 0.8

@@ -23,7 +23,7 @@ from cvxshear.records.prepare import Functions
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
-from cvxshear.report.from_records import method_in_words
+from cvxshear.report.identified import method_in_words
 from cvxshear.util import ranking
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats, Ints
