@@ -7,11 +7,8 @@ import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit import results
-<<<<<<< HEAD
 from cvxshear.fit.turning_floors import TurningFrame
-=======
 from cvxshear.loop import LoopResult
->>>>>>> main
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.motions import THREE_MOTIONS
 from cvxshear.programs.certificate import ActiveConstraint
