@@ -139,7 +139,7 @@ def modes(
     """
     from cvxshear.io.modes import identify_modes_many, write_merged
     from cvxshear.records import ModalResult
-    from cvxshear.report.identified import poles_table
+    from cvxshear.report.from_records import poles_table
 
     sources = _files(records, output)
     files_of = outputs.prepared(ModalResult)

@@ -106,7 +106,7 @@ def deliver(
 
 def doubts_of(found: Sequence[FileFinding] | None) -> Iterable[RenderableType]:
     """Render the warnings of a computed result."""
-    from cvxshear.report.identified import doubts_section
+    from cvxshear.report.from_records import doubts_section
 
     return terminal.rendered(doubts_section(found or ()))
 

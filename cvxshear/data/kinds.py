@@ -48,9 +48,12 @@ def scaled(measured: Floats, modelled: Floats, weights: Floats) -> tuple[Floats,
 
 
 def frequency_residual(
-    log_omega: Floats, eigenvalues: Floats, std: Floats, slopes: Floats | None = None
+    log_omega: Floats, eigenvalues: Floats, std: Floats, slopes: Floats | None = None, correlation: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Return differences of log frequencies in standard deviations, with derivatives dlambda / (2 lambda).
+
+    Correlated differences d, each over its deviation, become C^-1/2 d with the symmetric root of their correlation C:
+    they are independent then, and each stays as near to its own frequency as it can (Kessy et al. 2018).
 
     Parameters
     ----------
@@ -61,6 +64,8 @@ def frequency_residual(
     std : ndarray, shape (m,)
     slopes : ndarray, shape (p, m), optional
         Derivatives of the eigenvalues.
+    correlation : ndarray, shape (m, m), optional
+        C; independent differences without it.
 
     Returns
     -------
@@ -69,7 +74,12 @@ def frequency_residual(
         Of no rows without `slopes`.
     """
     r = (0.5 * np.log(eigenvalues) - log_omega) / std
-    return r, np.zeros((0, 0)) if slopes is None else (slopes * (0.5 / (std * eigenvalues))).T
+    J = np.zeros((0, 0)) if slopes is None else (slopes * (0.5 / (std * eigenvalues))).T
+    if correlation is None:
+        return r, J
+    values, vectors = np.linalg.eigh(correlation)
+    root = (vectors / np.sqrt(values)) @ vectors.T
+    return root @ r, J if slopes is None else root @ J
 
 
 def shape_residual(
@@ -158,10 +168,14 @@ class Frequencies(_OfModes):
         return int(np.sum(self.used))
 
     def residual(self, model: Model) -> Residual:
-        """Differences of logarithms over the standard deviation of the logarithm."""
+        """Differences of logarithms over the standard deviation of the logarithm, made independent."""
         logs, std = np.log(2 * np.pi * self.tested.frequencies[self.used]), self.tested.log_frequency_std[self.used]
         slopes = model.mode_derivatives[0][:, self.used] if model.derivatives else None
-        return Residual(*frequency_residual(logs, model.modes.eigenvalues[model.paired][self.used], std, slopes))
+        correlation = self.tested.frequency_correlation
+        if correlation is not None:
+            correlation = correlation[np.ix_(self.used, self.used)]
+        eigenvalues = model.modes.eigenvalues[model.paired][self.used]
+        return Residual(*frequency_residual(logs, eigenvalues, std, slopes, correlation))
 
     def errors(self, model: Model) -> Mapping[str, Floats]:
         """model / measured - 1 of each frequency."""

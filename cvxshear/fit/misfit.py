@@ -466,7 +466,7 @@ def expected_configuration(
     Parameters
     ----------
     blank : Configuration
-        Its masses, modes and state stay.
+        Its masses, modes and state stay, and the covariance of its frequencies if it has one.
     frequencies, shapes : ndarray, shapes (m,) and (m, N)
     frequency_std, shape_std : ndarray, shapes (m,) and (m, N)
         Relative; relative to a mode's largest entry over all floors.
@@ -476,7 +476,8 @@ def expected_configuration(
         frequencies=frequencies,
         measured_floors=np.arange(1, shapes.shape[1] + 1),
         mode_shapes=shapes,
-        frequency_std=frequency_std,
+        repeats=None,
+        frequency_std=None if blank.frequency_covariance is not None else frequency_std,
         mode_shape_std=shape_std,
         mode_shape_noise="additive",
         # `ExpectedTest.at` frees the scale over the floors that have a sensor.

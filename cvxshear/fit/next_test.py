@@ -129,7 +129,7 @@ def imagined(accepted: Estimate, first: Configuration, added_mass: Floats) -> Co
         If the model buckles under these masses.
     """
     noise = accepted.misfit.noise
-    blank = dataclasses.replace(first, name="next test", added_mass=added_mass)
+    blank = dataclasses.replace(first, name="next test", added_mass=added_mass, repeats=None)
     model = misfit.tested_model(accepted.experiment, blank, accepted.effects, accepted.theta)
     frequencies, shapes = misfit.predicted_modes(blank, model)
     measured = dataclasses.replace(

@@ -339,3 +339,62 @@ def _numbers(row: Sequence[Cell], line: int, header: Sequence[str], source: str)
                     f'{source}, line {line}: column "{name}" holds {said}, which is not a number'
                 ) from None
     return found
+
+
+REPEATED = re.compile(r"(?:(?:frequency|f) ?(\d+)(?: hz)?|shape ?(\d+) (\d+))")
+"""Header of a column of repeated tests: the frequency of a mode, or the entry of a mode's shape at a floor."""
+
+
+def read_repeats(path: str | Path) -> Json:
+    """Read repeated tests from a table: a row a test, columns "frequency 1", ..., "shape 1 3" (mode, floor), "block".
+
+    Parameters
+    ----------
+    path : str or Path
+        Separators and comments as in `read_mode_csv`.
+
+    Returns
+    -------
+    dict
+        Keys of a table [[configuration]]: repeats, modes and, with shapes, measured_floors.
+
+    Raises
+    ------
+    InputError
+        The message names the file, the line and the column.
+    """
+    source = str(path)
+    table = read_rows(path, LARGEST_FILE, TOO_LARGE_TABLE)
+    rows: Rows = [(number, [cell.strip() for cell in cells]) for number, cells in table]
+    header = [str(cell) for cell in rows[0][1]] if rows else []
+    plain = [" ".join(re.sub(r"[^a-z0-9]+", " ", name.lower()).split()) for name in header]
+    places: dict[tuple[int, int], int] = {}
+    for place, name in enumerate(plain):
+        found = REPEATED.fullmatch(name)
+        if found is None and name != "block":
+            shown = f'column "{header[place][:60]}"' if places else f"column {place + 1}"
+            raise InputError(f'{source}: {shown} is none of "frequency 1", "frequency 2", ..., "shape 1 3", "block"')
+        if found is not None:
+            key = (int(found[1]), 0) if found[1] else (int(found[2]), int(found[3]))
+            if key in places:
+                raise InputError(f'{source}: the column "{header[place]}" is there twice')
+            places[key] = place
+    modes, floors = (sorted({key[at] for key in places if bool(key[1]) == bool(at)}) for at in (0, 1))
+    if not modes or any(mode not in modes for mode, _ in places):
+        raise InputError(f'{source} needs a column "frequency 1", "frequency 2", ... for each mode')
+    at_block = plain.index("block") if "block" in plain else None
+    blank = [[None if place == at_block else cell for place, cell in enumerate(row)] for _, row in rows[1:]]
+    values = np.array([_numbers(row, rows[at][0], header, source) for at, row in enumerate(blank, 1)])
+    values = np.column_stack([values.reshape(len(blank), len(header)), np.full(len(blank), np.nan)])
+    frequencies = values[:, [places[mode, 0] for mode in modes]]
+    if np.isnan(frequencies).any():
+        test, mode = np.argwhere(np.isnan(frequencies))[0]
+        raise InputError(f"{source}, line {rows[1 + test][0]}: frequency {modes[mode]} is empty; leave the test out")
+    repeats: Json = {"frequencies": frequencies.tolist()}
+    result: Json = {"repeats": repeats, "modes": modes}
+    if floors:
+        entries = [[places.get((mode, floor), len(header)) for floor in floors] for mode in modes]
+        repeats["mode_shapes"], result["measured_floors"] = values[:, entries].tolist(), floors
+    if at_block is not None:
+        repeats["block"] = [str(row[at_block]) for _, row in rows[1:]]
+    return result

@@ -14,6 +14,7 @@ import tomli_w
 
 from cvxshear.effects import catalogue
 from cvxshear.io.formats import FORMATS, LARGEST_FILE, format_of, named_after, read_bytes, refuse_data
+from cvxshear.io.spreadsheets import read_repeats
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import checks
 from cvxshear.util.checks import shown
@@ -161,7 +162,7 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     tables: list[object] = []
     for value in declared.values():
         tables += value if isinstance(value, list) else [value]
-    keys = ("file", *(each.name for each in FORMATS if each.modes is not None))
+    keys = ("file", "repeats", *(each.name for each in FORMATS if each.modes is not None))
     named = [each.get(key) for each in tables if isinstance(each, dict) for key in keys]
     return (path, *(path.parent / name for name in named if isinstance(name, str)))
 
@@ -192,17 +193,20 @@ def with_modes_read(declared: Mapping[str, Any], folder: Path) -> dict[str, Any]
 
 
 def _resolved(table: object, place: int, folder: Path) -> object:
-    readers = {each.name: each for each in FORMATS if each.modes is not None}
-    named = [key for key in readers if isinstance(table, Mapping) and key in table]
-    if not named or not isinstance(table, Mapping):
+    readers = {each.name: each.read_modes for each in FORMATS if each.modes is not None} | {"repeats": read_repeats}
+    if not isinstance(table, Mapping) or isinstance(table.get("repeats"), Mapping):
+        return table
+    named = [key for key in readers if key in table]
+    if not named:
         return table
     where = f"configuration {place}"
-    said = [*named, *(key for key in ("frequencies", "mode_shapes") if key in table)]
+    replaced = ("frequencies",) if named == ["repeats"] else ("frequencies", "mode_shapes")
+    said = [*named, *(key for key in replaced if key in table)]
     if len(said) > 1:
         raise InputError(f"{where}: {' and '.join(said)} all say what the modes are; give one")
     key = named[0]
     file = folder / checks.text(table[key], f"{where}: {key}")
-    return {**readers[key].read_modes(file), **{name: value for name, value in table.items() if name != key}}
+    return {**readers[key](file), **{name: value for name, value in table.items() if name != key}}
 
 
 COMMENT_WIDTH = 110

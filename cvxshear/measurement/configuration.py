@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from cvxshear.measurement.declaration import InTable, named_in
+from cvxshear.measurement.repeats import Repeats
 from cvxshear.util import checks
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Bools, Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +178,9 @@ DEFAULT_FREQUENCY_STD = 0.002
 DEFAULT_MODE_SHAPE_STD = 0.01
 """Relative, and relative to a mode's largest entry; `data.Frequencies.noise` and `data.Shapes.noise` say why."""
 
+SYMMETRIC_TO = 1e-9
+"""Largest asymmetry of a covariance, and smallest eigenvalue of its correlation: rounding of printed digits."""
+
 NOISE_KINDS = ("additive", "multiplicative")
 """What `mode_shape_std` is relative to: a mode's largest entry, or the entry itself."""
 
@@ -203,7 +207,7 @@ class Configuration(InTable):
     Parameters
     ----------
     frequencies : array_like, shape (m,)
-        Natural frequencies, Hz, ascending.
+        Natural frequencies, Hz, ascending; from `repeats` where these are given.
     mode_shapes : array_like, shape (m, n), optional
         One row a mode, one entry a measured floor, of any scale and sign; nan where not measured. A row of nan is a
         mode with a frequency and no shape. Without this array, no mode has a shape.
@@ -227,6 +231,10 @@ class Configuration(InTable):
         Whether the shapes carry the scale 1/sqrt(kg).
     frequency_std : float or array_like, shape (m,), optional
         Relative standard deviation.
+    frequency_covariance : array_like, shape (m, m), optional
+        Relative covariance of the frequencies, in place of `frequency_std`.
+    repeats : Repeats or dict, optional
+        Repeated tests, in place of the frequencies, their covariance and, if it has shapes, of the shapes.
     mode_shape_std : float or array_like, shape (m,) or (m, n), optional
         Standard deviation of the entries, in the sense of `mode_shape_noise`.
     mode_shape_noise : str, optional
@@ -248,7 +256,7 @@ class Configuration(InTable):
         Naming the configuration, the key, the value found and what would be right.
     """
 
-    frequencies: Floats
+    frequencies: Floats = field(default_factory=_no_floats)
     mode_shapes: Floats = field(default_factory=_no_floats)
     name: str = "configuration 1"
     state: str = ""
@@ -260,6 +268,8 @@ class Configuration(InTable):
     other_modes: tuple[OtherModes, ...] = ()
     mass_normalized: bool = False
     frequency_std: Floats | None = None
+    frequency_covariance: Floats | None = None
+    repeats: Repeats | None = None
     mode_shape_std: Floats | None = None
     mode_shape_noise: str = "additive"
     damping_ratios: Floats | None = None
@@ -271,8 +281,15 @@ class Configuration(InTable):
     def __post_init__(self) -> None:
         checks.text(self.name, "configuration: name")
         self._put("state", checks.text(self.state, self._at("state")) if self.state else self.name)
+        if self.repeats is not None:
+            self._put("repeats", Repeats.of(self.repeats, self._at("repeats")))
+            self._replace(self.derived)
+            if "mode_shape_std" in self.derived and self.mode_shape_noise != "additive":
+                raise InputError(f"{self._at('mode_shape_noise')} must be additive, as the scatter of repeats is")
         self._check_modes()
         self._check_shapes()
+        if self.frequency_covariance is not None:
+            self._check_covariance(self.frequency_covariance)
         one_each: dict[str, Any] = {"length": len(self.frequencies), "each": ", one a mode"}
         self._check("frequency_std", checks.one_or_many, above=0.0, **one_each)
         if self.mode_shape_std is not None:
@@ -292,6 +309,22 @@ class Configuration(InTable):
     def _check(self, name: str, check: Callable[..., object], **limits: Any) -> None:
         """Put what a check returns in the place of a field; a default of None stays."""
         checks.put(self, name, check, self._at(name), **limits)
+
+    @cached_property
+    def derived(self) -> Mapping[str, Floats]:
+        """Fields that follow from others, which cannot be given as well."""
+        if self.repeats is not None:
+            with checks.named(self._at("repeats")):
+                return self.repeats.summary(mass_normalized=self.mass_normalized)
+        return {}
+
+    def _replace(self, found: Mapping[str, Floats], by: str = "repeats") -> None:
+        """Put fields that follow from another field; a copy may have them already."""
+        for key, value in found.items():
+            given = getattr(self, key)
+            if not _absent(given) and not np.array_equal(given, value, equal_nan=True):
+                raise InputError(f"{self._at(key)} and {by} are both given: leave {key} out, {by} replaces it")
+            self._put(key, checks.frozen(value))
 
     def _at(self, key: str) -> str:
         return f'configuration "{self.name}": {key}'
@@ -318,6 +351,25 @@ class Configuration(InTable):
                 needed = f"{checks.entries(count)}, one a frequency"
                 raise InputError(f"{self._at('modes')} must have {needed}, not {len(self.modes)}")
         self._put("other_modes", other_modes(self.other_modes, self.modes, self._at("other_modes")))
+
+    def _check_covariance(self, value: object) -> None:
+        """Check the covariance of the frequencies, and derive their standard deviations from it."""
+        where, count = self._at("frequency_covariance"), len(self.frequencies)
+        covariance = checks.table(value, where, rows=count)
+        if covariance.shape[1] != count:
+            raise InputError(
+                f"{where} has {checks.entries(covariance.shape[1])} a row; it must be square, {count} by {count}"
+            )
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        if np.max(np.abs(covariance - covariance.T)) > SYMMETRIC_TO * np.max(np.abs(covariance)):
+            raise InputError(f"{where} must be symmetric: entry [i][j] equal to entry [j][i]")
+        if not np.all(std > 0) or np.linalg.eigvalsh(covariance / np.outer(std, std))[0] <= SYMMETRIC_TO:
+            raise InputError(
+                f"{where} must be positive definite: a variance above zero for each frequency, and no combination of "
+                "frequencies that is known exactly; with fewer tests than frequencies, give repeats"
+            )
+        self._put("frequency_covariance", checks.frozen(0.5 * (covariance + covariance.T)))
+        self._replace({"frequency_std": std}, "frequency_covariance")
 
     def _refuse_ratios(self, ratios: Floats) -> None:
         where = self._at("damping_ratios")
@@ -422,7 +474,14 @@ class Configuration(InTable):
         for key in ("added_mass", "added_mass_position", "measured_floors", "sensors", "modes", "mode_shapes"):
             if isinstance(declared, Mapping) and declared.get(key) is not None and _absent(declared[key]):
                 raise InputError(f"{where}: {key} must not be empty; leave the key out for its default")
-        return Configuration.of_table(declared, where, "frequencies", elsewhere=elsewhere, name=name)
+        repeated = isinstance(declared, Mapping) and declared.get("repeats") is not None
+        required = () if repeated else ("frequencies",)
+        return Configuration.of_table(declared, where, *required, elsewhere=elsewhere, name=name)
+
+    def to_dict(self) -> Json:
+        """Return the table that declares it, without the fields that follow from others."""
+        replaced = {*self.derived, *(["frequency_std"] if self.frequency_covariance is not None else [])}
+        return {key: value for key, value in super().to_dict().items() if key not in replaced}
 
     @property
     def unsaid(self) -> Mapping[str, object]:  # type: ignore[override]  # it hangs on the name
@@ -500,6 +559,13 @@ class Configuration(InTable):
         if self.frequency_std is None:
             return np.full(len(self.frequencies), DEFAULT_FREQUENCY_STD)
         return self.frequency_std
+
+    @cached_property
+    def frequency_correlation(self) -> Floats | None:
+        """Correlation of the logarithms of the frequencies, shape (m, m); None if they are independent."""
+        if self.frequency_covariance is None:
+            return None
+        return np.asarray(self.frequency_covariance / np.outer(self.log_frequency_std, self.log_frequency_std))
 
     @cached_property
     def entry_std(self) -> Floats:

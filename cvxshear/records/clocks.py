@@ -1,10 +1,12 @@
-"""Clocks that are late or drift, and channels without motion: each channel's phases against all the others'.
+"""One model of a channel: its ratio to the other channels over frequency and time, in phase and in amplitude.
 
-A clock that is late by t turns each component of angular frequency w by -w t. Between two channels of a lightly damped
-frame the phase is otherwise nearly 0 or 180 degrees, at the modes and in the band between them. So the squared
-cross-spectra of a channel with all others have phases near 2 w t: a straight line over frequency, which in a clock that
-drifts grows steeper with time. A channel without motion has no line at all. Each of these is a hypothesis with a
-likelihood and a prior. A fault that is sure is corrected, the surest first, before the rest is judged again.
+Between two channels of a lightly damped frame the phase is nearly 0 or 180 degrees, at the modes and in the band
+between them, and the amplitudes have one ratio at all times. A clock that is late by t turns each component of angular
+frequency w by -w t, and a first-order low-pass of corner c by -arctan(w / c). So the squared cross-spectra of a channel
+with all others have phases near twice that: a straight line over frequency, which in a clock that drifts grows steeper
+with time and where samples are lost changes at one instant, or an arctangent. A gain that steps changes the amplitudes
+at one instant. A channel without motion has no line at all. Each of these is a hypothesis with a likelihood and a
+prior. A fault that is sure is corrected, or its channel left out, the surest first, before the rest is judged again.
 
 The phases of the modes tell a delay of less than half a sample more exactly (`offsets`). A damper turns single modes.
 """
@@ -17,19 +19,22 @@ from operator import itemgetter
 import numpy as np
 from scipy import special
 
-from cvxshear.records.prepare import in_step, only, struck
+from cvxshear.records.prepare import in_step, struck, without
 from cvxshear.records.record import Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
 FAULTY = 0.02
-"""Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a channel carries no
-motion, is reversed or in another's place, and that a mode was missed."""
+"""Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a sensor is slow,
+that a gain steps, that a channel carries no motion, is reversed or in another's place, and that a mode was missed."""
 LONGEST_DELAY = 2.6
 """Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. All are as probable."""
 SHORTEST_DELAY = 0.5
 """Samples; the phases of the modes determine shorter delays more exactly."""
+CORNERS = np.geomspace(0.02, 2.0, 47)
+"""Corners of a first-order low-pass, over the sampling rate, a tenth apart: a lower one leaves no mode in the channel,
+a higher one takes less than 3 % from any. All are as probable."""
 FASTEST_DRIFT = 1e-3
 """s a second; crystals differ by a tenth of that at most."""
 PHASES = 50
@@ -41,8 +46,6 @@ CLOCK_PARTS = 8
 """Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself."""
 NOISE_FLOOR = 10.0
 """Times the tenth of a channel's lines that hold least: below it a line counts little."""
-MAINS = (50.0, 60.0)
-"""Mains frequencies, Hz; their lines, harmonics up to the third and aliases are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +94,8 @@ class Segments:
         found = np.array(spectra)
         power = np.abs(found) ** 2
         floor = NOISE_FLOOR * np.quantile(power.mean(axis=0)[2:], 0.1, axis=0)
-        mains = mains_lines(length, rate)
         with np.errstate(invalid="ignore", divide="ignore"):
             weights = np.nan_to_num(power / (power + floor)) ** 2
-        weights[:, mains] = 0.0
         weights[:, :2] = 0.0
         groups = np.array_split(np.arange(len(times)), min(CLOCK_PARTS, len(times)))
         return Segments(found, weights, np.array(times), groups, length, rate)
@@ -110,9 +111,9 @@ class Segments:
         spectra[:, :, clock] *= np.exp(1j * np.outer(seconds + slope * self.times, self.omega))
         return replace(self, spectra=spectra)
 
-    def against(self, clock: int, others: list[int]) -> Phases:
+    def against(self, clock: int, others: list[int]) -> ChannelRatios:
         """Compare a clock with others."""
-        pairs, weights = [], np.zeros(self.spectra.shape[:2])
+        pairs, levels, weights = [], [], np.zeros(self.spectra.shape[:2])
         for other in others:
             cross = self.spectra[:, :, clock] * np.conj(self.spectra[:, :, other])
             size, weight = np.abs(cross), self.weights[:, :, clock] * self.weights[:, :, other]
@@ -120,16 +121,23 @@ class Segments:
             square = weight * np.divide(cross, size, out=np.zeros_like(cross), where=size > 0) ** 2
             pairs.append([square[group].sum(axis=0) for group in self.groups])
             weights += weight
+            # A line's amplitude over the other's has one level at all times.
+            over = np.abs(self.spectra[:, :, [clock, other]])
+            level = np.subtract(*np.moveaxis(np.log(np.maximum(over, 1e-300)), 2, 0))
+            level = level - (weight * level).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
+            levels.append((weight * level).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
         by_group = np.array([weights[group].sum() for group in self.groups])
         times = np.array([self.times[group].mean() for group in self.groups])
         many = weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300)
         chance = 1.0 / np.sqrt(2.0 * max(many, 1.0))
-        return Phases(np.array(pairs), by_group, times, chance, self)
+        return ChannelRatios(
+            np.array(pairs), by_group, times, np.median(levels, axis=0), weights.sum(axis=1), chance, self
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Phases:
-    """The squared phasors of a clock against others.
+class ChannelRatios:
+    """A channel over others: the squared phasors of its cross-spectra, and its amplitudes.
 
     Parameters
     ----------
@@ -137,6 +145,10 @@ class Phases:
     weights : array, shape (groups,)
     times : array, shape (groups,)
         s.
+    levels : array, shape (segments,)
+        Logarithm of its amplitude over the others', less the mean over time: the median of the others.
+    loudness : array, shape (segments,)
+        Weights of the levels.
     chance : float
         Agreement that a channel without motion has at one delay by chance.
     segments : Segments
@@ -145,6 +157,8 @@ class Phases:
     pairs: Complexes
     weights: Floats
     times: Floats
+    levels: Floats
+    loudness: Floats
     chance: float
     segments: Segments
 
@@ -153,32 +167,59 @@ class Phases:
         """Against all others together, shape (groups, lines)."""
         return np.asarray(self.pairs.sum(axis=0))
 
-    def fault(self) -> ClockFault:
-        """Find the most probable delay, drift or loss of samples, and its odds."""
-        lost = self._lost()
-        if lost is not None and lost.probability >= quantities.SURE:
-            return lost
-        drifting = self._fitted(*self._best_line[1:])
-        if drifting.probability >= quantities.SURE:
-            return drifting
-        each = self.pairs.sum(axis=1)
-        grid, top = self._delays(each)
-        within = SHORTEST_DELAY / self.segments.rate
-        beyond = np.abs(grid) >= within
-        agreement = top / np.maximum(np.abs(each).sum(axis=1, keepdims=True), 1e-300)
-        likely = PHASES * _log_likelihood(agreement).mean(axis=0)
-        sound, late = likely[~beyond], likely[beyond]
-        chances = odds.weigh(
-            np.append(sound.max(), late), np.log(np.append(1.0 - FAULTY, np.full(len(late), FAULTY / len(late))))
-        )
-        best = ranking.first_largest(late)
-        near = np.abs(grid[beyond] - grid[beyond][best]) <= within
-        fitted = self._fitted(float(grid[beyond][best]), 0.0)
-        return replace(
-            fitted, slope=0.0, probability=float(chances[1:][near].sum()), evidence=float(late[best] - sound.max())
-        )
+    def fault(self) -> ChannelFault:
+        """Find the first fault that is sure: samples lost, a low-pass, a drift, a delay or a step of the gain."""
+        drifting, curved = self._fitted(*self._best_line[1:]), self._curved()
+        # What a low-pass leaves of a line differs from band to band, and the bands are loud at different times.
+        ordered = (curved, drifting) if curved.kind == "low-pass" else (drifting, curved)
+        for told in (self._lost(), *ordered, self._stepped()):
+            if told is not None and told.probability >= quantities.SURE:
+                return told
+        return ChannelFault("", 0.0, 0.0)
 
-    def _lost(self) -> ClockFault | None:
+    def _curved(self) -> ChannelFault:
+        """Weigh delays and low-passes, each one curve of phase over frequency, against none."""
+        each, rate = self.pairs.sum(axis=1), self.segments.rate
+        grid, delayed = self._delays(each)
+        beyond = np.abs(grid) >= SHORTEST_DELAY / rate
+        lags, corners = grid[beyond], rate * CORNERS
+        slow = (each @ np.exp(2j * np.arctan(np.outer(self.segments.omega, 0.5 / (np.pi * corners))))).real
+        agreement = np.hstack([delayed[:, ~beyond].max(axis=1, keepdims=True), delayed[:, beyond], slow])
+        likely = PHASES * _log_likelihood(agreement / np.abs(each).sum(axis=1, keepdims=True)).mean(axis=0)
+        counts = np.repeat([len(lags), len(corners)], [len(lags), len(corners)])
+        chances = odds.weigh(likely, np.log(np.append(1.0 - 2 * FAULTY, FAULTY / counts)))
+        best = ranking.first_largest(chances[1:])
+        evidence = float(likely[1 + best] - likely[0])
+        if best >= len(lags):
+            # A delay that is as probable would mend nothing: for either the channel is left out.
+            corner = float(corners[best - len(lags)])
+            return ChannelFault("low-pass", float(1.0 - chances[0]), evidence, corner)
+        near = np.abs(lags - lags[best]) <= SHORTEST_DELAY / rate
+        probability = float(chances[1 : 1 + len(lags)][near].sum())
+        return replace(self._fitted(float(lags[best]), 0.0, drifts=False), probability=probability, evidence=evidence)
+
+    def _stepped(self) -> ChannelFault | None:
+        """Find the instant at which the amplitudes change; None where no order of time is known."""
+        times, weight = self.segments.times, self.loudness
+        if len(times) < CLOCK_PARTS or np.any(np.diff(times) <= 0):
+            return None
+        before, first = np.cumsum(weight)[:-1], np.cumsum(weight * self.levels)[:-1]
+        whole, total = max(float(weight.sum()), 1e-300), float(weight @ self.levels)
+        between = whole * (first - before * total / whole) ** 2 / np.maximum(before * (whole - before), 1e-300)
+        scatter = float(weight @ (self.levels - total / whole) ** 2) + 1e-300
+        # Student's likelihood of as many segments as weigh; they overlap by half.
+        count = 0.5 * whole**2 / max(float(weight @ weight), 1e-300)
+        gains = -0.5 * count * np.log(np.maximum(1.0 - between / scatter, 1e-12))
+        chances = odds.weigh(
+            np.append(0.0, gains), np.log(np.append(1.0 - FAULTY, np.full(len(gains), FAULTY / len(gains))))
+        )
+        split = ranking.first_largest(gains)
+        parts = np.maximum([before[split], whole - before[split]], 1e-300)
+        step = (total - first[split]) / parts[1] - first[split] / parts[0]
+        time = float(times[split : split + 2].mean())
+        return ChannelFault("gain step", float(1.0 - chances[0]), float(gains[split]), float(np.exp(step)), time=time)
+
+    def _lost(self) -> ChannelFault | None:
         """Find the delay that changes at one instant, as where samples are lost; None where no order of time is known.
 
         One delay before the instant and another after it are weighed against the best line.
@@ -194,9 +235,9 @@ class Phases:
         size = max(float(np.abs(self.squares).sum()), 1e-300)
         gain = PHASES * float(_log_likelihood(tops[split] / size) - _log_likelihood(self._best_line[0] / size))
         chance = odds.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY / (len(tops) * len(grid))]))[1]
-        time = float(self.times[split : split + 2].mean())
-        jump = late - early if abs(late - early) >= SHORTEST_DELAY / self.segments.rate else 0.0
-        return ClockFault(early, 0.0, 0.0, 0.0, time, float(chance) if jump else 0.0, gain, jump)
+        jump, time = late - early, float(self.times[split : split + 2].mean())
+        sure = float(chance) if abs(jump) >= SHORTEST_DELAY / self.segments.rate else 0.0
+        return ChannelFault("lost samples", sure, gain, jump, time=time)
 
     def _delays(self, squares: Complexes) -> tuple[Floats, Floats]:
         """Sum phasors over the lines, turned back by each delay, shape (..., delays); the delays come first."""
@@ -230,7 +271,7 @@ class Phases:
             best = max(best, (float(top[place]), float(grid[place]), turns * step), key=itemgetter(0))
         return best
 
-    def _fitted(self, late: float, slope: float) -> ClockFault:
+    def _fitted(self, late: float, slope: float, *, drifts: bool = True) -> ChannelFault:
         """Fit what a line leaves in each part of the record and each band: one delay a band, one drift of them all.
 
         A clock is late by the same in every band. The phases that a damper makes differ from band to band, and those
@@ -257,21 +298,17 @@ class Phases:
             scatter = float((weight * (off - more * times) ** 2).sum()) / freedom
             shares = of_bands / of_bands.sum()
             late, slope = late + float(shares @ mean), slope + more
-        slope_std = max(float(np.sqrt(scatter / information)), 1e-300)
+        if not drifts:
+            std = float(np.sqrt(scatter / of_bands.sum() + shares @ (mean - shares @ mean) ** 2))
+            return ChannelFault("clock offset", 0.0, 0.0, late, std, late=(late, 0.0))
+        std = max(float(np.sqrt(scatter / information)), 1e-300)
         # Student's likelihood of the slope with that of none, and a uniform prior. A slope that the data do not tell
         # keeps its prior probability.
-        gain = 0.5 * (freedom + 1) * np.log1p((slope / slope_std) ** 2 / freedom)
-        share = min(slope_std * np.sqrt(2 * np.pi) / (2 * FASTEST_DRIFT), 1.0)
-        priors = np.log([1.0 - FAULTY, FAULTY * share])
-        return ClockFault(
-            middle=late,
-            std=float(np.sqrt(scatter / of_bands.sum() + shares @ (mean - shares @ mean) ** 2)),
-            slope=slope,
-            slope_std=slope_std,
-            time=float(np.average(self.times, weights=np.maximum(self.weights, 1e-300))),
-            probability=float(odds.weigh([0.0, gain], priors)[1]),
-            evidence=float(gain),
-        )
+        gain = 0.5 * (freedom + 1) * np.log1p((slope / std) ** 2 / freedom)
+        share = min(std * np.sqrt(2 * np.pi) / (2 * FASTEST_DRIFT), 1.0)
+        probability = float(odds.weigh([0.0, gain], np.log([1.0 - FAULTY, FAULTY * share]))[1])
+        start = late - slope * float(np.average(self.times, weights=np.maximum(self.weights, 1e-300)))
+        return ChannelFault("clock drift", probability, float(gain), slope, std, late=(start, slope))
 
     @cached_property
     def agreement(self) -> float:
@@ -291,33 +328,32 @@ class Phases:
 
 
 @dataclass(frozen=True)
-class ClockFault:
-    """How late a clock is against others.
+class ChannelFault:
+    """A fault of a channel.
 
     Parameters
     ----------
-    middle, std : float
-        The delay at the mean time of the data, and its standard deviation, s.
-    slope, slope_std : float
-        Seconds more in each second after.
-    time : float
-        The mean time, s.
+    kind : str
+        That of its finding; empty where there is none.
     probability : float
-        Of the delay, or of the drift where there is a slope.
     evidence : float
-        Log likelihood of the fault over that of a sound clock.
-    jump : float, optional
-        Seconds by which the delay changes at `time`.
+        Log likelihood of the fault over that of a sound channel.
+    size, std : float, optional
+        Seconds of a delay, or by which it changes; seconds a second; a low-pass's corner, Hz; a step's factor.
+    time : float, optional
+        When it changes, s.
+    late : (float, float), optional
+        What is to be taken out: seconds at the start of the record, and more in each second after. Where it is missing,
+        the channel is left out.
     """
 
-    middle: float
-    std: float
-    slope: float
-    slope_std: float
-    time: float
+    kind: str
     probability: float
     evidence: float
-    jump: float = 0.0
+    size: float = 0.0
+    std: float = 0.0
+    time: float = 0.0
+    late: tuple[float, float] | None = None
 
 
 def _log_likelihood(agreement: Floats | float) -> Floats:
@@ -330,8 +366,8 @@ def _log_likelihood(agreement: Floats | float) -> Floats:
     return np.asarray(k * (r - 1.0) - np.log(special.ive(0, k)))
 
 
-def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
-    """Leave out channels that share nothing with the others, and set clocks right that are late or drift."""
+def with_right_channels(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
+    """Leave out channels that cannot be mended, and set clocks right that are late or drift."""
     names = [channel.name for channel in record.channels]
     clocks = names if record.runs[0].excitation is None else [*names, "input"]
     if len(clocks) < 2 or min(run.samples for run in record.runs) < 4 * record.sampling_rate:
@@ -344,15 +380,15 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     chances = np.array([each.by_chance for each in compared])
     heard = common > chances
     # Where most channels show no more than chance the record is too short to tell.
-    silent = [clock for clock in range(len(names)) if not heard[clock] and 2 * heard.sum() > len(clocks)]
+    out = [clock for clock in range(len(names)) if not heard[clock] and 2 * heard.sum() > len(clocks)]
     findings = []
-    for place in silent:
+    for place in out:
         channel, chance = record.channels[place], float(chances[place])
         numbers = {"channel": channel.name, "floor": channel.floor, "agreement": float(common[place]), "out": True}
         findings.append(finding("dead channel/silent", numbers, where=channel, chance=chance))
-    left = [clock for clock in everyone if clock not in silent]
     wrong: dict[int, tuple[float, float]] = {}
-    while len(wrong) + len(silent) < len(clocks) / 2:
+    while len(wrong) + len(out) < len(clocks) / 2:
+        left = [clock for clock in everyone if clock not in out]
         others = [clock for clock in left if clock not in wrong]
         faults = [segments.against(clock, [k for k in left if k != clock]).fault() for clock in others]
         worst = ranking.first_largest(
@@ -361,37 +397,42 @@ def with_right_clocks(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
         fault, clock = faults[worst], others[worst]
         if fault.probability < quantities.SURE:
             break
-        if fault.jump:
-            out = clock < len(names)
-            numbers = {"channel": clocks[clock], "samples": round(abs(fault.jump) * record.sampling_rate), "out": out}
-            where = record.channels[clock] if out else "the input channel"
-            what, left_out = "loses" if fault.jump < 0 else "repeats", "; left out" if out else ""
-            findings.append(
-                finding("lost samples", numbers, where=where, what=what, time=fault.time, left_out=left_out)
-            )
-            left.remove(clock)
-            silent += [clock] if out else []
+        if fault.late is None:
+            where = record.channels[clock] if clock < len(names) else "the input channel"
+            findings.append(_left_out(fault, clocks[clock], str(where), record.sampling_rate))
+            out.append(clock)
             continue
-        start = fault.middle - fault.slope * fault.time
-        wrong[clock] = start, fault.slope
-        segments = segments.earlier(clock, start, fault.slope)
+        wrong[clock] = fault.late
+        segments = segments.earlier(clock, *fault.late)
         against = reference if clock != reference else max(
             (k for k in left if k != clock), key=lambda k: float(common[k])
         )  # fmt: skip
-        findings.append(_corrected(clocks[clock], clocks[against], fault, start))
-    if silent:
-        record = only(record, [column for column in range(len(names)) if column not in silent])
+        findings.append(_corrected(fault, clocks[clock], clocks[against]))
+    record = without(record, findings)
     return (in_step(record, {clocks[k]: late for k, late in wrong.items()}) if wrong else record), findings
 
 
-def _corrected(name: str, reference: str, fault: ClockFault, start: float) -> Finding:
+def _left_out(fault: ChannelFault, name: str, where: str, rate: float) -> Finding:
+    """Report a channel that cannot be mended; the input stays."""
+    numbers = {"channel": name, "out": name != "input", "probability": fault.probability}
+    words = {"where": where, "time": fault.time, "left_out": "; left out" if numbers["out"] else ""}
+    if fault.kind == "low-pass":
+        return finding("low-pass", {**numbers, "corner": fault.size}, **words)
+    if fault.kind == "gain step":
+        return finding("gain step", {**numbers, "factor": fault.size, "time": fault.time}, **words)
+    what = "loses" if fault.size < 0 else "repeats"
+    return finding("lost samples", {**numbers, "samples": round(abs(fault.size) * rate)}, what=what, **words)
+
+
+def _corrected(fault: ChannelFault, name: str, reference: str) -> Finding:
     """Report a clock that was late, early or drifted, by the phases of the whole band, and has been set right."""
+    start = 0.0 if fault.late is None else fault.late[0]
     numbers = {"channel": name, "reference": reference, "seconds": start, "corrected": True}
     late = "late" if start > 0 else "early"
-    if fault.slope:
-        numbers |= {"drift": fault.slope, "drift_std": fault.slope_std}
-        slow, std = "slow" if fault.slope > 0 else "fast", quantities.significant(1e6 * fault.slope_std, 2)
-        return finding("clock drift", numbers, slow=slow, by=abs(fault.slope), std=std, start=abs(start), late=late)
+    if fault.kind == "clock drift":
+        numbers |= {"drift": fault.size, "drift_std": fault.std}
+        slow, std = "slow" if fault.size > 0 else "fast", quantities.significant(1e6 * fault.std, 2)
+        return finding("clock drift", numbers, slow=slow, by=abs(fault.size), std=std, start=abs(start), late=late)
     numbers |= {"std": fault.std}
     spread = quantities.significant(1e3 * fault.std, 2)
     return finding("clock offset", numbers, by=abs(start), late=late, spread=spread)
@@ -405,21 +446,13 @@ def _window(length: int, *, decaying: bool) -> Floats:
     return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
 
 
-def mains_lines(length: int, rate: float) -> Ints:
-    """List the lines of a spectrum at mains frequencies and their aliases."""
-    places = {
-        round(abs((multiple * mains + rate / 2) % rate - rate / 2) * length / rate) + near
-        for mains in MAINS
-        for multiple in (1, 2, 3)
-        for near in (-1, 0, 1)
-    }
-    return np.array([place for place in sorted(places) if 0 <= place <= length // 2], dtype=np.int64)
-
-
 LONGEST = 0.05
 """Largest offset, s, looked for in the phases of the modes: the phases of the whole band show longer ones before."""
 STEPS = 4001
-"""Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree."""
+"""Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree. As many corners
+of a low-pass."""
+LEAST_PHASE = 0.3
+"""Degrees, root mean square over the modes: uneven damping turns the entries of lightly damped modes by as much."""
 FOLDED = 0.85
 """Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances."""
 
@@ -517,6 +550,34 @@ def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Comple
     """Take the offsets' turns back, shape (modes, channels)."""
     turn = np.exp(1j * np.abs(eigenvalues.imag)[:, None] * seconds[None, : shapes.shape[1]])
     return np.asarray(shapes * turn)
+
+
+def slow_sensor(omega: Floats, phasors: Complexes, rate: float) -> tuple[float, float]:
+    """Weigh a first-order low-pass against a late clock, by the phases that each leaves of the modes.
+
+    Parameters
+    ----------
+    omega : array, shape (modes,)
+        rad/s.
+    phasors : array of complex, shape (modes,)
+        The channel over another.
+    rate : float
+        Sampling rate, Hz.
+
+    Returns
+    -------
+    corner : float
+        Hz.
+    probability : float
+    """
+    corners = rate * np.geomspace(CORNERS[0], CORNERS[-1], STEPS)
+    left = folded_phase(phasors * np.exp(1j * np.arctan(np.outer(0.5 / (np.pi * corners), omega))))
+    best = ranking.first_largest(-(left**2) @ np.abs(phasors) ** 2)
+    slow = rms_phase(phasors * np.exp(1j * np.arctan(omega / (2 * np.pi * corners[best]))))
+    line = rms_phase(phasors * np.exp(1j * omega * _slope(omega, phasors)))
+    # Both have one parameter, and the scatter of the phases is unknown.
+    likely = -(len(omega) - 1.0) * np.log(np.hypot([line, slow], LEAST_PHASE))
+    return float(corners[best]), float(odds.weigh(likely)[1])
 
 
 def _slope(omega: Floats, phasors: Complexes) -> float:

@@ -128,13 +128,21 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
         gain = 0.5 * (late / std) ** 2 + np.log(std * np.sqrt(2 * np.pi) / (2 * clocks.LONGEST))
         if odds.weigh([0.0, gain], np.log([1.0 - clocks.FAULTY, clocks.FAULTY]))[1] < quantities.SURE:
             continue
-        if segments is not None:
-            place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
-            floors = [floor for floor in range(len(record.channels)) if floor != place]
-            if beside == len(record.channels) and floors:
-                # Every resonance turns the phases between the input and a floor; those between two floors it does not.
-                beside = min(floors, key=lambda floor: abs(late_by[floor]))
-            if not segments.against(place, [beside]).nearer(float(late_by[place] - late_by[beside])):
+        place, beside, late_by = names.index(name), full.clocks.reference, full.clocks.seconds
+        floors = [floor for floor in range(len(record.channels)) if floor != place]
+        if beside == len(record.channels) and floors:
+            # Every resonance turns the phases between the input and a floor; those between two floors it does not.
+            beside = min(floors, key=lambda floor: abs(late_by[floor]))
+        apart = float(late_by[place] - late_by[beside])
+        if segments is not None and not segments.against(place, [beside]).nearer(apart):
+            continue
+        if late > 0 and len(names) > 2 and max(place, beside) < len(record.channels):
+            omega = 2 * np.pi * full.frequencies
+            between = full.shapes[:, place] * np.conj(full.shapes[:, beside]) * np.exp(-1j * omega * apart)
+            corner, probability = clocks.slow_sensor(omega, between, record.sampling_rate)
+            if probability >= quantities.SURE:
+                numbers = {"channel": name, "corner": corner, "probability": probability, "out": True}
+                yield finding("low-pass/modes", numbers, where=record.channels[place])
                 continue
         degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         yield finding(
@@ -222,7 +230,7 @@ def driving_point_findings(full: estimate.Details, setting: estimate.Replication
             fits = "only it fits" if len(right) == 1 else "they fit"
             change = f"write that input_floor (of floors with a sensor {fits})"
         elif np.any([np.all(there * row < 0) for row in full.real.T]):
-            said, change = "as if the force's sensor were turned round", "give that channel sign = -1"
+            said, change = "as if the force's sensor were turned round", "change its sign in the record file"
         else:
             said, change = "and at no other floor with a sensor are they right", "check input_floor and the channels"
         yield finding("scale", {"floor": floor, "positive_at": right}, as_if=said, change=change)

@@ -1,24 +1,25 @@
-"""Several sensors on one floor: their common motion is the floor's sway, their difference its rotation.
+"""What is looked at in a record before anything is identified: single channels, and several sensors on one floor.
 
 A rigid floor that moves by U in the direction of test and turns by t moves by u = U - t y at the distance y across that
 direction from its center. Sensors with declared positions give U and t by least squares. Without positions, or with a
 center far beyond the sensors, U is their mean.
 """
 
+from __future__ import annotations
+
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import scipy
 
-from cvxshear.records import prepare
-from cvxshear.records.clocks import FAULTY, SEGMENT, with_right_clocks
-from cvxshear.records.prepare import AnyRecord, only, scaled
+from cvxshear.records import clocks, placement, prepare
+from cvxshear.records.data_frames import stretches
+from cvxshear.records.prepare import AnyRecord
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
-from cvxshear.records.sick_channels import channel_findings, without_sick, without_spikes
-from cvxshear.util import odds, quantities, ranking
+from cvxshear.util import quantities
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Bools, Floats, Ints
 
 ACROSS = 30.0
 """Largest angle, degrees, between a useful sensor and the direction of test or its opposite."""
@@ -90,7 +91,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     if not groups:
         return None
     rate = record.sampling_rate
-    length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
+    length = min(int(clocks.SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
     lines = np.fft.rfftfreq(length, 1 / rate)
     mean, differences = np.zeros(len(lines)), np.zeros(len(lines))
     for run in record.runs:
@@ -123,7 +124,7 @@ def along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
         if column not in kept
     ]
     factors = {record.channels[column].name: float(1.0 / cosines[column]) for column in kept}
-    record = only(scaled(record, factors), kept)
+    record = prepare.only(prepare.scaled(record, factors), kept)
     channels = tuple(dataclasses.replace(channel, direction=None) for channel in record.channels)
     return dataclasses.replace(record, channels=channels), findings
 
@@ -174,19 +175,192 @@ def _rotation(record: Record, group: Ints) -> Finding:
     return finding("rotation/sensors", numbers, count=count, names=", ".join(called), how=how, said=said)
 
 
-QUIET = 0.5
-"""Fraction of the lowest frequency where a floor moves twice as far as the base. At lower frequencies the floors move
-with the base."""
-COHERENT_LINE = 0.8
-"""Coherence with the base of lines that count."""
-FALLING = 0.9
-"""A channel's ratio to the base falls if the upper half of such lines has less than this fraction of the lower half."""
-SAME_RATIO = 0.2
-"""Relative standard deviation of a level at low frequency, and of a ratio to another unit."""
-OTHER_UNIT = 0.005
-"""Probability beforehand that a channel is in another unit than declared."""
-NEITHER = 1e-6
-"""Density of levels that neither explains: one channel in a thousand, of a level up to a thousand."""
+DEAD = 1e-4
+"""Share of the median channel's standard deviation; a channel below it measures nothing."""
+CLIPPED = 5
+"""Times as many samples at the extreme value as at the next one, and as many once more, make a clip. The rounded peak
+of a slow motion has 2.4 times as many."""
+STUCK = 0.5
+"""s, and at least 20 samples, for which a converter that works does not repeat one value while the others move."""
+STUCK_SHARE = 0.02
+"""Share of a record; a channel that sticks for longer is left out."""
+SPIKE_DEVIATIONS = 10.0
+"""Local deviations; noise has 5 at most in a record of an hour, and what the frame does the other channels show too."""
+OUT_OF_MOTION = 2.0
+"""Times the root mean square of the samples around it that a spike differs from what the model makes of them."""
+AR_ORDER = 24
+"""Coefficients of the model for spikes: two for each mode of a dozen stories."""
+SPIKE_PASSES = 8
+"""Number of searches for spikes; each search finds one of several near spikes."""
+
+
+def channel_findings(record: Record) -> list[Finding]:
+    """Dead, stuck, clipped and held channels and spikes, each with its numbers."""
+    if isinstance(record, FrfRecord):
+        levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))
+        return _dead(record, levels)
+    levels = np.sqrt(np.mean([np.var(run.responses, axis=0) for run in record.runs], axis=0))
+    found = _dead(record, levels)
+    for run in record.runs:
+        spikes = np.zeros(run.responses.shape, dtype=bool) if prepare.impulsive(run) else spikes_in(run.responses)[0]
+        for column, channel in enumerate(record.channels):
+            if levels[column] > DEAD * np.median(levels):
+                where = f"{run.name}: {channel}"
+                of_channel = [*_of_converter(run.responses[:, column], where, channel.name)]
+                of_channel += _stuck(run.responses, column, where, channel.name, record.sampling_rate)
+                # The corners of clipped, held and stuck values would be taken for spikes.
+                if not of_channel and (count := int(spikes[:, column].sum())):
+                    numbers = {"channel": channel.name, "samples": count}
+                    first = int(np.argmax(spikes[:, column])) + 1
+                    said = finding(
+                        "spikes", numbers, where=where, spikes=quantities.counted(count, "spike"), first=first
+                    )
+                    of_channel.append(said)
+                found += of_channel
+        if run.excitation is not None:
+            found += _of_converter(run.excitation, f"{run.name}: input channel", "input")
+    return found
+
+
+def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
+    """Replace each spike by what the samples on both sides of it say."""
+    hit = {finding.numbers["channel"] for finding in findings if finding.kind == "spikes"}
+    columns = [column for column, channel in enumerate(record.channels) if channel.name in hit]
+    if not columns:
+        return record
+    runs = []
+    for run in record.runs:
+        responses = run.responses.copy()
+        if not prepare.impulsive(run):
+            responses[:, columns] = spikes_in(run.responses)[1][:, columns]
+        runs.append(dataclasses.replace(run, responses=responses))
+    return dataclasses.replace(record, runs=tuple(runs))
+
+
+def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
+    """Find samples that differ from their neighbors in one channel alone, and the responses without them.
+
+    With the coefficients a of an autoregressive model, the difference of a sample from what all others make of it is
+    (a * reversed a * x) / (a'a): white where the model holds, and largest at the sample itself.
+    """
+    cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
+    # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
+    for _ in range(SPIKE_PASSES):
+        off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
+        for column, values in enumerate(cleaned.T):
+            if values.std() > 0:
+                off[:, column] = _interpolation_errors(values - values.mean())
+                scale[:, column] = _local_scale(off[:, column])
+        # Under strong motion a model of the whole record has larger errors; a spike exceeds the local and the overall
+        # errors.
+        loud = np.sqrt(scipy.ndimage.uniform_filter1d((cleaned - cleaned.mean(axis=0)) ** 2, 2 * AR_ORDER + 1, axis=0))
+        ratio = np.where(np.abs(off) > OUT_OF_MOTION * loud, np.abs(off) / scale, 0.0)
+        near = scipy.ndimage.maximum_filter1d(ratio, 5, axis=0)
+        now = (ratio > SPIKE_DEVIATIONS) & (ratio >= scipy.ndimage.maximum_filter1d(ratio, 2 * AR_ORDER + 1, axis=0))
+        for hit in np.flatnonzero(now.any(axis=0)).tolist():
+            others = np.delete(near, hit, axis=1)
+            if others.shape[1]:
+                now[:, hit] &= others.max(axis=1) < SPIKE_DEVIATIONS / 2
+        for place, hit in np.argwhere(now).tolist():
+            now[place, hit] = not _begins(cleaned, place, hit)
+        if not now.any():
+            break
+        found |= now
+        cleaned[now] -= off[now]
+    return found, cleaned
+
+
+def _begins(values: Floats, place: int, hit: int) -> bool:
+    """Whether motion of a channel begins at a sample and goes on as strongly, or begins in all within reach of it."""
+    # The model looks ahead: its errors begin before the first sample that moves. A knock on the sensor's own
+    # floor dies away as fast as its highest modes, so what follows at once counts; a filter smears one sample to two.
+    before = np.abs(values[max(0, place - 2 - AR_ORDER) : max(0, place - 2)])
+    after = np.abs(values[place + 3 : place + 2 * AR_ORDER + 1])
+    if not len(before) or not len(after):
+        return True
+    loud = np.quantile(after, 0.75, axis=0)
+    rises = loud[hit] > 3.0 * np.quantile(before[:, hit], 0.75)
+    # The model looks back: a release affects its errors at later samples.
+    quiet = np.abs(values[max(0, place - 2 * AR_ORDER) : max(1, place - AR_ORDER)])
+    released = values.shape[1] > 1 and bool(np.all(loud > 3.0 * np.quantile(quiet, 0.75, axis=0)))
+    return released or bool(rises and abs(values[place, hit]) < 4.0 * after[:, hit].max())
+
+
+def _interpolation_errors(values: Floats) -> Floats:
+    """Each sample less what an autoregressive model makes of those around it; nought at the ends."""
+    order = min(AR_ORDER, len(values) // 8)
+    # Samples are cut off where the model is fitted, lest spikes make it.
+    limit = SPIKE_DEVIATIONS * np.minimum(_local_scale(values), 1e300)
+    spectrum = np.abs(np.fft.rfft(np.clip(values, -limit, limit), 2 * len(values))) ** 2
+    covariances = np.fft.irfft(spectrum)[: order + 1]
+    covariances[0] *= 1.0 + 1e-6
+    model = np.concatenate([[1.0], -scipy.linalg.solve_toeplitz(covariances[:-1], covariances[1:])])
+    errors = np.convolve(values, np.convolve(model, model[::-1]), mode="same") / (model @ model)
+    errors[:order] = errors[-order:] = 0.0
+    return np.asarray(errors)
+
+
+def _local_scale(errors: Floats) -> Floats:
+    """Estimate the standard deviation of errors around each sample, from the medians of their sizes in blocks."""
+    count = max(1, len(errors) // 200)
+    parts = np.array_split(np.abs(errors), count)
+    # The louder of a block and its neighbors: an onset is no spike.
+    medians = scipy.ndimage.maximum_filter1d([np.median(part) / 0.6745 for part in parts], 3)
+    lengths = np.array([len(part) for part in parts])
+    scale = np.interp(np.arange(len(errors)), np.cumsum(lengths) - 0.5 * lengths, medians)
+    return np.asarray(np.where(scale > 0, scale, np.inf))
+
+
+def _stuck(responses: Floats, column: int, where: str, name: str, rate: float) -> Iterator[Finding]:
+    """Find samples that repeat one value for long while the other channels move as elsewhere."""
+    values, stuck = responses[:, column], np.zeros(len(responses), dtype=bool)
+    repeats = stretches(np.diff(values) == 0) + np.array([0, 1])
+    others = np.delete(responses, column, axis=1)
+    for start, stop in repeats[np.diff(repeats, axis=1)[:, 0] >= max(20, int(STUCK * rate))].tolist():
+        moved = others[start:stop].std(axis=0) / np.maximum(others.std(axis=0), 1e-300)
+        # Where all is quiet, converters of few bits repeat themselves; the others then do as well.
+        repeated = np.mean(np.diff(others[start:stop], axis=0) == 0, axis=0)
+        stuck[start:stop] = others.size and (np.median(moved) > 0.3 or np.median(repeated) < 0.2)
+    if not stuck.any():
+        return
+    where_stuck = stretches(stuck)
+    count, longest, first = int(stuck.sum()), int(np.diff(where_stuck, axis=1).max()), int(where_stuck[0, 0])
+    out = bool(count > STUCK_SHARE * len(stuck))
+    numbers = {"channel": name, "samples": count, "share": float(count / len(stuck)), "out": out}
+    yield finding(
+        "stuck channel", numbers, where=where, value=responses[first, column], first=first + 1, length=len(stuck),
+        longest=longest / rate, left_out="; left out" if out else "",
+    )  # fmt: skip
+
+
+def _dead(record: Record, levels: Floats) -> list[Finding]:
+    typical = float(np.median(levels[levels > 0])) if np.any(levels > 0) else 0.0
+    found = []
+    for channel, level in zip(record.channels, levels.tolist(), strict=True):
+        if level <= DEAD * typical:
+            place = {"channel": channel.name, "floor": channel.floor}
+            numbers = {**place, "std": level, "median_std": typical, "out": True}
+            found.append(finding("dead channel", numbers, where=channel))
+    return found
+
+
+def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
+    """Find samples cut off at the extreme value, and samples repeated at a fixed pace by a channel of a lower rate."""
+    levels, times = np.unique(values, return_counts=True)
+    for extreme, beside in ((-1, -2), (0, 1)) if len(levels) > 1 else ():
+        level, count = levels[extreme], int(times[extreme])
+        far = abs(level - np.median(values)) > values.std()
+        if far and CLIPPED * (1 + times[beside]) <= count < 0.5 * len(values):
+            numbers = {"channel": name, "level": float(level), "samples": count, "share": count / len(values)}
+            first = int(np.argmax(values == level)) + 1
+            yield finding("clipped channel", numbers, where=where, length=len(values), first=first)
+            break
+    same = np.diff(values) == 0
+    for pace in (2, 3, 4, 5):
+        repeats = [np.mean(same[phase::pace]) for phase in range(pace)]
+        if sum(share > 0.95 for share in repeats) == pace - 1 and min(repeats) < 0.5:
+            yield finding("held samples", {"channel": name, "repeats": pace}, where=where)
+            return
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -224,124 +398,16 @@ def examined(record: Record) -> Examined:
         Where no channel is left, or two on one floor contradict each other.
     """
     findings = channel_findings(record)
-    record = without_sick(record, findings)
+    record = prepare.without(record, findings)
     if isinstance(record, FrfRecord):
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors))
-    steady, of_clocks = with_right_clocks(without_spikes(record, findings))
+    steady, of_clocks = clocks.with_right_channels(without_spikes(record, findings))
     steady, of_directions = along(steady)
     share = turning(steady)
     steady, of_floors = one_a_floor(steady)
     findings += [*of_clocks, *of_directions, *of_floors]
     if steady.input == "base":
-        steady, of_signs = _with_the_base(steady)
+        steady, of_signs = placement.with_the_base(steady)
         findings += of_signs
     return Examined(steady, tuple(findings), share)
-
-
-def _with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
-    """Signs and units by the motion at low frequency, where every floor moves with the base."""
-    gains = floor_over_base(record)
-    if gains is None:
-        return record, []
-    level, std = gains
-    units = {size: name for name, size in reversed(quantities.IN_SI["acceleration"].items())}
-    factors = np.array([sign * size for sign in (1.0, -1.0) for size in sorted(units, key=lambda size: size != 1.0)])
-    priors = np.where(factors > 0, 1.0, FAULTY) * np.where(np.abs(factors) == 1.0, 1.0, OTHER_UNIT)
-    # Rows: the input as declared, and reversed; then the channels; then the factors that mend a channel.
-    spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))
-    off = (np.outer([1.0, -1.0], level)[:, :, None] - 1.0 / factors) / spread
-    likely = np.exp(-0.5 * off**2) / spread * priors + NEITHER
-    turned = int(odds.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, FAULTY]))[1] >= quantities.SURE)
-    findings, changes = [], {}
-    if turned:
-        findings.append(finding("sign/input", {"channel": "input", "corrected": True}))
-        changes["input"] = -1.0
-    for channel, value, error, each in zip(record.channels, level * (1 - 2 * turned), std, likely[turned], strict=True):
-        best = ranking.first_largest(each)
-        if best == 0 or each[0] > (1.0 - quantities.SURE) * each.sum():
-            continue
-        factor = float(factors[best])
-        changes[channel.name] = factor
-        if factor < 0:
-            numbers = {"channel": channel.name, "gain": float(value), "corrected": True}
-            findings.append(finding("sign/base", numbers, where=channel, spread=float(error)))
-        if abs(factor) != 1.0:
-            why = f"it moves {abs(value):.3g} times as much as the base at low frequency"
-            findings.append(in_unit(channel, abs(factor), why))
-    return (scaled(record, changes) if changes else record), findings
-
-
-def unit_of(gain: float) -> str | None:
-    """Name the unit of a channel from its ratio to a channel in m/s2; None for m/s2 and for an unknown ratio."""
-    return _nearest_unit(1.0 / gain)
-
-
-def _nearest_unit(size: float) -> str | None:
-    """Name the unit of acceleration of this size in m/s2; None without a near unit."""
-    off = {name: abs(np.log(size / each)) for name, each in quantities.IN_SI["acceleration"].items()}
-    nearest = min(off, key=lambda name: off[name])
-    return nearest if off[nearest] < SAME_RATIO else None
-
-
-def unit_in_truth(channel: Channel, factor: float) -> str | None:
-    """Name the unit of a channel whose values need a factor: declared unit or m/s2, times factor; None if unknown."""
-    return _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
-
-
-def in_unit(channel: Channel, factor: float, why: str) -> Finding:
-    """Report a channel with another unit than the declared unit or, without a declaration, than the other channels."""
-    unit = unit_in_truth(channel, factor)
-    if channel.unit is not None:
-        looks = f"is declared in {channel.unit} and looks like " + (unit or f"{factor:.3g} times that")
-    elif unit is not None:
-        looks = f"looks like {unit}, the others like m/s2"
-    else:
-        looks = f"looks like m/s2, the others like {unit_of(factor) or f'{1 / factor:.3g} times that'}"
-    remedy = "" if unit is None else f'. Write unit = "{unit}" in the record file'
-    numbers = {"channel": channel.name, "floor": channel.floor, "unit": unit, "factor": factor, "corrected": True}
-    return finding("unit", numbers, looks=looks, where=channel, why=why, remedy=remedy)
-
-
-def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
-    """Find each floor's motion over the base's towards 0 Hz, and its standard deviation; None if not recorded.
-
-    Below the first resonance the transmissibility is T(f) = T(0) (1 + c f^2 + ...), with T(0) = 1 for a sensor that is
-    right; T(0) is fitted to the real parts of H1 below half the lowest frequency with |T| = 2.
-    """
-    rate = record.sampling_rate
-    if record.quantity != "acceleration" or any(
-        run.excitation is None or prepare.impulsive(run) for run in record.runs
-    ):
-        return None
-    length = min(int(SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
-    if length < 64:
-        return None
-    columns = len(record.channels) + 1
-    cross, power = np.zeros((length // 2 + 1, columns), dtype=np.complex128), np.zeros((length // 2 + 1, columns))
-    for run in prepare.detrended(record).runs:
-        assert run.excitation is not None
-        each, own = prepare.welch(np.column_stack([run.excitation, run.responses]), 0, rate, length)
-        cross, power = cross + run.samples * each, power + run.samples * own
-    frequencies, base = rate / length * np.arange(length // 2 + 1), power[:, :1]
-    cross, power = cross[:, 1:], power[:, 1:]
-    transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
-    # A table hardly moves at the lowest frequencies; incoherent lines give no transmissibility.
-    heard = np.flatnonzero((coherence > COHERENT_LINE).mean(axis=1) > 0.5)
-    heard = heard[heard > 1]
-    size = np.abs(transfer)
-    if not heard.size:
-        return None
-    relative = size[heard[0] :] / np.maximum(size[heard[:2]].mean(axis=0), 0.05 * np.median(size[2:], axis=0))
-    amplified = frequencies[heard[0] + np.flatnonzero((relative > 2.0).any(axis=1))[:1]]
-    lines = heard[frequencies[heard] < QUIET * amplified.sum()]
-    half = len(lines) // 2
-    rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / amplified) ** 2])
-    if len(lines) <= rows.shape[1]:
-        return None
-    # Above a resonance that the table leaves out motions fall as frequency rises, and have another sign.
-    if np.median(size[lines[-half:]].sum(axis=0) / size[lines[:half]].sum(axis=0)) < FALLING:
-        return None
-    fit, left, *_ = np.linalg.lstsq(rows, transfer[lines].real, rcond=None)
-    scatter = left / (len(lines) - 2) if left.size else np.var(transfer[lines].real, axis=0)
-    return fit[0], np.sqrt(scatter * np.linalg.inv(rows.T @ rows)[0, 0])

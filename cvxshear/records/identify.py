@@ -146,8 +146,16 @@ def identify_modes(
                 turning=looked.turning,
             )  # fmt: skip
             try:
-                repaired = _repaired(looked.record, wanted, attempt, max(picked, default=0.0), accept_swapped)
-                result = _identified(*repaired, method, criteria, wanted, seed, looked.turning)
+                while True:
+                    repaired = _repaired(looked.record, wanted, attempt, max(picked, default=0.0), accept_swapped)
+                    result = _identified(*repaired, method, criteria, wanted, seed, looked.turning)
+                    slow = [item for item in result.findings if item.kind == "low-pass"]
+                    if not slow:
+                        break
+                    findings = (*looked.findings, slow[0])
+                    looked = dataclasses.replace(
+                        looked, record=prepare.without(looked.record, slow[:1]), findings=findings
+                    )
             except NoSolutionError as error:
                 raise NoSolutionError(error.backend, error.reason + _besides(looked)) from None
             except InputError as error:

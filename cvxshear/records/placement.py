@@ -1,10 +1,12 @@
-"""Reversed and exchanged channels, and channels in another unit, as hypotheses weighed by the modes.
+"""Reversed and exchanged channels, and channels in another unit, as hypotheses weighed by the modes, or by the base.
 
 The modes of a shear frame on the ground are a Markov system (its flexibility matrix is oscillatory: Gantmacher and
 Krein 1950, "Oscillation matrices and kernels"), and stay one at any choice of floors: the first mode has one sign and
 grows with height, the second over the first falls with height. The first does not hold for a reversed channel; neither
 holds for two exchanged ones; a factor on a channel spoils the first alone. Against each stands that the lowest mode was
 not found, or the second: what is then called the first has another shape, and another ratio of frequencies to the next.
+
+Under base motion every floor moves with the base at low frequency, which tells signs and units without modes.
 """
 
 import dataclasses
@@ -14,12 +16,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.records.clocks import FAULTY
-from cvxshear.records.examination import OTHER_UNIT, in_unit, unit_in_truth
-from cvxshear.records.record import Channel, Finding, finding
+from cvxshear.records import prepare
+from cvxshear.records.clocks import FAULTY, SEGMENT
+from cvxshear.records.record import Channel, Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
+QUIET = 0.5
+"""Fraction of the lowest frequency where a floor moves twice as far as the base. At lower frequencies the floors move
+with the base."""
+COHERENT_LINE = 0.8
+"""Coherence with the base of lines that count."""
+FALLING = 0.9
+"""A channel's ratio to the base falls if the upper half of such lines has less than this fraction of the lower half."""
+SAME_RATIO = 0.2
+"""Relative standard deviation of a level at low frequency, and of a ratio to another unit."""
+OTHER_UNIT = 0.005
+"""Probability beforehand that a channel is in another unit than declared."""
+NEITHER = 1e-6
+"""Density of levels that neither explains: one channel in a thousand, of a level up to a thousand."""
 SPREAD_OF_STIFFNESS = 0.7
 """Standard deviation of the logarithm of a story's flexibility about the median story's: a factor of two either way."""
 SHAPE_ERROR = 0.03
@@ -248,3 +263,111 @@ def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, soun
     return finding(
         "swapped channels", {**numbers, "corrected": False}, low=low, high=high, shape=shape, odds=odds, dead=dead,
     )  # fmt: skip
+
+
+def with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
+    """Signs and units by the motion at low frequency, where every floor moves with the base."""
+    gains = floor_over_base(record)
+    if gains is None:
+        return record, []
+    level, std = gains
+    units = {size: name for name, size in reversed(quantities.IN_SI["acceleration"].items())}
+    factors = np.array([sign * size for sign in (1.0, -1.0) for size in sorted(units, key=lambda size: size != 1.0)])
+    priors = np.where(factors > 0, 1.0, FAULTY) * np.where(np.abs(factors) == 1.0, 1.0, OTHER_UNIT)
+    # Rows: the input as declared, and reversed; then the channels; then the factors that mend a channel.
+    spread = np.hypot(std[:, None], SAME_RATIO / np.abs(factors))
+    off = (np.outer([1.0, -1.0], level)[:, :, None] - 1.0 / factors) / spread
+    likely = np.exp(-0.5 * off**2) / spread * priors + NEITHER
+    turned = int(odds.weigh(np.log(likely.sum(axis=2)).sum(axis=1), np.log([1.0, FAULTY]))[1] >= quantities.SURE)
+    findings, changes = [], {}
+    if turned:
+        findings.append(finding("sign/input", {"channel": "input", "corrected": True}))
+        changes["input"] = -1.0
+    for channel, value, error, each in zip(record.channels, level * (1 - 2 * turned), std, likely[turned], strict=True):
+        best = ranking.first_largest(each)
+        if best == 0 or each[0] > (1.0 - quantities.SURE) * each.sum():
+            continue
+        factor = float(factors[best])
+        changes[channel.name] = factor
+        if factor < 0:
+            numbers = {"channel": channel.name, "gain": float(value), "corrected": True}
+            findings.append(finding("sign/base", numbers, where=channel, spread=float(error)))
+        if abs(factor) != 1.0:
+            why = f"it moves {abs(value):.3g} times as much as the base at low frequency"
+            findings.append(in_unit(channel, abs(factor), why))
+    return (prepare.scaled(record, changes) if changes else record), findings
+
+
+def unit_of(gain: float) -> str | None:
+    """Name the unit of a channel from its ratio to a channel in m/s2; None for m/s2 and for an unknown ratio."""
+    return _nearest_unit(1.0 / gain)
+
+
+def _nearest_unit(size: float) -> str | None:
+    """Name the unit of acceleration of this size in m/s2; None without a near unit."""
+    off = {name: abs(np.log(size / each)) for name, each in quantities.IN_SI["acceleration"].items()}
+    nearest = min(off, key=lambda name: off[name])
+    return nearest if off[nearest] < SAME_RATIO else None
+
+
+def unit_in_truth(channel: Channel, factor: float) -> str | None:
+    """Name the unit of a channel whose values need a factor: declared unit or m/s2, times factor; None if unknown."""
+    return _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+
+
+def in_unit(channel: Channel, factor: float, why: str) -> Finding:
+    """Report a channel with another unit than the declared unit or, without a declaration, than the other channels."""
+    unit = unit_in_truth(channel, factor)
+    if channel.unit is not None:
+        looks = f"is declared in {channel.unit} and looks like " + (unit or f"{factor:.3g} times that")
+    elif unit is not None:
+        looks = f"looks like {unit}, the others like m/s2"
+    else:
+        looks = f"looks like m/s2, the others like {unit_of(factor) or f'{1 / factor:.3g} times that'}"
+    remedy = "" if unit is None else f'. Write unit = "{unit}" in the record file'
+    numbers = {"channel": channel.name, "floor": channel.floor, "unit": unit, "factor": factor, "corrected": True}
+    return finding("unit", numbers, looks=looks, where=channel, why=why, remedy=remedy)
+
+
+def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
+    """Find each floor's motion over the base's towards 0 Hz, and its standard deviation; None if not recorded.
+
+    Below the first resonance the transmissibility is T(f) = T(0) (1 + c f^2 + ...), with T(0) = 1 for a sensor that is
+    right; T(0) is fitted to the real parts of H1 below half the lowest frequency with |T| = 2.
+    """
+    rate = record.sampling_rate
+    if record.quantity != "acceleration" or any(
+        run.excitation is None or prepare.impulsive(run) for run in record.runs
+    ):
+        return None
+    length = min(int(SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
+    if length < 64:
+        return None
+    columns = len(record.channels) + 1
+    cross, power = np.zeros((length // 2 + 1, columns), dtype=np.complex128), np.zeros((length // 2 + 1, columns))
+    for run in prepare.detrended(record).runs:
+        assert run.excitation is not None
+        each, own = prepare.welch(np.column_stack([run.excitation, run.responses]), 0, rate, length)
+        cross, power = cross + run.samples * each, power + run.samples * own
+    frequencies, base = rate / length * np.arange(length // 2 + 1), power[:, :1]
+    cross, power = cross[:, 1:], power[:, 1:]
+    transfer, coherence = cross / base, np.abs(cross) ** 2 / (base * power)
+    # A table hardly moves at the lowest frequencies; incoherent lines give no transmissibility.
+    heard = np.flatnonzero((coherence > COHERENT_LINE).mean(axis=1) > 0.5)
+    heard = heard[heard > 1]
+    size = np.abs(transfer)
+    if not heard.size:
+        return None
+    relative = size[heard[0] :] / np.maximum(size[heard[:2]].mean(axis=0), 0.05 * np.median(size[2:], axis=0))
+    amplified = frequencies[heard[0] + np.flatnonzero((relative > 2.0).any(axis=1))[:1]]
+    lines = heard[frequencies[heard] < QUIET * amplified.sum()]
+    half = len(lines) // 2
+    rows = np.column_stack([np.ones(len(lines)), (frequencies[lines] / amplified) ** 2])
+    if len(lines) <= rows.shape[1]:
+        return None
+    # Above a resonance that the table leaves out motions fall as frequency rises, and have another sign.
+    if np.median(size[lines[-half:]].sum(axis=0) / size[lines[:half]].sum(axis=0)) < FALLING:
+        return None
+    fit, left, *_ = np.linalg.lstsq(rows, transfer[lines].real, rcond=None)
+    scatter = left / (len(lines) - 2) if left.size else np.var(transfer[lines].real, axis=0)
+    return fit[0], np.sqrt(scatter * np.linalg.inv(rows.T @ rows)[0, 0])

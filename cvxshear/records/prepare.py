@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from cvxshear.records import continuous, frf, pole_sweep
-from cvxshear.records.record import Channel, FrfRecord, Record, Run, TimeRecord
+from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord
 from cvxshear.util import checks, quantities
 from cvxshear.util.errors import InputError, UnsuitableError
 from cvxshear.util.typing import Complexes, Floats, Ints
@@ -88,6 +88,21 @@ def only(record: AnyRecord, columns: Sequence[int]) -> AnyRecord:
     kept = list(columns)
     channels = tuple(record.channels[column] for column in kept)
     return with_responses(record, [run.responses[:, kept] for run in record.runs], channels)
+
+
+def without(record: AnyRecord, findings: Iterable[Finding]) -> AnyRecord:
+    """Leave out the channels that findings say are out.
+
+    Raises
+    ------
+    InputError
+        No channel is left.
+    """
+    out = {item.numbers["channel"] for item in findings if item.numbers.get("out")}
+    kept = [column for column, channel in enumerate(record.channels) if channel.name not in out]
+    if not kept:
+        raise InputError(f"every channel is dead: {', '.join(sorted(out))}")
+    return only(record, kept) if out else record
 
 
 def with_responses(

@@ -288,7 +288,8 @@ class Document:
 HOMES = {
     kind: home
     for home, kinds in {
-        "identified": "Experiment Identification ModalResult Screening",
+        "identified": "Experiment Identification",
+        "from_records": "ModalResult Screening",
         "closed_loop": "LoopResult",
         "responses": "IdentifiedDamping RecordPrediction Reconstruction",
         "studied": "History Plan Reproduction NoiseStudy Comparison",

@@ -8,7 +8,7 @@ from cvxshear.data import Deviation, Frequencies, noise_kinds
 from cvxshear.effects import compose
 from cvxshear.effects.state import State
 from cvxshear.loop import LoopResult
-from cvxshear.loop.results import AddedEffect, EffectSet, by_part
+from cvxshear.loop.results import AddedEffect, by_part
 from cvxshear.report import blocks, headline, identified
 from cvxshear.util import quantities
 from cvxshear.util.typing import Bools, Floats
@@ -28,7 +28,6 @@ def _closure(result: LoopResult) -> blocks.Document:
         *([identified.other_frames_section(result, units)] if result.other_frames else []),
         effects_section(result),
         *headline.numbering_sections(result),
-        sets_section(result),
         candidates_section(result),
         *effect_sections(result),
         before_after(result),
@@ -229,39 +228,6 @@ def effects_table(result: LoopResult) -> blocks.Table:
     names = ("effect", "floor", "story", "configuration", "parameter", "unit", "value", "std")
     values = zip(*rows, strict=True) if rows else [()] * len(names)
     return blocks.Table("effects", "Effects", tuple(map(blocks.exact, names, values)))
-
-
-def sets_section(result: LoopResult) -> blocks.Section:
-    """Tabulate the sets of effects with their probabilities."""
-    chi2 = quantities.significants([item.chi2 for item in result.models])
-    pairs = zip(result.models, chi2, strict=True)
-    rows = [(_label(item, result), quantities.chance(item.probability), shown) for item, shown in pairs]
-    head = ("set", "probability", "chi-square")
-    found = blocks.table_of_rows("models", "Sets of effects, the most probable first", head, rows, brief=True)
-    return blocks.section("sets", "Which effects together", *([found] if rows else []), below=True)
-
-
-def _label(item: EffectSet, result: LoopResult) -> str:
-    """Name the effects of a set, and its mode numbers if they differ from the verdict's."""
-    label = _set_label(item, result.models[0])
-    if item.changes == result.numberings[0].changes:
-        return label
-    return f"{label}, {headline.numbers_in_words(item.changes) if item.changes else 'the modes as given'}"
-
-
-def _set_label(effects: EffectSet, first: EffectSet) -> str:
-    """Name the effects of a set by its differences from the first set, which is the most probable one."""
-    if not effects.effects:
-        return "the shear model alone"
-    if effects is first or not first.effects:
-        return " + ".join(placed.label for placed in effects.effects)
-    come = quantities.listed([placed.label for placed in effects.effects if placed not in first.effects])
-    gone = quantities.listed([placed.label for placed in first.effects if placed not in effects.effects])
-    if come and gone:
-        return f"the first, with {come} in place of {gone}"
-    if gone:
-        return f"the first, without {gone}"
-    return f"the first, with {come}" if come else "the first"
 
 
 def candidates_section(result: LoopResult) -> blocks.Section:

@@ -1,22 +1,25 @@
-"""Describe measured and declared data with their doubts, the modes of a record, and the identified frame."""
+"""Describe the measured and declared data, and the identified frame with the fit of each configuration."""
+
+from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit import results
 from cvxshear.fit.turning_floors import TurningFrame
-from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.motions import THREE_MOTIONS
 from cvxshear.programs.certificate import ActiveConstraint
-from cvxshear.records import ModalResult
 from cvxshear.report import blocks
-from cvxshear.screening import FileFinding, Screening
-from cvxshear.util import errors, quantities
+from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
+
+if TYPE_CHECKING:
+    from cvxshear.loop import LoopResult
 
 
 @blocks.describe.register
@@ -65,6 +68,9 @@ def _facts(experiment: Experiment, units: quantities.Units) -> Iterator[tuple[st
         yield "total mass", f"{_total(experiment, units)}, without added mass" if frame.known_total else "not declared"
     if frame.reference is not None:
         yield "reference state", frame.reference
+    for test in experiment.configurations:
+        if test.repeats is not None:
+            yield f'"{test.name}"', test.repeats.describe()
     for each in experiment.static:
         yield f'static test "{each.name}"', f"displacements of {quantities.counted(int(each.measured.sum()), 'floor')}"
     for prior in experiment.priors:
@@ -474,146 +480,3 @@ def _matrix(matrix: Floats, place: int, units: quantities.Units) -> blocks.Table
     written = [quantities.significants([*row, largest], 5)[:-1] for row in (matrix / factor).tolist()]
     rows = ((str(i), *cells) for i, cells in enumerate(written, 1))
     return blocks.table_of_rows(f"mass-matrix-{place}", f"Corrected mass matrix, {unit}", head, rows)
-
-
-METHOD_WORDS = {
-    "era": "eigensystem realization (era)",
-    "subspace": "subspace identification (subspace)", "ssi": "stochastic subspace identification (ssi)",
-    "given": "modes found elsewhere",
-}  # fmt: skip
-"""Names of the methods of `identify_modes` in words; names from other libraries stay unchanged."""
-
-
-def method_in_words(result: ModalResult) -> str:
-    """Name the method of modal identification in words."""
-    return METHOD_WORDS.get(result.method, result.method)
-
-
-@blocks.describe.register
-def _modes(result: ModalResult) -> blocks.Document:
-    how = f"{quantities.capital(method_in_words(result))}; standard deviations: {result.uncertainty}."
-    findings = (blocks.Sentence(f"{each.kind}: {each.message}", "warning") for each in result.findings)
-    shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
-    sections = (blocks.section("modes", "Modes", how, _table(result), *shapes, *findings),)
-    return blocks.Document(result.name, f"{result.name}: {_modes_headline(result)}", sections, (modes_data(result),))
-
-
-@blocks.line.register
-def _line(result: ModalResult) -> str:
-    found = ", ".join(f"{frequency:.4g}" for frequency in result.frequencies[:4])
-    more = ", ..." if len(result.frequencies) > 4 else ""
-    return f"<ModalResult {result.name}: {_modes_headline(result)}, {found}{more} Hz>"
-
-
-def _modes_headline(result: ModalResult) -> str:
-    floors = quantities.numbered("floor", result.floors.tolist())
-    return f"{quantities.counted(len(result.frequencies), 'mode')} at {floors}"
-
-
-def _table(result: ModalResult) -> blocks.Table:
-    frequencies = zip(result.frequencies.tolist(), result.written_frequency_std.tolist(), strict=True)
-    damping = zip(result.damping_ratios.tolist(), result.written_damping_std.tolist(), strict=True)
-    title = "Modes ± standard deviation. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° then"
-    return blocks.table("identified-modes", title, {
-        "mode": [str(mode) for mode in result.modes],
-        "frequency, Hz": [quantities.with_std(value, value * std, factor=1.0) for value, std in frequencies],
-        # A damping ratio of zero means that the ratio is unknown.
-        "damping, %": [quantities.with_std(value, std, factor=0.01) if value else "–" for value, std in damping],
-        "MPC": [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
-        "lost phase": [f"{value:.1f}°" for value in result.lost_phase],
-    })  # fmt: skip
-
-
-def modes_data(result: ModalResult) -> blocks.Table:
-    """Tabulate the modes for programs, in the format that `csv` and `xlsx` of a configuration read."""
-    # The unit marks mass-normalized shapes; other shapes have the largest entry 1.
-    unit = "1/sqrt(kg)" if result.mass_normalized else ""
-    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
-    shapes = result.mode_shapes if result.mass_normalized else result.mode_shapes / largest
-    stds = (largest if result.mass_normalized else 1.0) * result.entry_std
-    values = {
-        ("mode", ""): result.modes,
-        ("frequency", "Hz"): result.frequencies,
-        ("frequency std", "Hz"): result.frequencies * result.frequency_std,
-        ("damping ratio", ""): result.damping_ratios,
-        **{(f"floor {floor}", unit): shapes[:, at] for at, floor in enumerate(result.floors)},
-        **{(f"floor {floor} std", unit): stds[:, at] for at, floor in enumerate(result.floors)},
-    }
-    columns = (
-        blocks.exact(name, each, unit=unit) for (name, unit), each in values.items() if np.any(np.isfinite(each))
-    )
-    return blocks.Table(result.name, "Modes", tuple(columns))
-
-
-def poles_table(result: ModalResult) -> blocks.Table:
-    """Tabulate the clusters of stable poles of a record; name the modes, and the reason for each rejected cluster.
-
-    Parameters
-    ----------
-    result : ModalResult
-        Result with its order sweep.
-
-    Raises
-    ------
-    InputError
-        If the result has no order sweep.
-    """
-    if result.sweep is None:
-        raise errors.InputError(
-            f"{result.name}: not identified from a record here, so there are no poles to choose from"
-        )
-    chosen = {item.members for item in result.sweep.chosen}
-    candidates = result.sweep.candidates
-    return blocks.table("poles", f"{result.name}: --pick with the frequencies, commas between", {
-        "pole": [str(number) for number in range(1, len(candidates) + 1)],
-        "frequency, Hz": [f"{item.frequency:.4f}" for item in candidates],
-        "orders it is stable in": [quantities.percent(item.persistence, 0) for item in candidates],
-        "share of energy": [quantities.percent(item.energy, 1) for item in candidates],
-        "taken": ["mode" if item.members in chosen else item.reason for item in candidates],
-    }, words=(0, 4))  # fmt: skip
-
-
-def _shapes(result: ModalResult) -> blocks.Table:
-    """Tabulate the shapes, the top of the frame first."""
-    largest = np.abs(result.mode_shapes).max(axis=1, keepdims=True)
-    shapes, stds = result.mode_shapes.tolist(), (result.written_entry_std * largest).tolist()
-    scale = "1/√kg" if result.mass_normalized else "the largest entry is 1"
-    columns = {"floor": [str(floor) for floor in result.floors]}
-    columns |= {
-        f"mode {mode}": quantities.with_stds(*pair) for mode, *pair in zip(result.modes, shapes, stds, strict=True)
-    }
-    return blocks.table("identified-shapes", f"Mode shapes ± standard deviation ({scale})", columns, top_first=True)
-
-
-@blocks.describe.register
-def _screening(result: Screening) -> blocks.Document:
-    accepted = [f"accepted beforehand: {', '.join(result.accepted)}"] if result.accepted else []
-    parts = [part for item in result.findings for part in _finding(item)]
-    for said in result.record:
-        parts += [blocks.Sentence(f"RECORD: {said.kind}", "warning"), blocks.Facts((("  found", said.message),))]
-    findings = blocks.section("findings", "", *accepted, *parts)
-    return blocks.Document(result.name, f"{result.name}: {_screening_headline(result)}", (findings,))
-
-
-def _screening_headline(result: Screening) -> str:
-    mistakes = sum(item.refuses for item in result.findings)
-    numbers = {"mistake": mistakes, "doubt": len(result.findings) - mistakes, "remark": len(result.record)}
-    return (
-        quantities.listed([quantities.counted(number, noun) for noun, number in numbers.items() if number])
-        or "nothing looks wrong"
-    )
-
-
-def _finding(item: FileFinding) -> Iterator[blocks.Block]:
-    """Describe a finding and the recommended change."""
-    word, tone = ("MISTAKE", "mistake") if item.refuses else ("WARNING", "warning")
-    where = f' in configuration "{item.configuration}"' if item.configuration else ""
-    yield blocks.Sentence(f"{word}: {' or '.join((item.name, *item.rivals))}{where}", tone)
-    accept = f"{item.how_to_accept}, if it is right as it is"
-    yield blocks.Facts((("  found", item.found), ("  change", item.change), ("  accept", accept)))
-
-
-def doubts_section(found: Sequence[FileFinding]) -> blocks.Section:
-    """List the warnings of a computed result, one line each."""
-    said = (f"WARNING: {item.found}; {item.change} ({item.how_to_accept} silences this)" for item in found)
-    return blocks.section("doubts", "", *(blocks.Sentence(each, "warning") for each in said))

@@ -25,7 +25,7 @@ from cvxshear.util.typing import Floats
 def _history(result: History) -> blocks.Document:
     skipped = (blocks.Sentence(f"skipped: {each}", "warning") for each in result.skipped)
     sections = (
-        blocks.section("changes", "Changes that are more than scatter", *_changes(result), *skipped),
+        blocks.section("changes", "Changes of stiffness", *_changes(result), *skipped),
         blocks.section("tests", "The tests", *history_data(result).folded(blocks.PAGE_COLUMNS)),
     )
     title = result.loop.experiment.name
@@ -35,7 +35,11 @@ def _history(result: History) -> blocks.Document:
 def _history_headline(result: History) -> str:
     """State the changes with their probabilities."""
     tests = quantities.counted(len(result.fitted), "test")
-    said = [f"{each.text} ({quantities.chance(each.probability)} probable)" for each in result.changes]
+    said = [
+        f"{'perhaps ' if each.probability < quantities.SURE else ''}{each.text} "
+        f"({quantities.chance(each.probability)} probable)"
+        for each in result.changes
+    ]
     return f"{tests}: {'; '.join(said) or 'no change is more than scatter'}"
 
 
@@ -53,6 +57,7 @@ def _changes(result: History) -> Iterator[blocks.Block | str]:
         told = {head: texts for head, texts in cells.items() if any(texts)}
         yield blocks.table("changes-table", "", told, words=(0, 2, 3))
     yield f"It rests on {result.loop.rests_on[0]}; masses are the same in all tests."
+    yield from (f"{quantities.capital(each)}." for each in result.loop.information)
 
 
 def history_data(result: History) -> blocks.Table:

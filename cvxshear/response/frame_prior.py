@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cvxshear.data.kinds import scaled
+from cvxshear.data.kinds import frequency_residual, scaled
 from cvxshear.effects import Effect
 from cvxshear.effects.readings import SensorGain
 from cvxshear.effects.stories import StoryChange
@@ -111,7 +111,10 @@ def _standardized(test: Configuration, model: DampedModel, added: Floats) -> Flo
     entries = (own.shapes[at] * model.gain)[:, test.measured_floors - 1]
     measured = np.nan_to_num(test.mode_shapes)
     left = weights * (measured - scaled(measured, entries, weights)[0][:, None] * entries)
-    return np.append(np.log(test.frequencies / own.frequencies[at]) / test.log_frequency_std, left[weights > 0])
+    logs = np.log(2 * np.pi * test.frequencies)
+    correlation = test.frequency_correlation
+    above, _ = frequency_residual(logs, own.eigenvalues[at], test.log_frequency_std, correlation=correlation)
+    return np.append(-above, left[weights > 0])
 
 
 @dataclass(frozen=True, eq=False)

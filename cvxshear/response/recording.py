@@ -21,7 +21,7 @@ from scipy import ndimage
 from cvxshear.io.csv import Columns
 from cvxshear.io.modes import RecordTables
 from cvxshear.io.record_tables import ChannelDeclaration, placed
-from cvxshear.records import data_frames, examination, prepare, sick_channels
+from cvxshear.records import data_frames, examination, prepare
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
 from cvxshear.records.record import Channel, Finding, Run, TimeRecord
@@ -34,7 +34,7 @@ RecordingSource = str | Path | TimeRecord | DrivenRecord
 
 SAID = (
     "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
-    "swapped channels", "clock offset", "clock drift", "lost samples",
+    "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "gain step",
 )  # fmt: skip
 """Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
@@ -417,11 +417,11 @@ class SensorRecord:
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
-            if finding.kind in ("dead channel", "stuck channel", "lost samples"):
+            if numbers.get("out") or finding.kind == "stuck channel":
                 out.update(columns)
             elif finding.kind == "spikes":
                 for column, (place, piece) in itertools.product(columns, pieces):
-                    spiked = sick_channels.spikes_in(self.runs[place].measured[piece])[0][:, column]
+                    spiked = examination.spikes_in(self.runs[place].measured[piece])[0][:, column]
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]

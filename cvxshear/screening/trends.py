@@ -92,12 +92,16 @@ class TrendPlace(effects.Place):
         return f"{self.who} {gained if size > 0 else lost} {how_much} of its stiffness {how}"
 
 
+Courses = Mapping[TrendPlace, Mapping[str, float]]
+"""The number x of each test by its name, for each trend."""
+
+
 class Trend(effects.Effect):
     """k_i exp(p x).
 
-    The expected sizes are those of `StoryChange` for steps and slopes, and of `StateStiffness` for temperature, over
-    the range of `SEASONS`, and amplitude, over a factor of ten. Materials soften with both, so one of the two is as
-    probable as not; a slope is as probable as a step at any test.
+    Steps and slopes have the expected size of `StoryChange`. Temperature (over `SEASONS`) and amplitude (over a factor
+    of ten) have the size of `StateStiffness`. Materials soften with both, so one of the two is as probable as not. A
+    slope is as probable as a step at any test.
     """
 
     name = "trend"
@@ -107,7 +111,7 @@ class Trend(effects.Effect):
     stage = "story"
     parameters = (effects.Parameter("p", ""),)
 
-    def __init__(self, name: str, usual: float, probability: float, courses: Mapping[TrendPlace, Floats]) -> None:
+    def __init__(self, name: str, usual: float, probability: float, courses: Courses) -> None:
         vars(self).update(name=name, usual=usual, probability=probability)
         self.courses = courses
 
@@ -118,8 +122,7 @@ class Trend(effects.Effect):
         return len(experiment.configurations) - 1.0 if _trend(place).kind == "slope" else 1.0
 
     def apply(self, state: effects.State, place: effects.Place, values: Floats, own: slice) -> effects.State:
-        names = [each.name for each in state.experiment.configurations]
-        x = float(self.courses[_trend(place)][names.index(state.tested.name)])
+        x = self.courses[_trend(place)][state.tested.name]
         at = slice(None) if place.story is None else slice(place.story - 1, place.story)
         k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
         factor = np.exp(values[0] * x)
@@ -157,7 +160,7 @@ class StiffnessChange(results.InJson):
         Relative change of stiffness: in all, per degree C, or per factor of ten in amplitude.
     text : str
     other_tests : tuple of str
-        Tests at which the step may begin instead, the most probable first.
+        Other possible beginnings of a step, the most probable first.
     rivals : tuple of str
         Other trends that may be there in its place.
     """
@@ -262,7 +265,7 @@ def history(folder: str | Path | Sequence[str | Path], backend: str | backends.B
     return History(found, changes, stiffness, std, fitted, skipped)
 
 
-def courses(experiment: Experiment) -> tuple[dict[TrendPlace, Floats], dict[TrendPlace, Floats]]:
+def courses(experiment: Experiment) -> tuple[Courses, Courses]:
     """Return x of every test for each step and slope, and for temperature and amplitude where they are declared."""
     tests, stories = experiment.configurations, (None, *range(1, experiment.stories + 1))
     order = np.arange(len(tests))
@@ -277,7 +280,12 @@ def courses(experiment: Experiment) -> tuple[dict[TrendPlace, Floats], dict[Tren
         follows[TrendPlace(kind="temperature")] = _centred(np.array(temperatures) / SEASONS)
     if amplitudes := _of_all(tests, "amplitude"):
         follows[TrendPlace(kind="amplitude")] = _centred(np.log10(amplitudes))
-    return over_time, {place: course for place, course in follows.items() if np.any(course)}
+    names = [each.name for each in tests]
+    found = [
+        {place: dict(zip(names, course.tolist(), strict=True)) for place, course in each.items() if np.any(course)}
+        for each in (over_time, follows)
+    ]
+    return found[0], found[1]
 
 
 def one_experiment(folder: str | Path | Sequence[str | Path]) -> tuple[Experiment, tuple[str, ...]]:

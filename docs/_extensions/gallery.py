@@ -2,7 +2,7 @@
 
 A page writes, with the names of an example and of one or several of its figures,
 
-    ```{gallery} paper findings residual
+    ```{gallery} paper findings shapes
     ```
 """
 

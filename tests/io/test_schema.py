@@ -62,6 +62,8 @@ def test_every_table_of_a_measurement_file():
     declared = cvxshear.load(EXAMPLES / "three_story.toml").to_dict()
     declared["configuration"][0] |= {"damping_ratios": [0.01] * 3, "damping_ratio_std": 0.1}
     declared["configuration"][0] |= {"date": "2024-05-03", "temperature": -3.5, "amplitude": 0.02}
+    declared["configuration"].append({"name": "again", "repeats": {"frequencies": [[2.0], [2.1]], "block": ["a", "b"]}})
+    declared["configuration"].append({"name": "more", "frequencies": [2.0], "frequency_covariance": [[1e-6]]})
     declared["static"] = [{"force": [0.0, 0.0, 10.0], "displacement": [0.005, 0.01, 0.02], "displacement_std": 0.01}]
     declared["effect"] = [{"name": "sensor_gain", "floor": 2, "size": 0.02, "probability": 0.3}]
     declared["damping"] = {"kind": "story"}

@@ -62,3 +62,18 @@ def test_written_deviations_have_a_minimum():
     np.testing.assert_allclose(known.written_damping_std, [1e-4, 4e-4])
     assert "damping_ratio_std" not in given.configuration()
     assert known.configuration()["damping_ratio_std"] == pytest.approx([0.01, 0.02])
+    assert given.uncertainty_in_words.startswith(
+        f"{given.uncertainty}; least values are those of 1 frequencies (0.02 %) and 0 damping ratios (1 %) of 2; "
+    )
+    assert "of 1 frequencies (0.02 %) and 1 damping ratios (1 %) of 2;" in known.uncertainty_in_words
+
+
+def test_files_tables_and_json_have_the_same_deviations():
+    pytest.importorskip("pandas")
+    given = from_arrays([2.0, 5.0], SHAPES[:, :2], damping_ratios=[0.01, 0.02], frequency_std=[1e-4, 3e-4],
+                        mode_shape_std=0.012)  # fmt: skip
+    plain, table, written = given.to_dict(), given.to_dataframe(), given.configuration()
+    np.testing.assert_allclose(plain["frequency_std"], written["frequency_std"])
+    np.testing.assert_allclose(table["frequency_std_Hz"] / table["frequency_Hz"], written["frequency_std"])
+    np.testing.assert_allclose(plain["entry_std"], written["mode_shape_std"])
+    np.testing.assert_allclose(plain["damping_std"], table["damping_ratio_std"])

@@ -13,10 +13,10 @@ from cvxshear import InputError
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, from_arrays, identify_modes
 from cvxshear.records.clocks import offsets
 from cvxshear.records.diagnostics import reciprocity_findings
+from cvxshear.records.examination import channel_findings
 from cvxshear.records.prepare import in_step, struck
 from cvxshear.records.record import Finding
 from cvxshear.records.result import SENSOR_STD
-from cvxshear.records.sick_channels import channel_findings
 from cvxshear.records.simulate import PAPER_FRAME, KnownFrame, ambient_record, base_record, hammer_record
 from tests.records.shared import TWO_STORY_FREQUENCIES, two_story_frf
 from tests.studies.record_faults import only

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cvxshear.records import Channel, Run, TimeRecord, from_arrays, identify_modes
-from cvxshear.records.adapters import band_of, synthesized
 from cvxshear.records.frf import reach
 from cvxshear.records.prepare import measured_functions
+from cvxshear.records.result import band_of, synthesized
 from cvxshear.records.simulate import PAPER_FRAME, ambient_record, hammer_record, shaker_record
 from cvxshear.util.errors import InputError
 

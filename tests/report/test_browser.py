@@ -183,7 +183,7 @@ def test_letters_and_lines_of_a_drawing_stand_out_from_the_page(opened, scheme):
     shades = page.evaluate(
         """() => {
             const shade = text => { const c = text.match(/\\d+/g).map(Number); return (c[0] + c[1] + c[2]) / 3; };
-            const svg = document.querySelector("#figure-residual svg");
+            const svg = document.querySelector("#figure-shapes svg");
             const line = [...svg.querySelectorAll("path")].find(each => /stroke: var\\(--c0072b2/.test(each.outerHTML))
                 || svg.querySelector("use");
             return [getComputedStyle(document.body).backgroundColor, getComputedStyle(svg).fill,

@@ -178,36 +178,15 @@ def test_every_verdict_is_on_the_page_that_explains_them():
 def test_states_and_frame_come_first_then_the_probabilities_of_the_result(ambiguous):
     document = describe(ambiguous)
     keys = [section.key for section in document.sections]
-    assert keys[:7] == ["verdict", "limits", "states", "frame", "effects", "sets", "candidates"]
+    assert keys[:6] == ["verdict", "limits", "states", "frame", "effects", "candidates"]
     assert [section.key for section in document.sections if section.appendix] == [
         "declared", "frequencies", "not-considered", "effort"
     ]  # fmt: skip
-    found = [row[1] for row in table(document, "models").rows]
-    assert found == [chance(item.probability) for item in ambiguous.models]
     rows = [row[1:3] for row in table(document, "candidates-table").rows]
     assert rows == [(chance(item.prior), chance(item.probability)) for item in ambiguous.candidates]
     (effect,) = ambiguous.effects
     shown = [row[1] for row in table(document, "effects-table").rows]
     assert shown == [chance(item.probability) for item in (effect, *effect.rivals)]
-
-
-def test_a_large_set_is_told_by_what_sets_it_apart_from_the_first(paper):
-    placed = [item.placed for item in paper.candidates[:6]]
-    first = dataclasses.replace(paper.models[0], effects=tuple(placed[:4]))
-    sets = (
-        first,
-        dataclasses.replace(first, effects=(*placed[:3], placed[5])),
-        dataclasses.replace(first, effects=tuple(placed[:5])),
-        dataclasses.replace(first, effects=()),
-    )
-    shown = [row[0] for row in table(describe(dataclasses.replace(paper, models=sets)), "models").rows]
-    names = [each.label for each in placed]
-    assert shown == [
-        " + ".join(names[:4]),
-        f"the first, with {names[5]} in place of {names[3]}",
-        f"the first, with {names[4]}",
-        "the shear model alone",
-    ]
 
 
 def test_the_frame_that_a_person_reads_is_the_averaged_one(paper):

@@ -23,7 +23,7 @@ from cvxshear.report.figures.style import inline_svg, letters, spread
 from cvxshear.util.errors import InputError
 from tests import frames
 
-OF_A_LOOP = [figures.findings, figures.frame, figures.shapes, figures.residual, figures.mac]
+OF_A_LOOP = [figures.findings, figures.frame, figures.shapes, figures.mac]
 
 
 def boxes(figure):
@@ -79,43 +79,32 @@ def test_no_text_of_the_other_figures_overlaps_or_is_cut_off(paper, study, six_s
         assert_readable(figure)
 
 
-def test_the_residual_is_drawn_in_the_noise_of_the_final_model(paper):
-    left = figures.residual(paper).axes[0]
-    drawn = {line.get_label(): line.get_xdata() for line in left.lines}
+def test_the_residual_is_in_the_noise_of_the_final_model(paper):
+    parts = paper.to_dict()["residual"]["by_part"]
+    found = {
+        side: np.array([each["deviations"] for each in parts[side] if each["noise"] == "frequency"]) for side in parts
+    }
     measured = np.concatenate([each.frequencies for each in paper.experiment.configurations])
     # No noise is declared. The default is 0.2 %, and the final model estimates its factor.
     noise = 0.002 * paper.noise.to_dict()["frequency"]["factor"]
-    for step, name in ((paper.before, "shear model"), (paper.after, "with effects")):
-        modelled = np.concatenate([each.frequencies for each in step.estimate.predictions])
-        # The fit uses the noise estimated by the previous fit. The two agree within a few percent.
-        assert drawn[name] == pytest.approx(np.log(modelled / measured) / noise, rel=0.05)
-    ratio = drawn["shear model"] / np.log(
-        np.concatenate([p.frequencies for p in paper.before.estimate.predictions]) / measured
-    )
+    logs = {
+        side: np.log(np.concatenate([each.frequencies for each in step.estimate.predictions]) / measured)
+        for side, step in (("before", paper.before), ("after", paper.after))
+    }
+    # The fit uses the noise estimated by the previous fit. The two agree within a few percent.
+    assert found["before"] == pytest.approx(logs["before"] / noise, rel=0.05)
+    ratio = found["before"] / logs["before"]
     assert ratio == pytest.approx(ratio[0])
-    assert drawn["with effects"] == pytest.approx(np.log(modelled / measured) * ratio[0])
+    assert found["after"] == pytest.approx(logs["after"] * ratio[0])
 
 
-def test_every_residual_lies_within_its_panel_and_its_label_beside_it():
-    """The residuals include soft priors (one with two rows, one with a single negative row) and long names."""
-    frame = {"total_mass": 20.0, "story_heights": 0.4}
-    prior = [
-        {"kind": "nominal", "quantity": "story_stiffness", "values": [24e3, 20e3], "std": 0.1},
-        {"kind": "ratio", "quantity": "floor_mass", "of": 2, "to": 1, "value": 1.3, "std": 0.03},
-    ]
-    tested = frames.configuration([10.0, 10.0], [24e3, 20e3])
-    declared = frames.experiment([10.0, 10.0], [24e3, 20e3], tested, frame=frame)
-    result = close_loop(cvxshear.Experiment.from_dict({**declared, "prior": prior}), effects=["gravity"])
-    figure = figures.residual(result)
-    figure.draw_without_rendering()
-    width = figure.get_window_extent().width
-    for axes in figure.axes:
-        low, high = axes.get_xlim()
-        for line in axes.lines:
-            if line.get_label() in ("shear model", "with effects"):
-                assert np.all((line.get_xdata() >= low) & (line.get_xdata() <= high))
-        assert axes.get_window_extent().width > 0.15 * width
-        assert all(label.get_window_extent().x0 >= 0 for label in axes.get_yticklabels())
+def test_the_caption_of_the_mac_says_where_sensors_are_few():
+    tested = frames.configuration([10.0] * 4, [24e3] * 4, measured_floors=[2, 4], modes=[1, 2, 3])
+    few = cvxshear.identify(frames.experiment([10.0] * 4, [24e3] * 4, tested))
+    whole = cvxshear.identify(frames.experiment([10.0] * 4, [24e3] * 4))
+    caption = figures.figures_of(cvxshear.Identification)["mac"].caption_of
+    assert "At 2 of 4 floors different modes look alike" in caption(few)
+    assert "look alike" not in caption(whole)
 
 
 def test_shapes_are_scaled_to_the_measured_ones(eight):
@@ -245,11 +234,11 @@ def test_a_figure_shows_itself(paper):
 def test_figures_drawn_in_threads_are_those_drawn_alone(paper, eight):
     """The user also draws in the meantime; all settings stay."""
     settings = {key: value for key, value in mpl.rcParams.items() if key != "backend"}
-    wanted = {result: inline_svg(figures.residual(result), "a") for result in (paper, eight)}
+    wanted = {result: inline_svg(figures.mac(result), "a") for result in (paper, eight)}
 
     def drawn(place):
         result = (paper, eight)[place % 2]
-        return inline_svg(figures.residual(result), "a") == wanted[result]
+        return inline_svg(figures.mac(result), "a") == wanted[result]
 
     with ThreadPoolExecutor(6) as pool:
         assert all(pool.map(drawn, range(12)))

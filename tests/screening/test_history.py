@@ -45,6 +45,19 @@ def test_each_test_has_its_stiffness_and_the_fitted_one_follows_it(found):
     assert 0.7 < np.sqrt(np.mean(scatter**2)) < 1.3
 
 
+def test_files_in_place_of_a_folder(folder):
+    few = cvxshear.history(sorted(folder.glob("*.toml"))[:3])
+    assert few.story_stiffness.shape == (3, 4)
+    assert not [each for each in few.changes if each.probability > 0.95 and each.kind == "step"]
+
+
+def test_a_test_that_is_there_twice_counts_once(folder, tmp_path):
+    for at in range(5):
+        shutil.copy(folder / f"{at:02d}.toml", tmp_path)
+    shutil.copy(folder / "01.toml", tmp_path / "05.toml")
+    assert cvxshear.history(tmp_path).story_stiffness.shape == (5, 4)
+
+
 def test_nothing_is_found_without(tmp_path):
     write_folder(tmp_path, 2)
     assert cvxshear.history(tmp_path).changes == ()

@@ -1,6 +1,6 @@
-"""Draw charts: residuals, histories over many tests, and scatter under noise."""
+"""Draw charts: histories over many tests, and scatter under noise."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import groupby
 from typing import Any
 
@@ -9,94 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.dates import ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from cvxshear.data import Deviation
-from cvxshear.loop import LoopResult
-from cvxshear.loop.results import by_part
 from cvxshear.paper.scatter import NoiseStudy, Scatter
 from cvxshear.report.figures import style
-from cvxshear.report.figures.style import LINE, figure
+from cvxshear.report.figures.style import figure
 from cvxshear.screening import History
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats
-
-HOLLOW: dict[str, Any] = {"ls": "none", "marker": "D", "mfc": "white", "mec": style.BEFORE, "mew": 1.2, "ms": 5.0}
-"""Style of the marks for the state before: a hollow diamond."""
-
-USUAL = 2.0
-"""Number of standard deviations that chance rarely exceeds."""
-
-Pair = tuple[Deviation, Deviation]
-
-
-@figure(
-    "residual",
-    LoopResult,
-    title="Residuals",
-    alternative="Residual of each part of the measurement in standard deviations, for the shear model and with "
-    "effects; the numbers are in the tables above.",
-    section="residual",
-)
-def residual(result: LoopResult) -> Figure:
-    """How far the model is from each part of the measurement, in standard deviations, before and after.
-
-    The residual of every part of the measurement for the shear model (hollow diamonds) and with effects (dots),
-    both in standard deviations of the final model's noise. Within the grey band it is what noise alone makes.
-
-    Both residuals are in standard deviations of the final model's noise.
-
-    Each kind of data has one panel.
-    """
-    pairs = list(zip(by_part(result.before.estimate), by_part(result.estimate), strict=True))
-    kinds = list(dict.fromkeys(after.noise for _, after in pairs))
-    of_kind = {kind: [pair for pair in pairs if pair[1].noise == kind] for kind in kinds}
-    rows = list(dict.fromkeys((after.configuration, after.place) for _, after in pairs))
-    figure = style.new_figure(style.PAGE_WIDTH, LINE * (len(rows) + 8))
-    drawn = style.panels(figure, len(kinds), len(kinds), sharey=True)
-    for axes, kind in zip(drawn, kinds, strict=True):
-        _residual_panel(axes, rows, of_kind[kind])
-    drawn[0].set_yticks(range(len(rows)), [_row_label(name, place) for name, place in rows])
-    drawn[0].set_ylim(len(rows) - 0.4, -0.6)
-    style.legend(figure, drawn[0], 2)
-    return figure
-
-
-def _row_label(configuration: str, place: str) -> str:
-    """Name a part of the measurement, shortened to leave space for the panel; a prior has no configuration."""
-    return f"{style.letters(configuration, 20)}, {place}" if configuration else style.letters(place, 48)
-
-
-def _residual_panel(axes: Axes, rows: Sequence[tuple[str, str]], pairs: Sequence[Pair]) -> None:
-    """Draw one kind of data: single numbers with their sign, or the root mean square of each part."""
-    signed = all(after.entries == 1 for _, after in pairs)
-    places = np.array([rows.index((after.configuration, after.place)) for _, after in pairs], dtype=float)
-    axes.axvspan(-USUAL if signed else 0, USUAL, color="#EFEFEF", zorder=0, lw=0)
-    before, after = np.array([[before.deviations, after.deviations] for before, after in pairs]).T
-    _dumbbells(axes, places, *((before, after) if signed else (np.abs(before), np.abs(after))))
-    what = f"{pairs[0][1].noise.replace('_', ' ')}, {'model less measurement' if signed else 'root mean square'}"
-    axes.set_xlabel(f"{what},\nstandard deviations")
-    if signed:
-        axes.axvline(0, color=style.GREY, lw=0.8)
-    else:
-        axes.set_xlim(left=0)
-    axes.grid(axis="x")
-    axes.tick_params(axis="y", length=0)
-
-
-def _dumbbells(axes: Axes, places: Floats, before: Floats, after: Floats) -> None:
-    axes.hlines(places, before, after, color="#B0B0B0", lw=1.0, zorder=1)
-    axes.plot(before, places, label="shear model", **HOLLOW)
-    axes.plot(after, places, ls="none", marker="o", color=style.AFTER, ms=4.2, label="with effects")
-    # The axis is linear where chance is, and logarithmic beyond; the ticks have nearly equal distances.
-    largest = 1.3 * max(float(np.nanmax(np.abs([*before, *after]))), USUAL)
-    between = USUAL * np.sinh(np.array([0.45, 0.9]) * np.arcsinh(largest / USUAL))
-    ticks = [float(f"{value:.0e}") for value in between]
-    axes.set_xscale("asinh", linear_width=USUAL)
-    axes.xaxis.set_major_locator(FixedLocator([*(-tick for tick in reversed(ticks)), 0.0, *ticks]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.set_xlim(-largest, largest)
 
 
 @figure(
@@ -111,7 +29,7 @@ def changes_over_time(result: History) -> Figure:
     """Draw the change of frequencies, story stiffnesses and damping ratios over the tests.
 
     Dots: each test alone, relative to the mean over the tests, with one standard deviation. Lines: stiffnesses with
-    the changes that are more than scatter.
+    the changes that were found.
     """
     tests = result.loop.experiment.configurations
     dated = all(each.date is not None for each in tests)

@@ -17,13 +17,13 @@ from cvxshear.fit.results import Identification
 from cvxshear.loop import LoopResult
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
-from cvxshear.records.adapters import band_of, synthesized
 from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.records.prepare import Functions
+from cvxshear.records.result import band_of, synthesized
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
-from cvxshear.report.identified import method_in_words
+from cvxshear.report.from_records import method_in_words
 from cvxshear.util import ranking
 from cvxshear.util.quantities import percents
 from cvxshear.util.typing import Floats, Ints
@@ -183,11 +183,24 @@ MOST_NUMBERED = 8
 """Largest number of modes for a matrix with numbers in its cells."""
 
 
+def _mac_caption(result: LoopResult | Identification) -> str:
+    stories = result.experiment.stories
+    seen = min(len(each.measured_floors) for each in result.experiment.configurations if len(each.measured_floors))
+    said = "A light diagonal means that every mode was recognised."
+    if seen < stories:
+        said += f" At {seen} of {stories} floors different modes look alike, so that other entries are large too."
+    first = (
+        "The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every"
+    )
+    return f"{first} mode of the model. {said}"
+
+
 @figure(
     "mac",
     LoopResult,
     Identification,
     title="Measured and modelled modes",
+    caption=_mac_caption,
     alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
     section="shapes",
     applies=lambda result: any(each.measured.any() and not each.sensors for each in result.experiment.configurations),
@@ -195,10 +208,6 @@ MOST_NUMBERED = 8
 )
 def mac(result: LoopResult | Identification) -> Figure:
     """Draw the MAC matrix of each configuration.
-
-    The modal assurance criterion (1 for the same shape, 0 for unrelated ones) of every measured mode with every
-    mode of the model. A light diagonal means that every mode was recognised; with few sensors other entries are
-    large too.
 
     Each configuration has one panel; dark is 0, light is 1, also in black and white.
     """
