@@ -287,6 +287,8 @@ def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> No
     title="The identified frame",
     alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
+    applies=lambda result: not result.experiment.frame.turns,
+    needs="one motion per floor",
 )
 def frame(result: LoopResult | Identification) -> Figure:
     """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
