@@ -126,8 +126,8 @@ def unit_derivatives(motions: Motions, stories: int) -> tuple[Floats, Floats]:
 def center(matrices: Floats) -> tuple[Floats, Floats]:
     """Find the point at which rotation decouples from the displacements, and the rotational entry there.
 
-    Of a floor's mass matrix it is the mass center with the central inertia, of a story's stiffness matrix the center of
-    stiffness: with the displacements' part L and the coupling l, (-c_y, c_x) = L^-1 l, and the entry is that of the
+    A floor's mass matrix gives the mass center and the central inertia, a story's stiffness matrix the center of
+    stiffness. With the displacements' part L and the coupling l, (-c_y, c_x) = L^-1 l, and the entry is that of the
     rotation less l' L^-1 l.
 
     Parameters

@@ -9,10 +9,11 @@ import typer
 
 import cvxshear
 from cvxshear.cli import options
-from cvxshear.cli.output import deliver, doubts_of, numbers, progress
+from cvxshear.cli.output import as_typed, deliver, doubts_of, numbers, progress
 from cvxshear.cli.output import names as listed_names
 from cvxshear.report import terminal
 from cvxshear.util.errors import InputError
+from cvxshear.util.writing import write_file
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -34,6 +35,7 @@ def plan(
     criterion: str = "D",
     fresh: bool = False,
     output: options.TomlOut = None,
+    report: options.ReportOut = None,
     *,
     outputs: options.TableOptions,
 ) -> None:
@@ -84,6 +86,10 @@ def plan(
     files = files_of(result)
     if output is not None:
         files.append(lambda: planning.write_template(output, result))
+    if report is not None:
+        from cvxshear.report.html import render_described
+
+        files.append(lambda: write_file(report, render_described(result, as_typed())))
     said = {**result.to_dict(), **screening.in_json(doubts)}
     deliver(said, outputs.out, lambda: [*doubts_of(doubts), *terminal.shown(result)], *files)
 

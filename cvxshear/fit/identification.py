@@ -16,11 +16,13 @@ from cvxshear.fit.other_frames import other_frames
 from cvxshear.fit.paper_methods import TOLERANCE, berman, one_shot, qi, two_stage
 from cvxshear.fit.results import Identification, SingleIdentification
 from cvxshear.fit.start import uniform
+from cvxshear.fit.turning_floors import one_shot_turning
 from cvxshear.measurement.experiment import Measurement, opened
 from cvxshear.priors import Prior
 from cvxshear.programs import LeastSquares
 from cvxshear.programs.formulations import CompleteTest, complete_test
 from cvxshear.programs.pair_rows import normalized, stiffness_rows
+from cvxshear.programs.turning import TurningTest
 from cvxshear.util import checks, decorators, errors, ranking
 from cvxshear.util.typing import Floats
 
@@ -46,6 +48,7 @@ def identify(
     method : str, optional
         "efficient": one weighted fit to all configurations, which may be incomplete. "two-stage" (the paper's),
         "one-shot", "berman" and "qi": each configuration by itself, with all modes at all floors and the total mass.
+        Floors that turn take "one-shot", with as many modes as they have.
     backend : str or Backend, optional
         Solver of the programs; `cvxshear.backends.available()` lists them.
     priors : sequence of Prior, optional
@@ -71,7 +74,7 @@ def identify(
         If the backend does not solve a program.
     """
     checks.choice(method, METHODS, "method")
-    experiment = opened(experiment).with_priors(tuple(priors))
+    experiment = opened(experiment, turning=method == "one-shot").with_priors(tuple(priors))
     solver = Recorder(backends.get(backend)) if keep_programs else backends.get(backend)
     checks.number(tolerance, "tolerance", above=0.0)
     start = None
@@ -99,8 +102,14 @@ def identify(
             "berman": partial(berman, initial_mass=start),
             "qi": partial(qi, initial_mass=start),
         }
-        tests = [complete_test(experiment, each, f"method {method}") for each in experiment.configurations]
-        found = Identification(experiment, method, solver.name, tuple(methods[method](test, solver) for test in tests))
+        turning, user = experiment.frame.turns, f"method {method}"
+        parts = tuple(
+            one_shot_turning(TurningTest.of(experiment, each, user), solver)
+            if turning
+            else methods[method](complete_test(experiment, each, user), solver)
+            for each in experiment.configurations
+        )
+        found = Identification(experiment, method, solver.name, parts)
     return dataclasses.replace(found, programs=tuple(solver.solved)) if isinstance(solver, Recorder) else found
 
 

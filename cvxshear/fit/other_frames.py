@@ -1,6 +1,6 @@
-"""All frames that fit the same data, and the test that tells them apart.
+"""All frames that fit the same data, and the test that distinguishes them.
 
-The frequencies of a frame of known masses are as many numbers as its stories, and their equations have several roots:
+A frame of known masses has one frequency for each story, and the equations of these frequencies have several roots:
 of three frequencies and equal floors, often two frames are exact whose stories differ by a factor of three.
 
 **Every root.** With G = T' M^-1 T and G_S its rows and columns of the stories in S (Cauchy and Binet),
@@ -101,7 +101,7 @@ def equivalent_fits(estimate: Estimate, backend: Backend, unsuccessful: int = 20
 
 
 def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:
-    """Find the frames besides an estimate that fit the same data, their probabilities, and the test that tells them.
+    """Find the frames besides an estimate that fit the same data, their probabilities, and a test that decides.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from cvxshear.programs import ActiveConstraint
 from cvxshear.util import ranking
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.results import InJson, Shown, as_json
-from cvxshear.util.typing import Bools, Floats, Json
+from cvxshear.util.typing import Bools, Floats, Ints, Json
 
 UNITS_OF_FRAME = {"floor_mass": "kg", "story_stiffness": "N/m"}
 
@@ -150,6 +150,13 @@ class Quality(InJson):
     dof: int
     p_value: float | None
 
+    @staticmethod
+    def of(errors: Mapping[str, float | None], chi2: float, dof: int, *, declared: bool) -> Quality:
+        """Add the p-value of chi2, if every standard deviation is declared; figures without a value are None."""
+        figures = [figure.key for kind in noise_kinds().values() for figure in kind.figures]
+        p_value = float(special.chdtrc(dof, chi2)) if declared and dof > 0 else None
+        return Quality({key: errors.get(key) for key in figures}, chi2, dof, p_value)
+
     @property
     def max_frequency_error(self) -> float:
         """Largest |model / measured - 1| of a frequency."""
@@ -201,8 +208,7 @@ def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: in
     for figure in (each for kind in noise_kinds().values() for each in kind.figures):
         values = np.concatenate(found.get(figure.errors, [np.zeros(0)]))
         errors[figure.key] = float(figure.statistic(values)) if values.size else None
-    p_value = float(special.chdtrc(dof, chi2)) if declared and dof > 0 else None
-    return Quality(errors, chi2, dof, p_value)
+    return Quality.of(errors, chi2, dof, declared=declared)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,6 +227,10 @@ class Prediction(InJson):
     configuration: str
     frequencies: Floats
     mode_shapes: Floats
+
+    def modes_of(self, configuration: Configuration) -> Ints:
+        """Mode of the model that each measured mode is compared with, from 1, shape (m,)."""
+        return configuration.modes
 
 
 def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:

@@ -340,7 +340,7 @@ def opened(source: Measurement, *, turning: bool = False) -> Experiment:
     if found.frame.turns and not turning:
         raise UnsuitableError(
             f"the floors of {found.name} turn (frame: motions), and this takes frames with one motion per floor; "
-            "cvxshear.programs.one_shot_masses and story_stiffnesses take floors that turn"
+            "identify with method one-shot, programs.one_shot_masses and programs.story_stiffnesses take such floors"
         )
     return found
 

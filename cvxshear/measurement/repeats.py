@@ -2,15 +2,15 @@
 
 **Scatter.** Of R repeats of m logarithms of frequencies, S is their sample covariance. A correlation of few repeats is
 uncertain: with the prior that makes every correlation uniform between -1 and 1, and leaves the sizes to the data
-(inverse Wishart with m + 1 degrees of freedom about the diagonal of S, Barnard et al. 2000), correlations are
-(R - 1) / R times those of S, and the covariance is positive definite for any R. The mean has S / R, times the square of
-the ratio of Student's t with R - 1 degrees of freedom to the normal distribution, both at 95 %: intervals of two
-standard deviations then hold for few repeats, too. Two repeats give a factor of 6.5 on the deviations, ten 1.15.
+(inverse Wishart with m + 1 degrees of freedom about the diagonal of S, Barnard et al. 2000), the off-diagonal entries
+are (R - 1) / R times the sample's, and the covariance is positive definite for any R. The mean has S / R, times the
+square of the ratio of Student's t with R - 1 degrees of freedom to the normal distribution, both at 95 %: intervals of
+two standard deviations then hold for few repeats, too. Two repeats give a factor of 6.5 on the deviations, ten 1.15.
 
 **Blocks.** Repeats on several days, or in several laboratories, are a one-way analysis of variance with random effects.
 Blocks differ if the mean square between them exceeds the mean square within by an F test at 5 %, for any frequency
 (Bonferroni). Then the means of the blocks are the repeats: their scatter contains the variance between the blocks, and
-their covariance over the number of blocks is that of the mean, however many repeats each block has.
+their covariance over the number of blocks is the mean's, however many repeats each block has.
 """
 
 from __future__ import annotations

@@ -12,14 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
+from cvxshear import backends
+from cvxshear.fit.efficient import efficient
 from cvxshear.fit.misfit import ExpectedTest
+from cvxshear.fit.other_frames import other_frames
+from cvxshear.fit.results import OtherFrames
 from cvxshear.io.toml import write_measurement
 from cvxshear.measurement.experiment import Configuration, Experiment
-from cvxshear.planning.choice import CRITERIA, Choice, Criterion, choose
+from cvxshear.planning.choice import CRITERIA, KNOWN_EXACTLY, Choice, Criterion, choose, free_changes
 from cvxshear.planning.design import UNKNOWN_STD, Design, read_design
 from cvxshear.planning.tested_model import Declared, TestModel
 from cvxshear.util import checks
-from cvxshear.util.decorators import usual_arithmetic
+from cvxshear.util.decorators import cached_property, usual_arithmetic
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed
 from cvxshear.util.results import InJson, Shown
@@ -42,17 +46,15 @@ class ExpectedAccuracy(InJson):
     Parameters
     ----------
     choice : Choice
-        Chosen floors, the criterion's standard deviation, relative, and bounds on all choices of as many floors.
+        Chosen floors, the criterion's standard deviation for the frame as designed, relative, and bounds on all choices
+        of as many floors.
     floor_mass_std, story_stiffness_std : ndarray, shape (N,)
-        kg and N/m; nan if undetermined.
-    total_mass_std : float
-        Relative, of the total mass.
+        Averaged over the frames that are possible before the tests, kg and N/m; nan if undetermined.
     """
 
     choice: Choice
     floor_mass_std: Floats
     story_stiffness_std: Floats
-    total_mass_std: float
 
     json_keys = "sensors=floors objective=choice.value std"
 
@@ -80,12 +82,15 @@ def expected_accuracy(model: TestModel, tests: Sequence[ExpectedTest], number: i
     """
     choice = choose(model.sensors(tests, number), number, by)
     design = model.design
-    covariance, n = model.covariance(tests, choice.chosen), design.stories
-    relative = np.sqrt(np.diag(covariance))
+    relative = np.sqrt(np.diag(model.averaged(tests, choice.chosen)))
     std = np.where(relative < UNKNOWN_STD, relative, np.nan) * design.sizes
-    share = design.floor_mass / design.floor_mass.sum()
-    total = float(np.sqrt(max(share @ covariance[:n, :n] @ share, 0.0)))
-    return ExpectedAccuracy(choice, std[:n], std[n:], total)
+    return ExpectedAccuracy(choice, *np.split(std, 2))
+
+
+def typical_std(covariance: Floats) -> tuple[float, float]:
+    """Root mean square of the standard deviations of floor masses and of story stiffnesses."""
+    mass, stiffness = np.sqrt(np.mean(np.split(np.diag(covariance), 2), axis=1)).tolist()
+    return mass, stiffness
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,7 +129,8 @@ class Plan(Shown):
     json_keys = (
         "sensors tests=planned_tests modes=model.numbers noise=model.noise.words expected_modes for=goal criterion "
         "objective bound gap floors_arbitrary grid_bound=of_grid.bound masses_arbitrary=of_grid.arbitrary frame "
-        "std=chosen.std one_sensor_less=fewer one_sensor_more=more every_floor=everywhere"
+        "std=chosen.std remedies other_frames=other_frames.frames one_sensor_less=fewer one_sensor_more=more "
+        "every_floor=everywhere"
     )
 
     @property
@@ -148,7 +154,7 @@ class Plan(Shown):
         return self.chosen.choice.gap
 
     @property
-    def expected_modes(self) -> list[dict[str, object]]:
+    def expected_modes(self) -> list[dict[str, float]]:
         """Number and frequency (Hz) of each mode of the first test."""
         test = self.model.expected(self.tests[0]).test
         pairs = zip(test.modes.tolist(), test.frequencies.tolist(), strict=True)
@@ -168,15 +174,44 @@ class Plan(Shown):
     @property
     def typical_std(self) -> tuple[float, float]:
         """Root mean square of the relative standard deviations of floor masses and of story stiffnesses."""
-        design = self.model.design
-        parts = self.chosen.floor_mass_std / design.floor_mass, self.chosen.story_stiffness_std / design.story_stiffness
-        mass, stiffness = (float(np.sqrt(np.mean(part**2))) for part in parts)
-        return mass, stiffness
+        std = np.concatenate([self.chosen.floor_mass_std, self.chosen.story_stiffness_std]) / self.model.design.sizes
+        return typical_std(np.diag(std**2))
 
-    @property
-    def rests_on_total(self) -> bool:
-        """Whether the total mass causes more than half of the variance of a floor mass."""
-        return 2 * self.chosen.total_mass_std**2 > self.typical_std[0] ** 2
+    @cached_property
+    def other_frames(self) -> OtherFrames:
+        """Other frames that will fit the earlier and the planned tests as well, and the test that tells them apart."""
+        backend, experiment = backends.get("auto"), predicted(self)
+        if len(self.sensors) == 1:
+            # Shapes of free scale at one floor tell nothing.
+            bare = [
+                Configuration(each.frequencies, name=each.name, added_mass=each.added_mass, modes=each.modes,
+                              frequency_std=each.frequency_std)
+                if each.name in self.names else each
+                for each in experiment.configurations
+            ]  # fmt: skip
+            experiment = dataclasses.replace(experiment, configurations=tuple(bare))
+        return other_frames(efficient(experiment, backend), backend)
+
+    @cached_property
+    def remedies(self) -> dict[str, tuple[float, float]]:
+        """What would lower the deviations, the cheapest first, each with the typical deviations that it leads to."""
+        model, floors = self.model, self.chosen.choice.chosen
+        n, noise = model.design.stories, model.noise
+        share = np.concatenate([model.design.floor_mass, np.zeros(n)]) / model.design.floor_mass.sum()
+        found = {}
+        if np.linalg.norm(share @ free_changes(model.fixed)) > KNOWN_EXACTLY:
+            found["weigh the frame"] = model, floors, share[None]
+        if self.more is not None:
+            found["one sensor more"] = model, self.more.choice.chosen, None
+        exact = Declared(noise.frequency_std / 2, noise.mode_shape_std / 2)
+        found["half the noise: records four times as long"] = dataclasses.replace(model, noise=exact), floors, None
+        if free := [mode for mode in range(n) if mode not in model.which]:
+            which = np.sort([*model.which, free[0]])
+            found[f"mode {free[0] + 1} as well"] = dataclasses.replace(model, which=which), floors, None
+        return {
+            name: typical_std(each.averaged([each.expected(test) for test in self.tests], at, known))
+            for name, (each, at, known) in found.items()
+        }
 
     @property
     def floors_arbitrary(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -135,9 +136,37 @@ class TestModel:
         rows = np.array([test.at(floors) for test in tests])
         return candidates(self.known, self.fixed, rows, self.question, number / len(tests))
 
-    def covariance(self, tests: Sequence[ExpectedTest], floors: Ints) -> Floats:
-        """Relative covariance of masses and stiffnesses after these tests at these floors, shape (2N, 2N)."""
+    def covariance(self, tests: Sequence[ExpectedTest], floors: Ints, exact: Floats | None = None) -> Floats:
+        """Relative covariance of masses and stiffnesses after these tests at these floors, shape (2N, 2N).
+
+        `exact` has rows, shape (e, 2N), whose product with the relative changes is known to be zero.
+        """
         rows = np.concatenate([self.known, *(test.at(floors) for test in tests)])
-        free = free_changes(self.fixed)
+        free = free_changes(self.fixed if exact is None else np.concatenate([self.fixed, exact]))
         half = free @ np.linalg.inv(np.linalg.qr(rows @ free, mode="r"))
         return np.asarray(half @ half.T)
+
+    def averaged(
+        self,
+        tests: Sequence[ExpectedTest],
+        floors: Ints,
+        exact: Floats | None = None,
+        pairs: int = 16,
+        widest: float = 0.3,
+    ) -> Floats:
+        """Average the covariance over the frames that are possible before the tests, shape (2N, 2N).
+
+        The frames are drawn from the prior information, in pairs on either side of the design values. The covariance is
+        relative to the values of each frame. `widest` limits the relative deviation of a value in the draws.
+        """
+        values, axes = np.linalg.eigh(self.covariance([], np.zeros(0, dtype=int)))
+        # The symmetric root does not depend on the choice of axes.
+        root = (axes * np.sqrt(np.clip(values, 0.0, widest**2))) @ axes.T
+        drawn = np.random.default_rng(1).standard_normal((pairs, len(root))) @ root
+        found = []
+        for change in np.concatenate([drawn, -drawn]):
+            mass, stiffness = np.split(self.design.sizes * np.exp(change), 2)
+            design = dataclasses.replace(self.design, floor_mass=mass, story_stiffness=stiffness)
+            model = dataclasses.replace(self, design=design)
+            found.append(model.covariance([model.expected(each.test.added_mass) for each in tests], floors, exact))
+        return np.asarray(np.mean(found, axis=0))

@@ -3,8 +3,8 @@ r"""The one-shot programs of frames whose floors turn: least squares with linear
 The rows of the modes are phi_i' M phi_j = 0 (i < j), linear in the mass, first moments and inertia of each floor, and
 phi_i' K phi_j = lambda_i delta_ij (i <= j) with the modes normalized by M, linear in the entries of each story's
 symmetric matrix. Each M_i and each K_s is positive semidefinite. A row is divided by its own deviation from the noise
-of the readings, to first order. A relative change of a shape does not change its Rayleigh quotient to first order; the
-deviation of row (i, i) of the stiffnesses is that of lambda_i and of the second order.
+of the readings, to first order. A Rayleigh quotient does not change to first order, so row (i, i) of the stiffnesses
+has the deviation of lambda_i and a term of second order.
 """
 
 from __future__ import annotations
@@ -87,6 +87,8 @@ class TurningTest:
     configuration : Configuration
     observation : ndarray, shape (r, 3 N)
         C: a row a sensor.
+    inverse : ndarray, shape (3 N, r)
+        Motions of the floors by a unit reading of each sensor, the pseudoinverse of C.
     shapes : ndarray, shape (3 N, m)
         Motions of the floors in each mode, of unit length in readings; zero for what no sensor sees.
     std : ndarray, shape (m, r)
@@ -98,6 +100,7 @@ class TurningTest:
     experiment: Experiment
     configuration: Configuration
     observation: Floats
+    inverse: Floats
     shapes: Floats
     std: Floats
     unseen: tuple[str, ...]
@@ -131,12 +134,15 @@ class TurningTest:
         for row, sensor in zip(C, configuration.sensors, strict=True):
             row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
         seen = _seen(C, where)
+        # The pseudoinverse has rounding in place of the zeros of what no sensor sees.
+        inverse = np.where(np.any(C != 0, axis=0)[:, None], np.linalg.pinv(C), 0.0)
         lengths = np.linalg.norm(configuration.mode_shapes, axis=1)[:, None]
         return TurningTest(
             experiment,
             configuration,
             observation=C,
-            shapes=np.linalg.pinv(C) @ (configuration.mode_shapes / lengths).T,
+            inverse=inverse,
+            shapes=inverse @ (configuration.mode_shapes / lengths).T,
             std=configuration.entry_std / lengths,
             unseen=tuple(name for name, sees in zip(MOTIONS, seen, strict=True) if not sees),
         )
@@ -145,11 +151,6 @@ class TurningTest:
     def stories(self) -> int:
         return self.experiment.stories
 
-    @cached_property
-    def inverse(self) -> Floats:
-        """Motions of the floors by a unit reading of each sensor, the pseudoinverse of C, shape (3 N, r)."""
-        return np.asarray(np.linalg.pinv(self.observation))
-
     @property
     def eigenvalues(self) -> Floats:
         """(2 pi f)^2 of each mode, shape (m,)."""
@@ -157,7 +158,7 @@ class TurningTest:
 
     @cached_property
     def radius(self) -> Floats:
-        """Radius of gyration of each floor, shape (N,), m: of its plan, or that of the places of the sensors."""
+        """Radius of gyration of each floor, shape (N,), m: of its plan, else of the places of the sensors."""
         plan = self.experiment.frame.plan
         if plan is not None:
             return np.broadcast_to(np.sqrt(np.sum(plan**2, axis=-1) / 12.0), (self.stories,))
@@ -224,11 +225,20 @@ class TurningTest:
         spread = np.where(i == j, own[i], of_shapes)
         return Rows(products(drifts, drifts, basis)[i, j], (i, j), by_reading, std, 1.0 / spread)
 
+    @cached_property
+    def soft_rows(self) -> Floats:
+        """Rows of (J - r^2 m) / (plan_std J_even) for each floor with a plan, zero if uniform, shape (0 or N, 4 N)."""
+        frame, floors = self.experiment.frame, np.eye(4 * self.stories).reshape(self.stories, 4, -1)
+        if frame.plan is None:
+            return np.zeros((0, 4 * self.stories))
+        rows = floors[:, 3] - self.radius[:, None] ** 2 * floors[:, 0]
+        return np.asarray(rows / (frame.plan_std * self.even_masses[3::4, None]))
+
     def one_shot_masses(self) -> LeastSquares:
         """Write the masses of the floors that make the modes orthogonal; see `programs.one_shot_masses`."""
         rows, frame, n = self.mass_rows(), self.experiment.frame, 4 * self.stories
         floors = np.eye(n).reshape(self.stories, 4, n)
-        mass, inertia = floors[:, 0], floors[:, 3]
+        mass = floors[:, 0]
         R, s, W = rows.R, -rows.R @ self.added, rows.weights
         if frame.floor_masses is not None:
             A, b, sources = mass, frame.floor_masses, ("floor_masses",) * self.stories
@@ -242,10 +252,9 @@ class TurningTest:
             x, y = floors[:, 1], floors[:, 2]
             G = np.concatenate([x - a * mass, -x - a * mass, y - b_of_plan * mass, -y - b_of_plan * mass])
             within = ("the mass center lies within the plan",) * len(G)
-            even = self.even_masses[3::4, None]
-            R = np.concatenate([R, (inertia - self.radius[:, None] ** 2 * mass) / even])
-            s = np.concatenate([s, np.zeros(self.stories)])
-            W = np.concatenate([W, np.full(self.stories, 1.0 / frame.plan_std)])
+        soft = self.soft_rows
+        R, s = np.concatenate([R, soft]), np.concatenate([s, np.zeros(len(soft))])
+        W = np.concatenate([W, np.ones(len(soft))])
         least = LEAST_POSITIVE * float(np.mean(self.even_masses[::4]))
         return LeastSquares(
             R, s, W, A, b, G, np.zeros(len(G)), names=self.names(THREE_MOTIONS.mass_names),

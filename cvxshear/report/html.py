@@ -138,12 +138,13 @@ HEADINGS = {
     "RecordPrediction": "Predicted response",
     "Reconstruction": "Reconstructed response",
     "History": "History of a frame",
+    "Plan": "Planned test",
 }
 """Headings of the pages by the type of their result."""
 
 
 def render_described(result: object, command: str) -> str:
-    """Write the page of a prediction, a reconstruction or a history as HTML: its description and its figures."""
+    """Write the page of a prediction, reconstruction, history or plan as HTML: its description and its figures."""
     heading = HEADINGS[type(result).__name__]
     found = as_json(result)
     return page(

@@ -10,7 +10,9 @@ import numpy as np
 
 from cvxshear.data import Frequencies, noise_kinds
 from cvxshear.fit import results
+from cvxshear.fit.turning_floors import TurningFrame
 from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.motions import THREE_MOTIONS
 from cvxshear.programs.certificate import ActiveConstraint
 from cvxshear.report import blocks
 from cvxshear.util import quantities
@@ -113,7 +115,11 @@ def each_or_all(values: Floats, unit: str) -> str:
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
 
 
-PLURALS = {"floor_mass": "floor masses", "story_stiffness": "story stiffnesses"}
+PLURALS = {
+    "floor_mass": "floor masses", "story_stiffness": "story stiffnesses", "inertia": "inertias",
+    **{f"{center}_center_{axis}": f"{center} centers {axis}" for center in ("mass", "stiffness") for axis in "xy"},
+    **{name: name.replace("_stiffness", " stiffnesses") for name in THREE_MOTIONS.stiffness_names},
+}  # fmt: skip
 """Plurals of the quantities with one value for each floor or story."""
 
 
@@ -141,6 +147,8 @@ def frame_table(
     frame: results.IdentifiedFrame, title: str, units: quantities.Units, key: str = "identified"
 ) -> blocks.Table:
     """Tabulate floor masses, their sum and story stiffnesses, the top first; values at a bound have no deviation."""
+    if isinstance(frame, TurningFrame):
+        return _turning_table(frame, title, units, key)
     columns = [blocks.places(len(frame.floor_mass), "floor / story", "floor")]
     for quantity, values, std, unit, unit_of in (
         ("floor_mass", frame.floor_mass, frame.floor_mass_std, "kg", units.of_mass),
@@ -162,6 +170,38 @@ def frame_table(
     factor, _ = units.of_mass(frame.floor_mass.tolist())
     foot = ("sum", quantities.significant(float(frame.floor_mass.sum()) / factor, 5), "")
     return blocks.Table(key, title, tuple(columns), foot=foot, top_first=True)
+
+
+def _turning_table(frame: TurningFrame, title: str, units: quantities.Units, key: str) -> blocks.Table:
+    """Tabulate floors and stories that turn, the top first."""
+    columns = [blocks.places(len(frame.floor_mass), "floor / story", "floor")]
+    for name, unit, values, std in frame.columns:
+        known = {"kg": units.of_mass, "N/m": units.of_stiffness}.get(unit)
+        factor, shown = known(values.tolist()) if known else quantities.fitting(values.tolist(), unit)
+        head = f"{name.removeprefix('story_').removeprefix('floor_').replace('_', ' ')}, {shown}"
+        texts = tuple(_column(values, std, factor))
+        columns.append(
+            blocks.Column(head, texts, name=name, values=tuple(values.tolist()), std=tuple(std.tolist()), unit=unit)
+        )
+    return blocks.Table(key, title, tuple(columns), top_first=True)
+
+
+def _turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
+    """State what data of floors that turn leave open, and what tells it."""
+    if not isinstance(frame, TurningFrame):
+        return
+    if frame.unseen:
+        unseen = quantities.listed(frame.unseen)
+        yield blocks.Sentence(
+            f"No sensor sees {unseen}: the floors are taken as symmetric, so that it moves by itself.", "warning"
+        )
+    for group in frame.undetermined:
+        yield blocks.Sentence(f"Not determined: {in_words(group)}.", "warning")
+        if all(f"inertia {floor}" in group for floor in range(1, len(frame.inertia) + 1)):
+            yield blocks.Sentence(
+                "No eccentricity couples the rotations with the displacements, so all inertias have an open factor; a "
+                "plan in [frame], or a known added mass off the center, tells it."
+            )
 
 
 def frames_table(result: results.Identification) -> blocks.Table:
@@ -191,7 +231,9 @@ def frequencies_table(experiment: Experiment, predictions: Iterable[results.Pred
     rows = []
     for item in predictions:
         configuration = next(each for each in experiment.configurations if each.name == item.configuration)
-        for mode, measured in zip(configuration.modes.tolist(), configuration.frequencies.tolist(), strict=True):
+        for mode, measured in zip(
+            item.modes_of(configuration).tolist(), configuration.frequencies.tolist(), strict=True
+        ):
             modelled = float(item.frequencies[mode - 1])
             rows.append((configuration.name, mode, measured, modelled, modelled / measured - 1))
     names, modes, measured, model, errors = zip(*rows, strict=True)
@@ -364,6 +406,7 @@ def part_section(
     title = "All configurations together" if result.joint else part.name
     parts = [
         frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
+        *_turning_words(part.frame),
         *_bounds(part),
         *_prices(part, place, units),
         *how_it_ended(part),
@@ -400,6 +443,9 @@ def _price(held: ActiveConstraint, units: quantities.Units) -> str:
     about = f"{held.name} {held.source}"
     known = {} if units.relative else results.UNITS_OF_FRAME
     unit = next((unit for quantity, unit in known.items() if quantity in about), "unit")
+    if held.constraint == "lmi":
+        # Its dual matrix has an entry for each pair of motions; the report names the inequality.
+        return f"{held.name} is at the least that counts as positive: the data alone would have less"
     at_bound = held.constraint in ("lower", "upper")
     where = f"the {held.constraint} bound of {in_words([held.name])}" if at_bound else "the right side"
     change = f"{'lower' if held.dual > 0 else 'raise'} the misfit by {quantities.significant(abs(held.dual), 3)}"

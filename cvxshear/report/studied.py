@@ -15,7 +15,7 @@ from cvxshear.paper.setups import Setup
 from cvxshear.planning.design import UNKNOWN_STD
 from cvxshear.planning.planner import ExpectedAccuracy, Plan
 from cvxshear.report import blocks
-from cvxshear.report.identified import units_for
+from cvxshear.report.identified import put_more, units_for
 from cvxshear.screening import History
 from cvxshear.util import quantities
 from cvxshear.util.typing import Floats
@@ -96,9 +96,9 @@ def _plan(result: Plan) -> blocks.Document:
     design = result.model.design
     noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
     sections = [
-        blocks.section("choice", "", typical(result), sure(result), noise),
+        blocks.section("choice", "", typical(result), *other_frames(result), sure(result), noise),
         blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
-        blocks.section("accuracy", "What they will determine", accuracy(result), counts(result)),
+        blocks.section("accuracy", "What they will determine", accuracy(result), remedies(result), counts(result)),
     ]
     return blocks.Document(design.name, plan_headline(result), tuple(sections), (floors_data(result),))
 
@@ -125,12 +125,38 @@ def plan_headline(result: Plan) -> str:
 
 
 def typical(result: Plan) -> str:
-    """State the typical deviation of a floor and of a story, and the cheapest thing that would lower it."""
-    mass, stiffness = ("open" if np.isnan(std) else quantities.percent(std) for std in result.typical_std)
-    said = f"Expected (root mean square): a floor mass to {mass}, a story stiffness to {stiffness}."
-    if result.rests_on_total:
-        said += " Most of it is the total mass, which modes do not determine: weigh the frame."
-    return said
+    """State the typical deviation of a floor and of a story, and what would lower it most."""
+    mass, stiffness = map(_value, result.typical_std)
+    said = f"Expected deviation (root mean square): floor mass {mass}, story stiffness {stiffness}."
+    if not result.remedies:
+        return said
+    name, after = min(result.remedies.items(), key=lambda each: each[1][0] ** 2 + each[1][1] ** 2)
+    if max(after) >= UNKNOWN_STD:
+        return said
+    return f"{said} Most would help: {name} ({' and '.join(map(_value, after))})."
+
+
+def remedies(result: Plan) -> blocks.Table:
+    """Tabulate the typical deviations after each thing that would lower them, the cheapest first."""
+    rows = [("as planned", result.typical_std), *result.remedies.items()]
+    return blocks.table("remedies", "what would lower the typical deviations", {
+        "change": [name for name, _ in rows],
+        "floor mass": [_value(mass) for _, (mass, _) in rows],
+        "story stiffness": [_value(stiffness) for _, (_, stiffness) in rows],
+    }, words=(0,))  # fmt: skip
+
+
+def other_frames(result: Plan) -> list[blocks.Block]:
+    """Say that several frames will fit the planned tests, and which further test tells them apart."""
+    others = result.other_frames
+    if not others.frames or result.objective >= UNKNOWN_STD:
+        return []
+    design = result.model.design
+    said = f"These tests will fit {len(others.frames) + 1} frames of which one is the design"
+    if others.next_test is None:
+        return [blocks.Sentence(f"{said}. Shapes at two floors or more tell them apart.", "warning")]
+    test = put_more(others.next_test, quantities.Units(relative=design.frame.total_mass_placeholder))
+    return [blocks.Sentence(f"{said}. {test} to tell them apart, or measure shapes at two floors or more.", "warning")]
 
 
 def sure(result: Plan) -> str:
@@ -166,10 +192,9 @@ def grid(result: Plan) -> list[str]:
 
 def expected_modes(result: Plan) -> blocks.Table:
     """Tabulate the modes of the first test."""
-    test = result.model.expected(result.tests[0]).test
     return blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
-        "mode": [str(mode) for mode in test.modes],
-        "frequency, Hz": [quantities.significant(float(frequency)) for frequency in test.frequencies],
+        "mode": [str(each["mode"]) for each in result.expected_modes],
+        "frequency, Hz": [quantities.significant(each["frequency"]) for each in result.expected_modes],
     })  # fmt: skip
 
 
@@ -191,23 +216,17 @@ def accuracy(result: Plan) -> blocks.Table:
     return blocks.table("accuracy-table", "expected standard deviations (of the shear model)", {
         "floor / story": [str(i) for i in range(1, design.stories + 1)],
         f"mass, {mass_unit}": [quantities.significant(value / mass_factor) for value in design.floor_mass.tolist()],
-        "std of mass": _relative(chosen.floor_mass_std, design.floor_mass),
+        "std of mass": [_value(each) for each in chosen.floor_mass_std / design.floor_mass],
         f"stiffness, {unit}": [quantities.significant(value / factor) for value in design.story_stiffness.tolist()],
-        "std of stiffness": _relative(chosen.story_stiffness_std, design.story_stiffness),
+        "std of stiffness": [_value(each) for each in chosen.story_stiffness_std / design.story_stiffness],
     }, top_first=True)  # fmt: skip
 
 
-def _relative(std: Floats, values: Floats) -> list[str]:
-    """Write standard deviations relative to their values."""
-    return [
-        "open" if np.isnan(each) else "exact" if each < quantities.NEGLIGIBLE_STD else quantities.percent(each)
-        for each in (std / values).tolist()
-    ]
-
-
-def _value(objective: float) -> str:
-    """Write the criterion's standard deviation, relative."""
-    return "open" if objective >= UNKNOWN_STD else quantities.percent(objective)
+def _value(std: float) -> str:
+    """Write a relative standard deviation."""
+    if np.isnan(std) or std >= UNKNOWN_STD:
+        return "open"
+    return "exact" if std < quantities.NEGLIGIBLE_STD else quantities.percent(std)
 
 
 def counts(result: Plan) -> blocks.Table:

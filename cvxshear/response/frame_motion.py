@@ -282,9 +282,10 @@ class FrameMotion:
         noise = state_space.Noise(FIRST_NOISE * recording.rms(), FIRST_NOISE, FIRST_NOISE * driven)
         return FrameMotion(frame, varied, recording, setting, noise, free)
 
-    def fitted(self) -> tuple[frame_fit.FittedFrame, list[Smoothed]]:
+    def fitted(self, *, detrend: bool) -> tuple[FrameMotion, frame_fit.FittedFrame, list[Smoothed]]:
         """Fit the frame and find its motion; first the identified frame, then the fitted one fills in short gaps.
 
+        With `detrend`, straight lines beside the motion of the fitted frame are removed from the record.
         Spikes are filled in as well. One more fit is enough: an error of a gap decreases by its share of the
         information, and longer gaps are not filled in.
         """
@@ -294,12 +295,17 @@ class FrameMotion:
         if any(np.isnan(run.measured).any() for run in self.recording.runs):
             errors = self.errors(self.smoothed(errors, p))
         fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, free=self.free)
-        smoothed = self.smoothed(errors, fitted.p)
+        work, smoothed = self, self.smoothed(errors, fitted.p)
+        if detrend:
+            model, pairs = errors.dynamics(fitted.p), zip(self.recording.runs, smoothed, strict=True)
+            shown = [found.states @ model.H.T + model.shown(run.drive) for run, found in pairs]
+            work = dataclasses.replace(self, recording=self.recording.without_lines(shown))
+            smoothed = work.smoothed(errors, fitted.p)
         if any(bool(np.any(each.weights < 1.0)) for each in smoothed):
-            errors = self.errors(smoothed)
+            errors = work.errors(smoothed)
             fitted = frame_fit.fit_frame(errors, prior, self.frame.backend, fitted.p, free=self.free)
-            smoothed = self.smoothed(errors, fitted.p)
-        return fitted, smoothed
+            smoothed = work.smoothed(errors, fitted.p)
+        return work, fitted, smoothed
 
     def errors(self, smoothed: list[Smoothed] | None = None) -> PredictionErrors:
         """Set up the innovations of the strongest part of each run; the smoother fills in spikes and short gaps."""

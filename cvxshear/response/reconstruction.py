@@ -466,7 +466,7 @@ def _most_probable(
             moved = predicted_responses(identified, reading)
             reading = reading.without_lines([seen(identified, own, reading.floors) for own in moved])
         work = frame_motion.FrameMotion.around(frame, reading, free=free)
-        fitted, smoothed = work.fitted()
+        work, fitted, smoothed = work.fitted(detrend=detrend)
         # The states of a long record need much memory; `runs` computes them again with their deviations.
         return work, fitted, [dataclasses.replace(own, states=own.states[:1].copy()) for own in smoothed]
 

@@ -18,6 +18,7 @@ from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.screening.screen import Screening
 from cvxshear.util.errors import InputError
 from tests import closed
+from tests.fe.plan_frames import random_frame
 from tests.frames import EXAMPLES, MEASURED
 from tests.fuzz import files
 
@@ -90,6 +91,13 @@ def test_the_schema_refuses_what_the_reader_refuses(key, value):
 @pytest.mark.parametrize("method", ["efficient", "two-stage", "one-shot", "berman"])
 def test_identifications(method):
     assert faults("identify", cvxshear.identify(cvxshear.load(EXAMPLES / "paper.toml"), method=method).to_dict()) == []
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_the_identification_of_floors_that_turn(symmetric):
+    experiment = random_frame(2, 5, symmetric=symmetric).experiment()
+    assert faults("measurement", experiment.to_dict()) == []
+    assert faults("identify", cvxshear.identify(experiment, method="one-shot").to_dict()) == []
 
 
 def test_loop_and_backends():

@@ -1,11 +1,11 @@
-"""Programs of floors that turn, against frames assembled from columns and point masses (tests/fe/turning.py)."""
+"""Programs of floors that turn, against frames assembled from columns and point masses (tests/fe/plan_frames.py)."""
 
 import numpy as np
 import pytest
 
 import cvxshear
 from cvxshear import programs
-from tests.fe.turning import random_frame
+from tests.fe.plan_frames import random_frame
 
 # Fewest modes that determine 2 to 8 floors.
 MODES = {2: 6, 3: 6, 4: 7, 5: 9, 6: 9, 7: 10, 8: 12}

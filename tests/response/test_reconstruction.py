@@ -454,10 +454,10 @@ def test_a_fit_that_fails_leaves_the_frame_as_identified(softened, monkeypatch):
     drive = dataclasses.replace(drive, excitation=drive.excitation[:600], responses=drive.responses[:600])
     motion = dataclasses.replace(motion, runs=(drive,))
 
-    def failing(work):
+    def failing(work, *, detrend):
         if work.free:
             raise np.linalg.LinAlgError("Eigenvalues did not converge")
-        return fit(work)
+        return fit(work, detrend=detrend)
 
     monkeypatch.setattr(FrameMotion, "fitted", failing)
     found = reconstruct(models, motion, leave_out=False)
@@ -468,7 +468,7 @@ def test_a_fit_that_fails_leaves_the_frame_as_identified(softened, monkeypatch):
         reconstruct(models, motion, leave_out=False)
 
 
-def failing_always(work):
+def failing_always(work, *, detrend):
     raise np.linalg.LinAlgError("Matrix is not positive definite")
 
 

@@ -5,7 +5,7 @@
 
 # The order of these imports is the order of the figures in a report.
 # isort: off
-from cvxshear.report.figures.drawn_frame import findings, frame
+from cvxshear.report.figures.drawn_frame import findings, frame, planned
 from cvxshear.report.figures.charts import changes_over_time, noise_boxes, noise_variation
 from cvxshear.report.figures.mode_figures import functions, mac, modal_shapes, shapes, stabilization
 from cvxshear.report.figures.response import reconstructed_histories, response_histories, response_peaks, story_drifts
@@ -14,6 +14,6 @@ from cvxshear.report.figures.style import FigureEntry, drawn_figure, figure, fig
 
 __all__ = [
     "FigureEntry", "changes_over_time", "drawn_figure", "figure", "figures_of", "findings", "frame", "functions", "mac",
-    "modal_shapes", "noise_boxes", "noise_variation", "reconstructed_histories", "response_histories",
+    "modal_shapes", "noise_boxes", "noise_variation", "planned", "reconstructed_histories", "response_histories",
     "response_peaks", "save", "shapes", "stabilization", "story_drifts",
 ]  # fmt: skip

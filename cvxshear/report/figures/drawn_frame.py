@@ -1,5 +1,6 @@
 """Draw the frame to scale with the located effects, or with its identified masses and stiffnesses."""
 
+import dataclasses
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from cvxshear.fit.results import Identification, IdentifiedFrame
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import AddedEffect
 from cvxshear.measurement.experiment import Experiment
+from cvxshear.planning import Plan, predicted
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.report.headline import NAMED, verdict_of
@@ -109,7 +111,7 @@ def findings(result: LoopResult) -> Figure:
     the figure shows the frame's masses and stiffnesses.
     """
     if not result.effects:
-        return _numbered_frames(result, [("", result.averaged)], sensors=True)
+        return _numbered_frames(result.experiment, [("", result.averaged)], sensors=True)
     states = _shown_states(result)
     rows, columns = style.grid_of(len(states), 2)
     marks = [_marks(result, state, first=not place) for place, state in enumerate(states)]
@@ -285,6 +287,8 @@ def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> No
     title="The identified frame",
     alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
+    applies=lambda result: not result.experiment.frame.turns,
+    needs="one motion per floor",
 )
 def frame(result: LoopResult | Identification) -> Figure:
     """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
@@ -299,18 +303,38 @@ def frame(result: LoopResult | Identification) -> Figure:
     else:
         several = len(result.parts) > 1
         frames = [(style.letters(part.name) if several else "", part.frame) for part in result.parts]
-    return _numbered_frames(result, frames)
+    return _numbered_frames(result.experiment, frames)
+
+
+@figure(
+    "planned",
+    Plan,
+    title="The floors to measure",
+    alternative="The frame as designed, to scale, with the floors to measure; the numbers are in the tables below.",
+    section="choice",
+)
+def planned(result: Plan) -> Figure:
+    """Draw the frame as designed, with the expected deviations and the floors to measure.
+
+    The frame as designed, heights to scale; a slab is the thicker the heavier its floor, a column the wider the
+    stiffer its story. Triangles: floors with a sensor. Deviations are those that the tests will leave.
+    """
+    design, std = result.model.design, result.chosen
+    frame = IdentifiedFrame(design.floor_mass, design.story_stiffness, std.floor_mass_std, std.story_stiffness_std)
+    every = predicted(result)
+    tests = tuple(each for each in every.configurations if each.name in result.names)
+    return _numbered_frames(dataclasses.replace(every, configurations=tests), [("", frame)], sensors=True)
 
 
 def _numbered_frames(
-    result: LoopResult | Identification, frames: Sequence[tuple[str, IdentifiedFrame]], *, sensors: bool = False
+    experiment: Experiment, frames: Sequence[tuple[str, IdentifiedFrame]], *, sensors: bool = False
 ) -> Figure:
     """Draw frames with their numbers and titles."""
     rows, columns = style.grid_of(len(frames), 2)
-    height = float(np.clip(result.experiment.stories * 2 * LINE, 2.2, 8.0))
+    height = float(np.clip(experiment.stories * 2 * LINE, 2.2, 8.0))
     drawn = style.new_figure(style.PAGE_WIDTH * columns, rows * (height + 0.75))
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
-        _numbered(axes, result.experiment, found, title, height, sensors=sensors)
+        _numbered(axes, experiment, found, title, height, sensors=sensors)
     return drawn
 
 

@@ -203,7 +203,7 @@ def _mac_caption(result: LoopResult | Identification) -> str:
     caption=_mac_caption,
     alternative="Modal assurance criterion of every measured mode with every mode of the final model.",
     section="shapes",
-    applies=lambda result: any(each.measured.any() for each in result.experiment.configurations),
+    applies=lambda result: any(each.measured.any() and not each.sensors for each in result.experiment.configurations),
     needs="measured mode shapes",
 )
 def mac(result: LoopResult | Identification) -> Figure:

@@ -1,0 +1,342 @@
+"""The one-shot identification of a frame whose floors turn, with deviations and what its data leave open.
+
+Deviations follow by linear propagation of the noise of readings and frequencies through both programs, with their
+active constraints. The rows of a program hold the noise of the shapes, too: on average, R'R is the
+product of the true rows plus the noise's own product N. A direction v is open where the noise is at least as large as
+what the rows tell, v'R'R v <= 2 v'N v. Exact modes without eccentricity leave such directions, and noise does not hide
+them. The values along them are held at even floors and stories, and are not reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import linear_sum_assignment
+
+from cvxshear.backends import Backend
+from cvxshear.data import kinds
+from cvxshear.fit.results import IdentifiedFrame, Prediction, Quality, SingleIdentification, priced
+from cvxshear.measurement.experiment import Configuration
+from cvxshear.model import Observation, modes
+from cvxshear.motions import THREE_MOTIONS, blocks, center, center_slopes, products
+from cvxshear.programs import LeastSquares, Solution
+from cvxshear.programs.turning import Rows, TurningTest
+from cvxshear.util import ranking
+from cvxshear.util.typing import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TurningFrame(IdentifiedFrame):
+    """Floors and stories of a frame that turns; nan where the data do not determine a value.
+
+    Parameters
+    ----------
+    floor_mass : ndarray, shape (N,)
+        kg, without added mass.
+    mass_center : ndarray, shape (N, 2)
+        x and y of each floor's mass center, m.
+    inertia : ndarray, shape (N,)
+        Polar inertia about the mass center, kg m2.
+    story_stiffness : ndarray, shape (N, 3, 3)
+        For motions in x, y and rotation at the reference point, N/m, N and N m.
+    stiffness_center : ndarray, shape (N, 2)
+        x and y of each story's center of stiffness, m: a force there does not turn the floor above.
+    floor_mass_std, mass_center_std, inertia_std, story_stiffness_std, stiffness_center_std : ndarray
+        Standard deviations, of the same shapes.
+    unseen : tuple of str
+        Motions that no sensor sees; the floors are taken as symmetric, so that these are not coupled to the others.
+    undetermined : tuple of tuple of str
+        Groups of values that the data leave open together.
+    """
+
+    mass_center: Floats
+    inertia: Floats
+    stiffness_center: Floats
+    mass_center_std: Floats
+    inertia_std: Floats
+    stiffness_center_std: Floats
+    unseen: tuple[str, ...] = ()
+    undetermined: tuple[tuple[str, ...], ...] = ()
+
+    json_keys = (
+        "floor_mass floor_mass_std mass_center mass_center_std inertia inertia_std story_stiffness story_stiffness_std "
+        "stiffness_center stiffness_center_std unseen undetermined"
+    )
+
+    @property
+    def columns(self) -> Iterator[tuple[str, str, Floats, Floats]]:
+        """Name, unit, values and deviations of each quantity with one number for each floor or story, shape (N,)."""
+        yield "floor_mass", "kg", self.floor_mass, self.floor_mass_std
+        for place, axis in enumerate("xy"):
+            yield f"mass_center_{axis}", "m", self.mass_center[:, place], self.mass_center_std[:, place]
+        yield "inertia", "kg m2", self.inertia, self.inertia_std
+        for name, (row, column) in zip(THREE_MOTIONS.stiffness_names, ENTRIES, strict=True):
+            unit = ("N/m", "N", "N m")[(row, column).count(2)]
+            values, std = (each[:, row, column] for each in (self.story_stiffness, self.story_stiffness_std))
+            yield name.replace(" ", "_"), unit, values, std
+        for place, axis in enumerate("xy"):
+            yield f"stiffness_center_{axis}", "m", self.stiffness_center[:, place], self.stiffness_center_std[:, place]
+
+
+ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Row and column of the entries xx, yy, rr, xy, xr and yr of a story's matrix."""
+
+
+@dataclass(frozen=True, eq=False)
+class TurningPrediction(Prediction):
+    """All modes of the model at the sensors, the largest entry 1.
+
+    Parameters
+    ----------
+    modes : ndarray of int, shape (m,)
+        Mode of the model that each measured mode is compared with, from 1: together they have the largest MAC.
+    """
+
+    modes: Ints
+
+    def modes_of(self, configuration: Configuration) -> Ints:
+        return self.modes
+
+
+@dataclass(frozen=True, eq=False)
+class HeldProgram:
+    """A solved program, with its response to noise and the directions that it leaves open.
+
+    Parameters
+    ----------
+    solution : Solution
+    response : ndarray, shape (n, r)
+        H: change of the solution by a change of the weighted right side.
+    open : ndarray, shape (n, k)
+    """
+
+    solution: Solution
+    response: Floats
+    open: Floats
+
+    @staticmethod
+    def of(program: LeastSquares, rows: Rows, at: Floats, unit: Floats, backend: Backend) -> HeldProgram:
+        """Solve a program with its open directions held.
+
+        Parameters
+        ----------
+        program : LeastSquares
+        rows : Rows
+            Of the modes, the first of the program.
+        at : ndarray, shape (n,)
+            Values along the open directions.
+        unit : ndarray, shape (n,)
+            Sizes of the unknowns.
+        backend : Backend
+        """
+        R, s = program.weighted
+        A, _ = program.equalities
+        free = _null_space(A * unit)
+        signal, noise = (free.T @ (unit[:, None] * each * unit) @ free for each in (R.T @ R, rows.noise))
+        # Neither rows nor noise tell of a motion that no sensor sees.
+        rounding = len(signal) * np.finfo(float).eps * float(np.trace(signal)) * np.eye(len(signal))
+        share, found = linalg.eigh(noise + rounding, signal + noise + rounding)
+        directions = linalg.orth(free @ found[:, share >= 1.0 / 3.0])
+        # Rows as heavy as all others together. Equalities would have multipliers of rounding alone.
+        heavy = np.linalg.norm(R * unit) * directions.T / unit
+        held = program.replace(R=np.concatenate([R, heavy]), s=np.concatenate([s, heavy @ at]), W=None)
+        solution = backend.solve(held)
+        fixed = _null_space(np.concatenate([A, directions.T / unit, _active(solution)]) * unit)
+        response = unit[:, None] * (fixed @ np.linalg.pinv(R @ (unit[:, None] * fixed)))
+        return HeldProgram(solution, response, unit[:, None] * directions)
+
+
+def _null_space(rows: Floats) -> Floats:
+    return np.asarray(linalg.null_space(rows) if len(rows) else np.eye(rows.shape[1]))
+
+
+def _active(solution: Solution) -> Floats:
+    """Collect the rows of active inequalities; a singular matrix stays so to first order, shape (c, n)."""
+    program, rows = solution.program, [np.zeros((0, solution.program.unknowns))]
+    for each in solution.active:
+        if each.constraint == "G" and program.G is not None:
+            rows.append(program.G[each.index : each.index + 1])
+        if each.constraint == "lmi":
+            inequality = program.lmi[each.index]
+            _, vectors = np.linalg.eigh(inequality.at(solution.x))
+            rows.append(inequality.products(np.outer(vectors[:, 0], vectors[:, 0]))[None])
+    return np.concatenate(rows)
+
+
+def one_shot_turning(test: TurningTest, backend: Backend) -> SingleIdentification:
+    """Identify floors from the orthogonality of the modes and the total mass, then stories, without iteration.
+
+    Parameters
+    ----------
+    test : TurningTest
+    backend : Backend
+    """
+    even, radius = test.even_masses, test.radius
+    mass = float(np.mean(even[::4]))
+    unit = mass * np.column_stack([np.ones_like(radius), radius, radius, radius**2]).ravel()
+    of_floors = HeldProgram.of(test.one_shot_masses(), test.mass_rows(), even, unit, backend)
+    masses = of_floors.solution.x
+    even, level = test.even_stiffnesses(masses), test.even_stiffnesses(masses)[0]
+    one = np.ones_like(radius)
+    unit = level * np.column_stack([one, one, radius**2, one, radius, radius]).ravel()
+    of_stories = HeldProgram.of(test.story_stiffnesses(masses), test.stiffness_rows(masses), even, unit, backend)
+    spread, directions = _propagated(test, of_floors, of_stories)
+    frame = _reported(test, masses, of_stories.solution.x, spread, directions)
+    free = len(spread) - directions.shape[1]
+    free -= test.stories if test.experiment.frame.floor_masses is not None else 1
+    fit, prediction = _fitted(test, masses, of_stories.solution.x, free)
+    active = priced([*of_floors.solution.active, *of_stories.solution.active])
+    return SingleIdentification(test.configuration.name, 1, frame, fit, (prediction,), active=active)
+
+
+def _propagated(test: TurningTest, of_floors: HeldProgram, of_stories: HeldProgram) -> tuple[Floats, Floats]:
+    """Return the change of all parameters by one deviation of each datum, and their open directions.
+
+    Returns
+    -------
+    spread : ndarray, shape (10 N, d)
+        By each reading, soft prior and frequency; its product with its transpose is the covariance.
+    directions : ndarray, shape (10 N, k)
+    """
+    masses, stiffnesses = of_floors.solution.x, of_stories.solution.x
+    by_readings = test.mass_rows().slopes(masses + test.added)
+    soft = of_floors.response.shape[1] - len(by_readings)
+    floors = -of_floors.response @ linalg.block_diag(by_readings, np.eye(soft))
+    rows, eigenvalues = test.stiffness_rows(masses), test.eigenvalues
+    i, j = rows.pairs
+    phi = test.normalized(masses)
+    stories = rows.slopes(stiffnesses, own=2.0 * eigenvalues * test.modal(masses))
+    # Heavier floors scale a mode down: phi' K phi changes by -lambda phi' dM phi, and stays on the diagonal.
+    own = np.flatnonzero(i == j)
+    by_masses, by_frequencies = np.zeros((len(i), len(masses))), np.zeros((len(i), len(eigenvalues)))
+    scaled = rows.weights[own, None] * eigenvalues[:, None]
+    by_masses[own] = -scaled * products(phi, phi, THREE_MOTIONS.mass_basis)[i[own], j[own]]
+    by_frequencies[own] = -2.0 * scaled * np.diag(test.configuration.log_frequency_std)
+    changes = np.hstack([stories, np.zeros((len(i), soft))]) + by_masses @ floors
+    changes = -of_stories.response @ np.hstack([changes, by_frequencies])
+    spread = np.vstack([np.hstack([floors, np.zeros((len(masses), len(eigenvalues)))]), changes])
+    own_stories = np.vstack([np.zeros((len(masses), of_stories.open.shape[1])), of_stories.open])
+    from_floors = np.vstack([of_floors.open, -of_stories.response @ by_masses @ of_floors.open])
+    return spread, np.hstack([from_floors, own_stories])
+
+
+def _reported(
+    test: TurningTest, masses: Floats, stiffnesses: Floats, spread: Floats, directions: Floats
+) -> TurningFrame:
+    """Turn parameters to masses, centers, inertias and matrices, with deviations; nan for what is open."""
+    n = test.stories
+    mass_blocks, story_blocks = (
+        blocks(masses, THREE_MOTIONS.mass_basis),
+        blocks(stiffnesses, THREE_MOTIONS.stiffness_basis),
+    )
+    mass_center, inertia = center(mass_blocks)
+    stiffness_center, _ = center(story_blocks)
+    entries, radius, none = stiffnesses.reshape(n, 6), test.radius[:, None], np.zeros((n, 1))
+    level = np.sqrt(np.abs(entries[:, :1] * entries[:, 1:2]))
+    values = np.hstack([masses[::4, None], mass_center, inertia[:, None], entries, stiffness_center])
+    sizes = np.hstack([
+        masses[::4, None], radius + none, radius + none, inertia[:, None],
+        entries[:, :3], level, level * radius, level * radius, radius + none, radius + none,
+    ])  # fmt: skip
+    by_mass = center_slopes(mass_blocks, THREE_MOTIONS.mass_basis)
+    slopes = np.zeros((n, 12, 10))
+    slopes[:, 0, 0] = 1.0
+    slopes[:, 1:3, :4], slopes[:, 3, :4] = by_mass
+    slopes[:, 4:10, 4:] = np.eye(6)
+    slopes[:, 10:, 4:] = center_slopes(story_blocks, THREE_MOTIONS.stiffness_basis)[0]
+
+    def changed(by: Floats) -> Floats:
+        floors, stories = by[: 4 * n].reshape(n, 4, -1), by[4 * n :].reshape(n, 6, -1)
+        return np.asarray(slopes @ np.concatenate([floors, stories], axis=1))
+
+    std = np.linalg.norm(changed(spread), axis=2)
+    groups, left_open = open_groups(changed(directions) / sizes[:, :, None], std / sizes)
+    known, known_std = np.where(left_open, np.nan, values), np.where(left_open, np.nan, std)
+    matrices, matrices_std = _matrices(known[:, 4:10]), _matrices(known_std[:, 4:10])
+    return TurningFrame(
+        known[:, 0], matrices, known_std[:, 0], matrices_std,
+        mass_center=known[:, 1:3], inertia=known[:, 3], stiffness_center=known[:, 10:],
+        mass_center_std=known_std[:, 1:3], inertia_std=known_std[:, 3], stiffness_center_std=known_std[:, 10:],
+        unseen=test.unseen, undetermined=groups,
+    )  # fmt: skip
+
+
+def _matrices(entries: Floats) -> Floats:
+    """Write the entries xx, yy, rr, xy, xr and yr of each story as a matrix, shape (N, 3, 3)."""
+    return np.asarray(entries[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
+
+
+VALUE_NAMES = (
+    "floor_mass", "mass_center_x", "mass_center_y", "inertia", *THREE_MOTIONS.stiffness_names, "stiffness_center_x",
+    "stiffness_center_y",
+)  # fmt: skip
+"""Names of the reported values of each floor and story."""
+
+
+def open_groups(changes: Floats, std: Floats) -> tuple[tuple[tuple[str, ...], ...], Floats]:
+    """Group the values that open directions move together.
+
+    A direction is scaled so that its largest relative change is 1. A value takes part if its change is nearer to 1 than
+    to its own relative deviation, on a logarithmic scale.
+
+    Parameters
+    ----------
+    changes : ndarray, shape (N, v, k)
+        Relative changes of the values along each direction.
+    std : ndarray, shape (N, v)
+        Relative deviations.
+
+    Returns
+    -------
+    groups : tuple of tuple of str
+        Names of values and numbers of floors, such as "inertia 1".
+    left_open : ndarray of bool, shape (N, v)
+    """
+    largest = np.max(np.abs(changes), axis=(0, 1), initial=0.0)
+    part = np.abs(changes) / largest >= np.minimum(np.sqrt(std), 1.0)[:, :, None]
+    groups: list[Floats] = []
+    for each in np.moveaxis(part, 2, 0):
+        joined = np.any([each, *(other for other in groups if np.any(other & each))], axis=0)
+        groups = [*(other for other in groups if not np.any(other & each)), joined]
+    return (
+        tuple(
+            tuple(f"{VALUE_NAMES[value]} {floor + 1}" for value, floor in np.argwhere(each.T).tolist())
+            for each in groups
+        ),
+        np.any(part, axis=2),
+    )
+
+
+def _fitted(test: TurningTest, masses: Floats, stiffnesses: Floats, free: int) -> tuple[Quality, TurningPrediction]:
+    """Compare every mode of the identified frame with the measured modes, paired by the largest sum of MACs."""
+    configuration = test.configuration
+    found = modes(THREE_MOTIONS.masses(masses + test.added), THREE_MOTIONS.stiffnesses(stiffnesses))
+    shapes = Observation(test.observation).shown(found.shapes)
+    lengths = np.linalg.norm(shapes, axis=1, keepdims=True)
+    unit = shapes / np.where(lengths > 0, lengths, 1.0)
+    measured = configuration.mode_shapes
+    mac = (measured @ unit.T) ** 2 / np.sum(measured**2, axis=1, keepdims=True)
+    _, paired = linear_sum_assignment(-mac)
+    weights, logs = configuration.entry_weights, np.log(2 * np.pi * configuration.frequencies)
+    residuals = [
+        kinds.frequency_residual(logs, found.eigenvalues[paired], configuration.log_frequency_std)[0],
+        kinds.shape_residual(measured, shapes[paired], weights)[0],
+    ]
+    soft = test.soft_rows @ masses
+    errors = found.frequencies[paired] / configuration.frequencies - 1.0
+    figures = {
+        "max_frequency_error": float(np.max(np.abs(errors))),
+        "rms_frequency_error": float(np.sqrt(np.mean(errors**2))),
+        "min_mac": float(np.min(mac[np.arange(len(paired)), paired])),
+        "max_shape_error": float(np.max(kinds.shape_errors(measured, shapes[paired]))),
+    }
+    chi2 = float(sum(np.sum(each**2) for each in (*residuals, soft)))
+    dof = measured.size + len(soft) - free
+    largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
+    prediction = TurningPrediction(
+        configuration.name, found.frequencies, shapes / np.where(largest != 0, largest, 1.0)[:, None], paired + 1
+    )
+    return Quality.of(figures, chi2, dof, declared=configuration.noise_declared), prediction

@@ -1,0 +1,143 @@
+"""Identification of frames whose floors turn, against frames assembled from columns and point masses."""
+
+import numpy as np
+import pytest
+
+import cvxshear
+from cvxshear.motions import center
+from tests.fe.plan_frames import random_frame
+
+
+def identified(frame, **options):
+    return cvxshear.identify(frame.experiment(**options), method="one-shot")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_exact_modes_give_masses_centers_inertias_and_stories(seed):
+    stories = 2 + seed % 7
+    frame = random_frame(stories, seed)
+    result = identified(frame, modes={2: 6, 3: 6, 4: 7, 5: 9, 6: 9, 7: 10, 8: 12}[stories])
+    found = result.frame
+    a = frame.plan[0]
+    np.testing.assert_allclose(found.floor_mass, frame.floor_mass, rtol=1e-8)
+    np.testing.assert_allclose(found.mass_center, frame.mass_center, atol=1e-8 * a)
+    np.testing.assert_allclose(found.inertia, frame.inertia, rtol=1e-8)
+    for story, K in enumerate(found.story_stiffness):
+        expected = frame.story(story)
+        sizes = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        np.testing.assert_allclose(K / sizes, expected / sizes, atol=1e-8)
+        np.testing.assert_allclose(found.stiffness_center[story], center(expected[None])[0][0], atol=1e-8 * a)
+    assert found.undetermined == ()
+    assert result.fit.max_frequency_error < 1e-8
+    assert result.fit.min_mac == pytest.approx(1.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+@pytest.mark.parametrize("stories", [2, 4])
+def test_without_eccentricity_the_scale_of_the_inertias_is_open(stories, noise):
+    """The rotations are modes of their own: their inertias and stiffnesses have a common factor."""
+    frame = random_frame(stories, 31, symmetric=True)
+    result = identified(frame, noise=noise, seed=2, std=max(noise, 1e-6))
+    found = result.frame
+    (group,) = found.undetermined
+    floors = range(1, stories + 1)
+    assert set(group) == {f"{name} {floor}" for name in ("inertia", "story_stiffness rr") for floor in floors}
+    assert np.all(np.isnan(found.inertia))
+    assert np.all(np.isnan(found.story_stiffness[:, 2, 2]))
+    np.testing.assert_allclose(found.floor_mass, frame.floor_mass, rtol=max(8 * noise, 1e-8))
+    np.testing.assert_allclose(found.mass_center, 0.0, atol=max(8 * noise, 1e-8) * frame.plan[0])
+    for story, K in enumerate(found.story_stiffness):
+        np.testing.assert_allclose(K[:2, :2], frame.story(story)[:2, :2], atol=max(20 * noise, 1e-8) * K[1, 1])
+    assert result.fit.max_frequency_error < max(3 * noise, 1e-8)
+    if not noise:
+        assert result.fit.min_mac == pytest.approx(1.0, abs=1e-10)
+
+
+def test_a_plan_tells_the_scale_of_the_inertias():
+    frame = random_frame(3, 31, symmetric=True)
+    found = identified(frame, plan=True).frame
+    assert found.undetermined == ()
+    expected = frame.floor_mass * np.sum(np.square(frame.plan)) / 12
+    np.testing.assert_allclose(found.inertia / found.inertia.mean(), frame.inertia / frame.inertia.mean(), rtol=1e-4)
+    assert np.all(np.abs(found.inertia - expected) < 3 * found.inertia_std)
+    assert 0.05 < found.inertia_std[0] / found.inertia[0] < 0.2
+
+
+def test_a_direction_that_no_sensor_sees_is_named():
+    """A frame that is symmetric about the x axis; its sensors read x at both edges."""
+    frame = random_frame(2, 31, symmetric=True)
+    for weights in frame.weights:
+        weights[weights[:, 1] > 0, 2] *= 1.6
+    b = frame.plan[1]
+    sensors = [{"floor": floor, "position": [0.0, y], "direction": 0.0} for floor in (1, 2) for y in (-b / 2, b / 2)]
+    declared = frame.experiment(sensors=sensors).to_dict()
+    tested = declared["configuration"][0]
+    seen = np.max(np.abs(tested["mode_shapes"]), axis=1) > 1e-9
+    for key in ("frequencies", "frequency_std", "mode_shape_std", "mode_shapes"):
+        tested[key] = np.asarray(tested[key])[seen].tolist()
+    del tested["modes"]
+    result = cvxshear.identify(declared, method="one-shot")
+    found = result.frame
+    assert found.unseen == ("y",)
+    np.testing.assert_allclose(found.floor_mass, frame.floor_mass, rtol=1e-7)
+    np.testing.assert_allclose(found.mass_center[:, 1], frame.mass_center[:, 1], rtol=1e-7)
+    np.testing.assert_allclose(found.inertia, frame.inertia, rtol=1e-7)
+    for story in range(2):
+        K = frame.story(story)
+        np.testing.assert_allclose(
+            found.story_stiffness[story][[0, 2, 0], [0, 2, 2]], K[[0, 2, 0], [0, 2, 2]], rtol=1e-6, atol=1e-9 * K[0, 0]
+        )
+    named = {name for group in found.undetermined for name in group}
+    for floor in (1, 2):
+        open_ones = {"mass_center_x", "story_stiffness yy", "story_stiffness xy", "story_stiffness yr"}
+        assert {f"{name} {floor}" for name in open_ones} <= named
+    assert np.all(np.isnan(found.story_stiffness[:, 1, 1]))
+    assert result.fit.max_frequency_error < 1e-7
+
+
+def test_deviations_are_those_of_many_tests():
+    """Errors over deviations have a root mean square of about one, over 40 tests of one frame."""
+    frame = random_frame(2, 3)
+    expected = {
+        "floor_mass": frame.floor_mass, "mass_center": frame.mass_center, "inertia": frame.inertia,
+        "story_stiffness": np.array([frame.story(story) for story in range(2)]),
+    }  # fmt: skip
+    scores = {name: [] for name in expected}
+    for seed in range(40):
+        found = identified(frame, noise=0.002, seed=seed, std=0.002).frame
+        for name, value in expected.items():
+            scores[name].append((getattr(found, name) - value) / getattr(found, f"{name}_std"))
+    for name, each in scores.items():
+        assert 0.75 < np.sqrt(np.mean(np.square(each))) < 1.3, name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_backends_agree_within_their_certificates(seed):
+    experiment = random_frame(3, seed).experiment(noise=0.002, seed=seed, std=0.002)
+    first, second = (
+        cvxshear.identify(experiment, method="one-shot", backend=name, keep_programs=True)
+        for name in ("clarabel", "scs")
+    )
+    for one, other in zip(first.programs[:1], second.programs[:1], strict=True):
+        assert np.all(np.abs(one.solution.x - other.solution.x) <= one.solution.errors + other.solution.errors)
+    np.testing.assert_allclose(first.frame.floor_mass, second.frame.floor_mass, rtol=1e-6)
+
+
+def test_text_json_and_table():
+    result = identified(random_frame(2, 3), noise=0.002, seed=1, std=0.002)
+    said = str(result)
+    for word in ("mass, t", "center x", "inertia", "story_stiffness"):
+        assert word.replace("story_stiffness", "stiffness") in said
+    frame = result.to_dict()["frame"]
+    assert np.shape(frame["story_stiffness"]) == (2, 3, 3)
+    assert np.shape(frame["mass_center_std"]) == (2, 2)
+    table = result.to_dataframe()
+    np.testing.assert_allclose(table["mass_center_x_m"], result.frame.mass_center[:, 0])
+    np.testing.assert_allclose(table["story_stiffness_xr_N"], result.frame.story_stiffness[:, 0, 2])
+    assert "one-shot" in repr(result)
+
+
+@pytest.mark.parametrize("method", ["efficient", "two-stage", "berman", "qi"])
+def test_other_methods_refuse(method):
+    with pytest.raises(cvxshear.UnsuitableError, match="method one-shot"):
+        cvxshear.identify(random_frame(2, 3).experiment(), method=method)
