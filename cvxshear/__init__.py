@@ -69,6 +69,8 @@ __all__ = [
     "reconstruct",
 ]  # fmt: skip
 
+#: Where the public names come from. They are imported when they are first asked for (PEP 562): the loop alone brings
+#: scipy.stats and joblib, which take longer to load than many a program that needs neither.
 _HOMES = {
     name: home
     for home, names in {
@@ -85,8 +87,6 @@ _HOMES = {
     }.items()
     for name in names.split()
 }
-"""Where the public names come from. They are imported when they are first asked for (PEP 562): the loop alone brings
-scipy.stats and joblib, which take longer to load than many a program that needs neither."""
 
 if not TYPE_CHECKING:
 

@@ -13,8 +13,8 @@ from cvxshear.motions import ONE_MOTION, Motions, unit_derivatives
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats, Ints
 
+#: Minimum number of stories for the tridiagonal eigensolver, which is slower for smaller frames.
 TALL = 40
-"""Minimum number of stories for the tridiagonal eigensolver, which is slower for smaller frames."""
 
 
 @lru_cache(maxsize=8)
@@ -293,8 +293,8 @@ def mode_derivatives(found: Modes, system: System, which: slice | Ints | list[in
     return dlam, share.transpose(0, 2, 1) @ phi.T
 
 
+#: Index of every floor.
 ALL = slice(None)
-"""Index of every floor."""
 
 
 @dataclass(frozen=True, eq=False)

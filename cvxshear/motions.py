@@ -60,8 +60,8 @@ class Motions:
         return np.asarray(motion - below)
 
 
+#: One displacement per floor: the shear frame.
 ONE_MOTION = Motions(("floor_mass",), np.ones((1, 1, 1)), ("story_stiffness",), np.ones((1, 1, 1)))
-"""One displacement per floor: the shear frame."""
 
 
 def _symmetric(*entries: tuple[int, int, float]) -> Floats:
@@ -71,6 +71,7 @@ def _symmetric(*entries: tuple[int, int, float]) -> Floats:
     return matrix
 
 
+#: x, y and rotation at a reference point: floors that turn. Letter r stands for rotation.
 THREE_MOTIONS = Motions(
     ("floor_mass", "first_moment_x", "first_moment_y", "inertia"),
     np.array(
@@ -82,7 +83,6 @@ THREE_MOTIONS = Motions(
     tuple(f"story_stiffness {pair}" for pair in ("xx", "yy", "rr", "xy", "xr", "yr")),
     np.array([_symmetric((*at, 1.0)) for at in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]),
 )  # fmt: skip
-"""x, y and rotation at a reference point: floors that turn. Letter r stands for rotation."""
 
 
 def blocks(parameters: Floats, basis: Floats) -> Floats:

@@ -26,8 +26,8 @@ from cvxshear.util import checks
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
 from cvxshear.util.typing import Floats
 
+#: Largest slack at zero, in scaled units, of an inequality that is solved as it is: far right sides cost digits.
 FAR_SLACK = 1e3
-"""Largest slack at zero, in scaled units, of an inequality that is solved as it is: far right sides cost digits."""
 
 
 @dataclass(frozen=True)
@@ -161,8 +161,8 @@ def _inaccurate(certificate: Certificate) -> InaccurateError:
     )
 
 
+#: Solvers of semidefinite programs that cvxpy brings along.
 CONIC = ("clarabel", "scs")
-"""Solvers of semidefinite programs that cvxpy brings along."""
 
 
 def onto_equalities(problem: Canonical, answer: Answer) -> Answer:

@@ -28,18 +28,18 @@ from cvxshear.programs.certificate import MatrixInequality, Point
 from cvxshear.util.errors import InfeasibleError
 from cvxshear.util.typing import Bools, Floats
 
+#: Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
+#: shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns.
 RANK_TOLERANCE = 1e-12
-"""Rounding of unit vectors, a few thousand machine precisions: a row whose part outside the span of other rows is
-shorter follows from them, and rows with a smaller reciprocal condition number do not determine the unknowns."""
 
+#: Block size of LAPACK's factorizations, columns.
 LAPACK_BLOCK = 64
-"""Block size of LAPACK's factorizations, columns."""
 
+#: Smallest violation of an inequality, relative to its right side, that solvers reach.
 TOUCHED = 1e-9
-"""Smallest violation of an inequality, relative to its right side, that solvers reach."""
 
+#: Rounding of an inequality with a right side near zero, in scaled units.
 ZERO_VIOLATION = 1e-13
-"""Rounding of an inequality with a right side near zero, in scaled units."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,20 +29,20 @@ from cvxshear.programs.certificate import Assembled, Point, length
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Number of corrections of the answer by the closed form. The second one corrects the rounding of the first, so that
+#: constraints hold to the last digits of their terms.
 CORRECTIONS = 2
-"""Number of corrections of the answer by the closed form. The second one corrects the rounding of the first, so that
-constraints hold to the last digits of their terms."""
 
+#: Largest ratio of the longest to the shortest row without sorting of rows and pivoting of columns. These keep the
+#: rounding of heavy rows out of light ones (Cox and Higham 1998). Without them, 12 of 274 answers to programs with
+#: units from 1e-9 to 1e9 are outside their bounds (`python -m tests.studies hard_programs 216 11`).
 GRADED = 1e3
-"""Largest ratio of the longest to the shortest row without sorting of rows and pivoting of columns. These keep the
-rounding of heavy rows out of light ones (Cox and Higham 1998). Without them, 12 of 274 answers to programs with units
-from 1e-9 to 1e9 are outside their bounds (`python -m tests.studies hard_programs 216 11`)."""
 
+#: Distance of 1 to the next floating-point number.
 EPSILON = float(np.finfo(float).eps)
-"""Distance of 1 to the next floating-point number."""
 
+#: Rounding of a sum, relative to the sizes of its terms.
 SUM_ROUNDING = 100 * EPSILON
-"""Rounding of a sum, relative to the sizes of its terms."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,22 +85,22 @@ class Solver(InJson):
         return f"pip install {' '.join(self.missing)}" if self.missing else ""
 
 
+#: Seconds after which a solver is stopped. Programs of this size that take longer do not end (HiGHS has cycled).
 TIME_LIMIT = 60.0
-"""Seconds after which a solver is stopped. Programs of this size that take longer do not end (HiGHS has cycled)."""
 
+#: Table of the solvers; the file explains its keys and numbers.
 _TABLES: dict[str, dict[str, Any]] = tomllib.loads(
     resources.files("cvxshear.backends").joinpath("solvers.toml").read_text(encoding="utf-8")
 )
-"""Table of the solvers; the file explains its keys and numbers."""
 
+#: Solvers of qpsolvers that pip can install, under their names there.
 THROUGH_QPSOLVERS = tuple(
     Solver(name, table.get("module", name), table.get("module", name).replace("_", "-"))
     for name, table in _TABLES.items()
 )
-"""Solvers of qpsolvers that pip can install, under their names there."""
 
+#: Solvers that cvxpy brings along and that take a quadratic objective.
 THROUGH_CVXPY = tuple(Solver(f"cvxpy-{name}", name, name, "cvxpy") for name in _TABLES if "cvxpy" in _TABLES[name])
-"""Solvers that cvxpy brings along and that take a quadratic objective."""
 
 
 class CalledSolver(Backend):
@@ -281,8 +281,8 @@ def _iterations(extras: dict[str, Any]) -> int | None:
 
 
 DEFINITE = ("daqp", "clarabel")
+#: Order of the general solvers for "auto", see above; Clarabel is always installed.
 SEMIDEFINITE = ("clarabel", "daqp")
-"""Order of the general solvers for "auto", see above; Clarabel is always installed."""
 
 
 class Kkt(Backend):

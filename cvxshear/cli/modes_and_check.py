@@ -77,8 +77,8 @@ def new(
         write_file(output, text)
 
 
+#: Exit statuses: 2 for a mistake, which other commands refuse; 3 with --strict for a doubt or an unreliable verdict.
 MISTAKE_STATUS, DOUBT_STATUS = 2, 3
-"""Exit statuses: 2 for a mistake, which other commands refuse; 3 with --strict for a doubt or an unreliable verdict."""
 
 
 def check(file: options.File, out: options.JsonOut = None, strict: bool = False) -> None:

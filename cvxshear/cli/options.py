@@ -21,11 +21,11 @@ from cvxshear.util.writing import check_output, same_file
 if TYPE_CHECKING:
     from cvxshear.report.figures import FigureEntry
 
+#: Writes one file of a result that is known.
 Writer = Callable[[], None]
-"""Writes one file of a result that is known."""
 
+#: Keys of a command's context for its written and read files; options are checked in the typed order.
 WRITTEN, READ = f"{__name__}.written", f"{__name__}.read"
-"""Keys of a command's context for its written and read files; options are checked in the typed order."""
 
 
 def claim(context: typer.Context, name: str, path: str, endings: Sequence[str]) -> None:
@@ -78,8 +78,8 @@ def _refuse_overlap(written: Iterable[tuple[str, str]], read: Iterable[Path]) ->
                 raise InputError(f"{option}: {path} would be written over {source}, which is read; name another file")
 
 
+#: Pattern of a parameter in a docstring: its name, the names of the option and its value, and its description.
 PARAMETER = re.compile(r"^(\w+)(?: :(?: (--\S+))?(?: (\S+))?)?\n((?: {4}.*\n?)+)", re.MULTILINE)
-"""Pattern of a parameter in a docstring: its name, the names of the option and its value, and its description."""
 
 
 def documented(command: Callable[..., None]) -> Callable[..., None]:
@@ -130,8 +130,8 @@ def documented(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
+#: Text between the summary of a docstring and its parameters.
 HEADING = "\n\nParameters\n----------\n"
-"""Text between the summary of a docstring and its parameters."""
 
 
 def _with_help(parameter: inspect.Parameter, called: str, value: str, text: str) -> inspect.Parameter:
@@ -177,8 +177,8 @@ BackendName = Annotated[
 ]
 
 
+#: Value of --figure that prints the available figures.
 LIST = "list"
-"""Value of --figure that prints the available figures."""
 
 
 def _among_figures(context: typer.Context, option: typer.CallbackParam, asked: list[str] | None) -> list[str] | None:

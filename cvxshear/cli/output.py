@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from cvxshear.screening import FileFinding
     from cvxshear.util.typing import Json
 
+#: Names of the files that the running command reads, as typed; the written results list these names.
 used: list[str] = []
-"""Names of the files that the running command reads, as typed; the written results list these names."""
 
+#: Arguments of the command line, as typed.
 typed: list[str] = []
-"""Arguments of the command line, as typed."""
 
 
 def as_typed() -> str:

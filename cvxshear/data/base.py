@@ -18,13 +18,13 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Minimum modal assurance criterion of a measured mode and its mode in the model; below it, the other modes are
+#: searched.
 PAIRED = 0.5
-"""Minimum modal assurance criterion of a measured mode and its mode in the model; below it, the other modes are
-searched."""
 
+#: Minimum share of an attached mass in the kinetic energy of a mode shared with the frame. A mode with less resembles a
+#: mode of the frame alone, and with more than 1 - SHARED a mode of the mass alone.
 SHARED = 0.1
-"""Minimum share of an attached mass in the kinetic energy of a mode shared with the frame. A mode with less resembles a
-mode of the frame alone, and with more than 1 - SHARED a mode of the mass alone."""
 
 
 @dataclass(frozen=True)
@@ -377,8 +377,8 @@ class Deviation(InJson):
         return f'the {self.noise.replace("_", " ")} of {self.place} of "{self.configuration}"'
 
 
+#: Every kind of data by the name of its class, the built-in ones first.
 REGISTERED: dict[str, type[Datum]] = {}
-"""Every kind of data by the name of its class, the built-in ones first."""
 
 
 def register(kind: type[Datum]) -> None:

@@ -12,8 +12,8 @@ from cvxshear.model import Observation, ShearSystem, System, mass_matrix, shear_
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
+#: Largest memory of a fit, or of the derivatives of a state on which effects act, bytes.
 MEMORY = 1e9
-"""Largest memory of a fit, or of the derivatives of a state on which effects act, bytes."""
 
 
 def compose(

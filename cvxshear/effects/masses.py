@@ -16,31 +16,31 @@ from cvxshear.priors import Constraints
 from cvxshear.util.quantities import with_std
 from cvxshear.util.typing import Floats
 
+#: Words for a mass above and below the declared one.
 HEAVIER = ("heavier", "lighter")
-"""Words for a mass above and below the declared one."""
 
+#: Minimum attached mass, as a fraction of the mean floor mass, added to the parameter. The frame then has modes even if
+#: the parameter is zero. The frequencies move by less than a millionth, unless the two are tuned to each other.
 LEAST_MASS = 1e-6
-"""Minimum attached mass, as a fraction of the mean floor mass, added to the parameter. The frame then has modes even if
-the parameter is zero. The frequencies move by less than a millionth, unless the two are tuned to each other."""
 
+#: Bounds of the attachment's frequency, in parts of the lowest and of the highest measured frequency. A slower
+#: attachment acts like a missing mass on every mode, a faster one like an added mass.
 LEAST_FREQUENCY, MOST_FREQUENCY = 0.5, 1.5
-"""Bounds of the attachment's frequency, in parts of the lowest and of the highest measured frequency. A slower
-attachment acts like a missing mass on every mode, a faster one like an added mass."""
 
+#: Attached mass at the start of a fit, in parts of the mean floor mass; without a declared total, in parts of the
+#: largest added mass, or in kg without added mass. Fits from almost no mass stay at their start.
 START_MASS = 0.05
-"""Attached mass at the start of a fit, in parts of the mean floor mass; without a declared total, in parts of the
-largest added mass, or in kg without added mass. Fits from almost no mass stay at their start."""
 
+#: Frequencies at the start of fits, in parts of the lowest and of the highest measured one. The places of twelve
+#: simulated tanks and dampers were reached from five of them as from ten; without 0.8 and 2.0 three of nine were
+#: missed. For a base with its own mass, on soil of stiffness s below story 1 of stiffness k, every floor moves with the
+#: series of both springs and an attachment to floor 1. The attachment has (k / (k + s))^2 of the base's mass and the
+#: frequency of the base between soil and story, which is above most modes.
 FROM_THE_LOWEST, FROM_THE_HIGHEST = (1.1, 0.8, 2.0), (0.6, 1.2)
-"""Frequencies at the start of fits, in parts of the lowest and of the highest measured one. The places of twelve
-simulated tanks and dampers were reached from five of them as from ten; without 0.8 and 2.0 three of nine were missed.
-For a base with its own mass, on soil of stiffness s below story 1 of stiffness k, every floor moves with the series of
-both springs and an attachment to floor 1. The attachment has (k / (k + s))^2 of the base's mass and the frequency of
-the base between soil and story, which is above most modes."""
 
+#: Bound of the frequency of loads on their mountings, in parts of the highest measured frequency. Faster loads act
+#: within 1 % like loads on the bare floor.
 STIFFEST_MOUNTING = 10.0
-"""Bound of the frequency of loads on their mountings, in parts of the highest measured frequency. Faster loads act
-within 1 % like loads on the bare floor."""
 
 
 class AddedMass(Effect):

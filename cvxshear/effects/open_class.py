@@ -17,8 +17,8 @@ from cvxshear.priors import Constraints
 from cvxshear.util import quantities, ranking
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Smallest distance from zero, in standard deviations, of an entry that is named as a place of a model error.
 STANDS_OUT = 3.0
-"""Smallest distance from zero, in standard deviations, of an entry that is named as a place of a model error."""
 
 
 class OpenClass(Effect):
@@ -382,6 +382,7 @@ class OtherFrequencies(_LessAccurate):
         return "the frequencies are less accurate than their standard deviations say"
 
 
+#: One or two for each statement of the shear model, in the order of the reports.
 OPEN_CLASSES: tuple[OpenClass, ...] = (
     OtherStiffness(),
     OtherInertia(),
@@ -392,4 +393,3 @@ OPEN_CLASSES: tuple[OpenClass, ...] = (
     OtherShapes(),
     OtherFrequencies(),
 )
-"""One or two for each statement of the shear model, in the order of the reports."""

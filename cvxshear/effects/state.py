@@ -11,13 +11,13 @@ from cvxshear.model import Observation, System
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
+#: Order of the effects on a tested state, independent of the order of their names: the braces' part of the stories, the
+#: story stiffnesses, the joints between columns and beams, the differences of the beams between floors, added
+#: flexibility of the frame, added springs, masses, the weight of these masses, the coupling of masses, attached masses,
+#: and the sensors' readings of the shapes. The stiffness matrix is assembled before the flexibility.
 STAGES = (
     "bracing", "story", "joint", "beams", "flexibility", "spring", "mass", "gravity", "inertia", "attachment", "shape",
 )  # fmt: skip
-"""Order of the effects on a tested state, independent of the order of their names: the braces' part of the stories, the
-story stiffnesses, the joints between columns and beams, the differences of the beams between floors, added flexibility
-of the frame, added springs, masses, the weight of these masses, the coupling of masses, attached masses, and the
-sensors' readings of the shapes. The stiffness matrix is assembled before the flexibility."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ from cvxshear.model import transformation
 from cvxshear.util.quantities import per_force, scaled, significant, with_std
 from cvxshear.util.typing import Floats
 
+#: Largest number of stories for springs or masses between all pairs of floors. In taller frames their N(N-1)/2
+#: parameters make every fit take minutes.
 MOST_JOINED = 40
-"""Largest number of stories for springs or masses between all pairs of floors. In taller frames their N(N-1)/2
-parameters make every fit take minutes."""
 
 
 class Gravity(Effect):

@@ -32,29 +32,29 @@ from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, cons
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Smallest positive mass or stiffness, relative to the smallest value at the start, if that is below twice the usual
+#: smallest one (`LEAST_POSITIVE`): stiffnesses can differ by 1e6.
 PART_OF_START = 0.1
-"""Smallest positive mass or stiffness, relative to the smallest value at the start, if that is below twice the usual
-smallest one (`LEAST_POSITIVE`): stiffnesses can differ by 1e6."""
 
+#: Largest mass or stiffness relative to its start. A less determined value is practically infinite, and larger values
+#: would cost the digits of the others.
 FARTHEST = 1e5
-"""Largest mass or stiffness relative to its start. A less determined value is practically infinite, and larger values
-would cost the digits of the others."""
 
 
 MASS_WIDTH = 1.0
+#: Standard deviations of the logarithms of floor masses and of story stiffnesses about typical ones. Floors of one
+#: frame seldom differ by more than a factor e; stories do, if one stands on rails or bearings.
 STIFFNESS_WIDTH = 2.0
-"""Standard deviations of the logarithms of floor masses and of story stiffnesses about typical ones. Floors of one
-frame seldom differ by more than a factor e; stories do, if one stands on rails or bearings."""
 
+#: Smallest change of the data along a determined direction, each parameter in units of its own sensitivity.
 NULL = 1e-6
-"""Smallest change of the data along a determined direction, each parameter in units of its own sensitivity."""
 
+#: Smallest unit of a parameter for `NULL`, relative to its size. A prior of 1e-9 makes the unit of its own sensitivity
+#: so small that the other data seem to have no influence.
 LEAST_UNIT = 1e-4
-"""Smallest unit of a parameter for `NULL`, relative to its size. A prior of 1e-9 makes the unit of its own sensitivity
-so small that the other data seem to have no influence."""
 
+#: Largest distance from an active bound, in standard deviations of the data.
 ON_BOUND = 1e-5
-"""Largest distance from an active bound, in standard deviations of the data."""
 
 Rows = tuple[Floats, Floats]
 

@@ -24,8 +24,8 @@ from cvxshear.programs.constraints import refuse_contradicting
 from cvxshear.util import decorators, errors
 from cvxshear.util.typing import Floats
 
+#: Largest probability of an improbable residual or noise.
 RESIDUAL_LEVEL = 0.01
-"""Largest probability of an improbable residual or noise."""
 
 
 @dataclass(frozen=True)

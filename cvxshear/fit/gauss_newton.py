@@ -30,19 +30,19 @@ from cvxshear.programs.constraints import REMAINDER_ROUNDING
 from cvxshear.util import checks, errors
 from cvxshear.util.typing import Floats
 
+#: Rounding of a residual, relative to the sizes of its terms, |J| |theta|. In 64 bits a ratio that is declared to 1e-12
+#: is known to 1e-3 of its standard deviation.
 RESIDUAL_ROUNDING = 4.0 * float(np.finfo(float).eps)
-"""Rounding of a residual, relative to the sizes of its terms, |J| |theta|. In 64 bits a ratio that is declared to 1e-12
-is known to 1e-3 of its standard deviation."""
 
+#: Smallest decrease of chi-square that matters, for a mean chi-square of one per datum.
 FLAT = 0.1
-"""Smallest decrease of chi-square that matters, for a mean chi-square of one per datum."""
 
+#: Mean square of the residuals of a fit far from the data: five standard deviations squared.
 HOPELESS = 25.0
-"""Mean square of the residuals of a fit far from the data: five standard deviations squared."""
 
+#: Weight of the damping rows of a plain step, relative to the sensitivity of the data to each parameter. They do not
+#: move a stationary point; they determine the step along directions that the data leave open.
 LEAST_DAMPING = 1e-7
-"""Weight of the damping rows of a plain step, relative to the sensitivity of the data to each parameter. They do not
-move a stationary point; they determine the step along directions that the data leave open."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class Accuracy:
 
 
 FULL = Accuracy()
+#: Accuracy of the search over sets of effects: a model far from the data needs no exact fit.
 ROUGH = Accuracy(step=1e-2, most_steps=30, least_gain=0.02)
-"""Accuracy of the search over sets of effects: a model far from the data needs no exact fit."""
 
 
 class Ending(StrEnum):

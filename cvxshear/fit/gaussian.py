@@ -27,26 +27,26 @@ from scipy import integrate, linalg, special
 
 from cvxshear.util.typing import Floats
 
+#: Smallest start of the square of an additional error, relative to the declared one.
 LEAST_SQUARE = 1e-2
-"""Smallest start of the square of an additional error, relative to the declared one."""
 
+#: Number of quadrature points in each u, by the number of factors: the marginal is skew if few data determine the
+#: noise. With more factors, one point (Laplace's approximation).
 NODES = {1: 7, 2: 7, 3: 5, 4: 3}
-"""Number of quadrature points in each u, by the number of factors: the marginal is skew if few data determine the
-noise. With more factors, one point (Laplace's approximation)."""
 
+#: Largest change of a log factor, so that no exponential overflows.
 LARGEST_LOG_CHANGE = 20.0
-"""Largest change of a log factor, so that no exponential overflows."""
 
+#: Points of the integral over one log size, in units of its width (one for Student's t).
 LOG_SIZES = np.linspace(-4.0, 4.0, 33)
-"""Points of the integral over one log size, in units of its width (one for Student's t)."""
 
+#: Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations: the tails of Student's
+#: t need a longer one than a Gaussian.
 INTEGRAL_REACH = 12.0
-"""Reach of the integral over a parameter, as the inverse hyperbolic sine of standard deviations: the tails of Student's
-t need a longer one than a Gaussian."""
 
+#: Largest log probability above the optimum. A higher point shows that the optimum is only a lower second mode, which
+#: lies between a large effect and its null value if the data are weak.
 SECOND_MODE = 5.0
-"""Largest log probability above the optimum. A higher point shows that the optimum is only a lower second mode, which
-lies between a large effect and its null value if the data are weak."""
 
 
 @dataclass(frozen=True)

@@ -113,8 +113,8 @@ def identify(
     return dataclasses.replace(found, programs=tuple(solver.solved)) if isinstance(solver, Recorder) else found
 
 
+#: Upper bound of the largest unknown of the bounded programs, relative to its free value, so that a bound is active.
 TIGHTER = 0.95
-"""Upper bound of the largest unknown of the bounded programs, relative to its free value, so that a bound is active."""
 
 
 @decorators.usual_arithmetic

@@ -30,9 +30,9 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util import decorators, errors
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 
+#: Standard deviation of the logarithm of the factor on a default standard deviation: two thirds of all tests lie
+#: between half and twice the default, nineteen in twenty between a quarter and four times.
 WIDTH = 0.7
-"""Standard deviation of the logarithm of the factor on a default standard deviation: two thirds of all tests lie
-between half and twice the default, nineteen in twenty between a quarter and four times."""
 
 
 @dataclass(frozen=True, eq=False)

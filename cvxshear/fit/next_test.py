@@ -17,14 +17,14 @@ from cvxshear.measurement.experiment import Configuration
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
+#: Candidate added masses, as fractions of the mean floor mass.
 PARTS_OF_A_FLOOR = (0.1, 0.25, 0.5, 1.0)
-"""Candidate added masses, as fractions of the mean floor mass."""
 
+#: Largest added mass on one floor, kg: a practical limit for a test.
 HEAVIEST = 1000.0
-"""Largest added mass on one floor, kg: a practical limit for a test."""
 
+#: Smallest distance, in standard deviations, of a test that is proposed.
 WORTHWHILE = 1.0
-"""Smallest distance, in standard deviations, of a test that is proposed."""
 
 
 def next_test(accepted: Estimate, rivals: Sequence[Estimate]) -> NextTest | None:

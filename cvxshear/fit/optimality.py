@@ -27,20 +27,20 @@ from cvxshear.util import checks, decorators
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
+#: Largest violation of an exact statement, relative to the sizes of its terms. Steps are solved to 1e-6 of their
+#: length, and the last steps are short, so that correct steps leave far less.
 KEPT_TO = 1e-9
-"""Largest violation of an exact statement, relative to the sizes of its terms. Steps are solved to 1e-6 of their
-length, and the last steps are short, so that correct steps leave far less."""
 
+#: Relative changes of the parameters for central difference quotients, tried in turn until one agrees: the best one
+#: depends on the curvature and on the rounding of the eigenvalue problem.
 CHANGES = (1e-5, 1e-6, 1e-4, 1e-3)
-"""Relative changes of the parameters for central difference quotients, tried in turn until one agrees: the best one
-depends on the curvature and on the rounding of the eigenvalue problem."""
 
+#: Largest sensitivity that damps a parameter: standard deviations for a change by its own size. A soft ratio, declared
+#: to 1e-12, does not concern the common size of its two parameters; its weight must not keep that from moving.
 MOST_SENSITIVE = 1e7
-"""Largest sensitivity that damps a parameter: standard deviations for a change by its own size. A soft ratio, declared
-to 1e-12, does not concern the common size of its two parameters; its weight must not keep that from moving."""
 
+#: Change of all residuals, in standard deviations, for the first comparison of derivatives.
 AWAY = 0.1
-"""Change of all residuals, in standard deviations, for the first comparison of derivatives."""
 
 
 class Residuals(Protocol):

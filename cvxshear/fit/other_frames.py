@@ -36,18 +36,18 @@ from cvxshear.model import transformation
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Complexes, Floats
 
+#: Tallest frame whose other frames are looked for: each further story multiplies their number.
 TALLEST_SEARCHED = 5
-"""Tallest frame whose other frames are looked for: each further story multiplies their number."""
 
+#: Largest relative difference of masses and stiffnesses of one frame. Frequencies of the usual accuracy, 0.2 %, tell
+#: stiffnesses no closer than this.
 INSEPARABLE = 5e-3
-"""Largest relative difference of masses and stiffnesses of one frame. Frequencies of the usual accuracy, 0.2 %, tell
-stiffnesses no closer than this."""
 
+#: Smallest likelihood of a frame that fits as well, relative to the identified one.
 LEAST_LIKELIHOOD = 1e-3
-"""Smallest likelihood of a frame that fits as well, relative to the identified one."""
 
+#: Largest relative difference of two computed values of one root; Newton steps end at rounding.
 SAME_ROOT = 1e-6
-"""Largest relative difference of two computed values of one root; Newton steps end at rounding."""
 
 
 def may_have_others(estimate: Estimate) -> bool:

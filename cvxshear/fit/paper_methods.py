@@ -21,14 +21,14 @@ from cvxshear.programs.pair_rows import mass_rows, normalized
 from cvxshear.util.errors import UnsuitableError
 from cvxshear.util.typing import Floats
 
+#: Tolerance e of Eq. 15.
 TOLERANCE = 1e-6
-"""Tolerance e of Eq. 15."""
 
+#: Largest number of mass iterations, of which the paper's frames take 14 to 16, and of linearizations of priors.
 MOST_ITERATIONS = 1000
-"""Largest number of mass iterations, of which the paper's frames take 14 to 16, and of linearizations of priors."""
 
+#: Largest relative change of masses or stiffnesses that needs no further linearization of the soft priors.
 UNCHANGED = 1e-10
-"""Largest relative change of masses or stiffnesses that needs no further linearization of the soft priors."""
 
 
 def two_stage(

@@ -39,18 +39,18 @@ from cvxshear.programs.constraints import NamedConstraints, constrained, stateme
 from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
 
+#: Number of passes over the story equations. With stiffnesses that differ by 1e6, the first pass is wrong by a factor
+#: of thirty, the third to the noise.
 START_PASSES = 6
-"""Number of passes over the story equations. With stiffnesses that differ by 1e6, the first pass is wrong by a factor
-of thirty, the third to the noise."""
 
+#: Start of a mass or stiffness for which the equations give a value that is not positive, relative to the mean.
 SMALLEST_START = 0.05
-"""Start of a mass or stiffness for which the equations give a value that is not positive, relative to the mean."""
 
+#: Relative decreases of the stiffness from the bottom to the top story that are tried.
 TAPERS = (0.2, 0.4, 0.6, 0.8)
-"""Relative decreases of the stiffness from the bottom to the top story that are tried."""
 
+#: Largest chi-square per datum of a starting point near the data: errors of ten standard deviations.
 FAR_OFF = 100.0
-"""Largest chi-square per datum of a starting point near the data: errors of ten standard deviations."""
 
 
 @dataclass(frozen=True)

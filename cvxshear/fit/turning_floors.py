@@ -81,8 +81,8 @@ class TurningFrame(IdentifiedFrame):
             yield f"stiffness_center_{axis}", "m", self.stiffness_center[:, place], self.stiffness_center_std[:, place]
 
 
+#: Row and column of the entries xx, yy, rr, xy, xr and yr of a story's matrix.
 ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Row and column of the entries xx, yy, rr, xy, xr and yr of a story's matrix."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,11 +269,11 @@ def _matrices(entries: Floats) -> Floats:
     return np.asarray(entries[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
 
 
+#: Names of the reported values of each floor and story.
 VALUE_NAMES = (
     "floor_mass", "mass_center_x", "mass_center_y", "inertia", *THREE_MOTIONS.stiffness_names, "stiffness_center_x",
     "stiffness_center_y",
 )  # fmt: skip
-"""Names of the reported values of each floor and story."""
 
 
 def open_groups(changes: Floats, std: Floats) -> tuple[tuple[tuple[str, ...], ...], Floats]:

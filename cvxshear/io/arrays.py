@@ -21,15 +21,15 @@ from cvxshear.util.typing import Floats, Json
 Array = np.ndarray[Any, Any]
 
 RATE_NAMES = re.compile(r"(.*\.)?(fs|f_s|sr|rate|sampl(e|ing)_?(rate|freq(uency)?)|fsample)(_hz)?", re.IGNORECASE)
+#: Names of single numbers: a sampling rate in Hz, and a time between two samples in s.
 STEP_NAMES = re.compile(r"(.*\.)?(dt|delta_?t|ts|sampl(e|ing)_?(time|interval|period))(_s)?", re.IGNORECASE)
-"""Names of single numbers: a sampling rate in Hz, and a time between two samples in s."""
 
+#: Names of the directions 0 to 6; negative ones point the other way.
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
-"""Names of the directions 0 to 6; negative ones point the other way."""
+#: Function type of frequency response functions in data set 58.
 FRF = 4
-"""Function type of frequency response functions in data set 58."""
+#: Keys that pyuff returns for a complete data set; for a damaged one it omits some.
 NEEDED = {58: ("x", "data", "func_type"), 55: ("r1", "node_nums")}
-"""Keys that pyuff returns for a complete data set; for a damaged one it omits some."""
 
 
 def read_mat(path: str | Path, limit: float = LIMIT) -> Columns:

@@ -27,8 +27,8 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
+#: Fewest samples of a record.
 FEWEST_ROWS = 32
-"""Fewest samples of a record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,27 +102,27 @@ class Columns:
         return checks.frozen(values.copy())
 
 
+#: Separators of cells, in the order of the search; None means blanks.
 SEPARATORS = (";", "\t", ",", None)
-"""Separators of cells, in the order of the search; None means blanks."""
 
+#: Lines within which the header and the first line of numbers must stand.
 LONGEST_HEAD = 400
-"""Lines within which the header and the first line of numbers must stand."""
 
+#: A cell of a line of units: "s", "m/s2", "[g]", "mm/s^2", "-", or nothing.
 UNIT = re.compile(r"[\[(]?\s*(?:[a-zA-Zµ°%]{1,4}(?:[/·^*²0-9-]{1,4}[a-zA-Z]{0,3}){0,3}|-|)\s*[\])]?")
-"""A cell of a line of units: "s", "m/s2", "[g]", "mm/s^2", "-", or nothing."""
 
+#: A date by itself: 2024-03-12, 12.03.2024, 3/12/24.
 DATE = re.compile(r"\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](?:\d{4}|\d\d)")
-"""A date by itself: 2024-03-12, 12.03.2024, 3/12/24."""
 
+#: A time of day with 24 hours or with AM and PM, with or without a date before it.
 STAMP = re.compile(
     rf"(?:(?P<date>{DATE.pattern})[T ] *)?(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,:]\d+)?))?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?(?:Z|[+-]\d\d:?\d\d)?"
 )
-"""A time of day with 24 hours or with AM and PM, with or without a date before it."""
 
 ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d")
+#: Seconds of a day.
 DAY = 86_400.0
-"""Seconds of a day."""
 
 Line = tuple[int, str]
 

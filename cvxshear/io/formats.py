@@ -21,10 +21,10 @@ logger = logging.getLogger(__name__)
 
 MEGABYTE = 1_000_000
 
+#: Largest size of a file without samples, bytes. A larger file is refused as a mistake, such as a record.
 LARGEST_FILE = 5_000_000
-"""Largest size of a file without samples, bytes. A larger file is refused as a mistake, such as a record."""
+#: Default limit on the size of a record's file, bytes.
 LIMIT = 100_000_000
-"""Default limit on the size of a record's file, bytes."""
 TOO_LARGE = "cut it into runs, or raise the limit by size_limit, in MB, in the table [record]"
 
 
@@ -77,8 +77,8 @@ def named_after(path: str | Path) -> str:
 ColumnReader = Callable[[Path, float], Any]
 ModeReader = Callable[[str | Path], dict[str, Any]]
 
+#: Endings that do not identify the kind of a text.
 ANY_TEXT = (".txt", ".dat", ".asc")
-"""Endings that do not identify the kind of a text."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,7 @@ class Format:
 
 HERE = "cvxshear.io"
 
+#: Every kind of file that is read, in the order in which messages and help list them.
 FORMATS: list[Format] = [
     Format("csv", (".csv", ".txt", ".dat", ".tsv", ".asc"), "delimited text", f"{HERE}.csv:read_csv",
            f"{HERE}.spreadsheets:read_mode_csv"),
@@ -142,7 +143,6 @@ FORMATS: list[Format] = [
     Format("uff", (".uff", ".unv", ".u58", ".u55"), "a universal file", f"{HERE}.arrays:read_uff",
            f"{HERE}.arrays:read_mode_uff"),
 ]  # fmt: skip
-"""Every kind of file that is read, in the order in which messages and help list them."""
 
 
 def register(added: Format) -> None:

@@ -24,11 +24,11 @@ CHANNEL_KEYS = ("column", "floor", "axis", "sign", "calibration", "quantity", "u
 RUN_KEYS = ("file", "name", "input_floor", "start", "end")
 PASSED_ON = ("frame", "prior", "added_mass", "state")
 
+#: Longest step without a gap, as a multiple of the usual step. A longer step lost a sample, for any rounding.
 LONG_STEP = 1.75
-"""Longest step without a gap, as a multiple of the usual step. A longer step lost a sample, for any rounding."""
 
+#: Largest share of long steps that are gaps. More long steps are another sampling rate, which is refused.
 MOST_GAPS = 0.01
-"""Largest share of long steps that are gaps. More long steps are another sampling rate, which is refused."""
 
 
 @dataclass(frozen=True)

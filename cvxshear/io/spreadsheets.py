@@ -30,27 +30,27 @@ from cvxshear.util.writing import cell_text, write_file
 Cell = str | float | int | None
 Rows = list[tuple[int, list[Cell]]]
 
+#: Largest length of the title of a sheet, letters (Excel).
 LONGEST_TITLE = 31
-"""Largest length of the title of a sheet, letters (Excel)."""
 
+#: Largest length of a cell, letters (Excel).
 LONGEST_CELL = 32_767
-"""Largest length of a cell, letters (Excel)."""
 
+#: Largest width of a column of a workbook, letters.
 WIDEST = 28
-"""Largest width of a column of a workbook, letters."""
 
+#: Title that Excel reserves.
 RESERVED = "history"
-"""Title that Excel reserves."""
 
 TOO_LARGE_TABLE = "too many for a table of modes; is it a record?"
+#: Key of deviations in Hz; those of a configuration are relative to the frequencies.
 ABSOLUTE = "frequency_std, Hz"
-"""Key of deviations in Hz; those of a configuration are relative to the frequencies."""
+#: Header texts, in lower case without punctuation, and the keys of a configuration that they fill.
 COLUMNS = {
     "mode": "modes", "frequency": "frequencies", "frequency hz": "frequencies", "f": "frequencies",
     "f hz": "frequencies", "frequency std": "frequency_std", "frequency std hz": ABSOLUTE, "damping": "damping_ratios",
     "damping ratio": "damping_ratios",
 }  # fmt: skip
-"""Header texts, in lower case without punctuation, and the keys of a configuration that they fill."""
 
 
 @dataclass(frozen=True)
@@ -341,8 +341,8 @@ def _numbers(row: Sequence[Cell], line: int, header: Sequence[str], source: str)
     return found
 
 
+#: Header of a column of repeated tests: the frequency of a mode, or the entry of a mode's shape at a floor.
 REPEATED = re.compile(r"(?:(?:frequency|f) ?(\d+)(?: hz)?|shape ?(\d+) (\d+))")
-"""Header of a column of repeated tests: the frequency of a mode, or the entry of a mode's shape at a floor."""
 
 
 def read_repeats(path: str | Path) -> Json:

@@ -27,11 +27,11 @@ from cvxshear.util.quantities import CHANNEL_UNITS, counted
 from cvxshear.util.typing import Floats
 from cvxshear.util.writing import escaped
 
+#: Floor mass (kg) and story stiffness (N/m) of the example frame, and a pull at its top (N).
 MASS, STIFFNESS, PULL = 10.0, 10e3, 100.0
-"""Floor mass (kg) and story stiffness (N/m) of the example frame, and a pull at its top (N)."""
 
+#: Line of a new file whose modes are an example.
 TOTAL = "total_mass = {total}  # kg, all floors without added mass; not needed with two different added masses"
-"""Line of a new file whose modes are an example."""
 
 TO_FILL_IN = """\
 total_mass = 1.0  # kg, all floors without added mass: FILL IN, or give two configurations with different added masses;
@@ -135,10 +135,10 @@ def _listed(values: Floats | np.ndarray, shown: str) -> str:
 
 
 _WORDS = tomllib.loads(blank_text("words.toml"))
+#: Patterns of columns, units and sampling rates in a preamble; comments in the file explain each, in this order.
 TIME, GROUND, FORCE, ROOF, NO_MOTION, AXIS, BRACKETED, ENDING, RATE = (
     re.compile(pattern, re.IGNORECASE) for pattern in _WORDS["name"].values()
 )
-"""Patterns of columns, units and sampling rates in a preamble; comments in the file explain each, in this order."""
 
 NUMBER = re.compile(r"\d+")
 

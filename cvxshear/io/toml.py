@@ -22,17 +22,17 @@ from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, printable
 from cvxshear.util.writing import escaped, write_file
 
+#: Measured frames in the package: tables of modes, each with its source.
 MEASURED_FRAMES = (
     "los-alamos", "mini-flexible-northridge", "mini-flexible-sine", "mini-stiff-northridge", "mini-stiff-sine",
     "southampton", "e-defense", "iasc-asce-x", "iasc-asce-y", "ucl-loosened-joints",
 )  # fmt: skip
-"""Measured frames in the package: tables of modes, each with its source."""
 
+#: Examples in the package, with their paths.
 BUILT_IN = {"paper": ("paper", "paper.toml"), **{name: ("builtin", f"{name}.toml") for name in MEASURED_FRAMES}}
-"""Examples in the package, with their paths."""
 
+#: A line that begins a table; no line of samples does.
 _HEADING = re.compile(r"^[ \t]*\[", re.MULTILINE)
-"""A line that begins a table; no line of samples does."""
 
 
 @usual_arithmetic
@@ -210,11 +210,11 @@ def _resolved(table: object, place: int, folder: Path) -> object:
 
 
 COMMENT_WIDTH = 110
+#: Significant digits of written numbers; no record has more.
 WRITTEN_DIGITS = 8
-"""Significant digits of written numbers; no record has more."""
 
+#: A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes.
 _NUMBERS = re.compile(r"\[\n((?:\s*[-+.\w]+,\n)+)\s*\]")
-"""A list of numbers with one on each line. No text matches: line breaks in texts are written as escapes."""
 
 
 def write_measurement(path: str | Path, declared: Mapping[str, Any], comments: Iterable[str] = ()) -> None:

@@ -30,8 +30,8 @@ from cvxshear.priors import Prior
 from cvxshear.util import decorators, errors, ranking
 from cvxshear.util.typing import Floats
 
+#: Tallest frame: the derivatives by its effects, once, take some seconds, and the fourth power of the stories.
 TALLEST_SEARCH = 100
-"""Tallest frame: the derivatives by its effects, once, take some seconds, and the fourth power of the stories."""
 
 
 def search_for_effects(

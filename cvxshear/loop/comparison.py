@@ -28,11 +28,11 @@ from cvxshear.model import mode_derivatives, modes
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Bools
 
+#: Largest relative standard deviation of a prediction that counts; an undetermined direction counts with its length.
 USEFUL = 0.1
-"""Largest relative standard deviation of a prediction that counts; an undetermined direction counts with its length."""
 
+#: |predicted / measured - 1| by configuration and place of the frequency in it.
 Errors = dict[tuple[str, int], float]
-"""|predicted / measured - 1| by configuration and place of the frequency in it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,15 +19,15 @@ from cvxshear.loop.search import REPORTED, Search, fits_alike
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.util import quantities, ranking
 
+#: Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
+#: numbers keep their prior probability, which suffices.
 NUMBERED = 1.0 - 2.0 * hypotheses.OVERLOOKED
-"""Smallest probability of the given mode numbers if the shear model is called adequate. Data without information on the
-numbers keep their prior probability, which suffices."""
 
+#: Smallest ratio of precisions, with the data and without, for an effect that the data distinguish from the frame.
 LITTLE_GAINED = 1.1
-"""Smallest ratio of precisions, with the data and without, for an effect that the data distinguish from the frame."""
 
+#: Largest distance of a parameter on a bound from this bound, in prior standard deviations.
 AT_AN_END = 1e-3
-"""Largest distance of a parameter on a bound from this bound, in prior standard deviations."""
 
 
 def conclude(

@@ -33,18 +33,18 @@ from cvxshear.programs import LeastSquares, constraints
 from cvxshear.util import errors
 from cvxshear.util.typing import Floats
 
+#: Rounding: share of a parameter's precision that counts as no contribution of the data to its interval.
 TINY = 1e-12
-"""Rounding: share of a parameter's precision that counts as no contribution of the data to its interval."""
 
+#: Tests times parameters of a fit that takes as long as a smaller one: the solver's part is then as large.
 SMALL_FIT = 300
-"""Tests times parameters of a fit that takes as long as a smaller one: the solver's part is then as large."""
 
+#: Largest distance from an active inequality, in standard deviations.
 TOUCHING = 1e-4
-"""Largest distance from an active inequality, in standard deviations."""
 
+#: Largest difference of two fits at the same optimum, in standard deviations of any datum or prior. Fits of the search
+#: end within a tenth of their optimum, and another optimum is many standard deviations away.
 SAME_OPTIMUM = 0.3
-"""Largest difference of two fits at the same optimum, in standard deviations of any datum or prior. Fits of the search
-end within a tenth of their optimum, and another optimum is many standard deviations away."""
 
 
 @dataclass(frozen=True, eq=False)

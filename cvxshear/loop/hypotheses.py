@@ -29,16 +29,16 @@ from cvxshear.measurement.reading import MeasuredModes, violations
 from cvxshear.util import checks, errors
 from cvxshear.util.typing import Floats, Ints, Json, T
 
+#: Kind of the open classes, and the common name of all of them.
 OPEN = "open"
-"""Kind of the open classes, and the common name of all of them."""
 
 
+#: Default probability that a test overlooked a mode between its modes. Ambient tests of tall buildings lose a mode more
+#: often, tests with a shaker or a hammer hardly ever.
 OVERLOOKED = 0.05
-"""Default probability that a test overlooked a mode between its modes. Ambient tests of tall buildings lose a mode more
-often, tests with a shaker or a hammer hardly ever."""
 
+#: Configurations and their modes, if other than the given ones.
 Changes = tuple[tuple[str, tuple[int, ...]], ...]
-"""Configurations and their modes, if other than the given ones."""
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,12 @@ from cvxshear.loop.fitter import free_basis
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Floats
 
+#: Rounding: share of an effect's derivatives outside the span of the others that counts as zero.
 EXACT = 1e-5
-"""Rounding: share of an effect's derivatives outside the span of the others that counts as zero."""
 
+#: Smallest share of an effect's derivatives outside the span of the frame. An effect with less is redundant and needs
+#: no twin.
 BEYOND_FRAME = 1e-3
-"""Smallest share of an effect's derivatives outside the span of the frame. An effect with less is redundant and needs
-no twin."""
 
 
 class Linearised:

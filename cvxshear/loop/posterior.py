@@ -20,22 +20,22 @@ from cvxshear.util import decorators, ranking
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
+#: Smallest probability of an added effect: the median model predicts best (Barbieri and Berger 2004).
 ADDED = 0.5
-"""Smallest probability of an added effect: the median model predicts best (Barbieri and Berger 2004)."""
 
+#: Smallest increase of the odds of an added effect by the data, as a factor. Effects that the data do not determine
+#: keep their prior odds.
 RAISED = 3.0
-"""Smallest increase of the odds of an added effect by the data, as a factor. Effects that the data do not determine
-keep their prior odds."""
 
+#: Smallest probability, relative to the best set, of a set whose effects count as rivals.
 RIVAL = 0.05
-"""Smallest probability, relative to the best set, of a set whose effects count as rivals."""
 
 MANY_CAUSES = 3
+#: Probability of an unknown cause that imitates several kinds of effects in one state (or in the frame). MANY_CAUSES is
+#: the smallest number of kinds that counts. UNKNOWN_CAUSE is the prior probability of such a cause for that number.
+#: WITH_EACH_MORE is the factor for each further kind. One frame in fifty has a cause that the catalogue lacks. Three
+#: kinds of effects imitate one in two hundred of these causes, five kinds half of them.
 UNKNOWN_CAUSE, WITH_EACH_MORE = 1e-4, 10.0
-"""Probability of an unknown cause that imitates several kinds of effects in one state (or in the frame). MANY_CAUSES is
-the smallest number of kinds that counts. UNKNOWN_CAUSE is the prior probability of such a cause for that number.
-WITH_EACH_MORE is the factor for each further kind. One frame in fifty has a cause that the catalogue lacks. Three kinds
-of effects imitate one in two hundred of these causes, five kinds half of them."""
 
 
 @dataclass(frozen=True)

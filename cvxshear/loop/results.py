@@ -20,16 +20,15 @@ from cvxshear.util import ranking
 from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Json
 
+#: Largest probability of a part of the residual that is reported, corrected for the number of parts.
 CONSPICUOUS = 0.01
-"""Largest probability of a part of the residual that is reported, corrected for the number of parts."""
 
+#: Fields that a headline may hold in braces.
+#:
+#: model: the initial model of the loop; found: the effects in clauses, each with its probability; doubt: the reason why
+#: the verdict is not certain; place: the place of the remaining residual; change: the final value of the error that
+#: carried the verdict; within: the noise level that the residual does not exceed.
 FIELDS = ("model", "found", "doubt", "place", "change", "within")
-"""Fields that a headline may hold in braces.
-
-model: the initial model of the loop; found: the effects in clauses, each with its probability; doubt: the reason why
-the verdict is not certain; place: the place of the remaining residual; change: the final value of the error that
-carried the verdict; within: the noise level that the residual does not exceed.
-"""
 
 
 @dataclass(frozen=True)
@@ -150,8 +149,8 @@ _ALL = (
     ),
 )
 
+#: Verdicts of a loop by name; a new verdict is one more entry.
 VERDICTS = {each.name: each for each in _ALL}
-"""Verdicts of a loop by name; a new verdict is one more entry."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,37 +27,35 @@ from cvxshear.loop.linear import Linearised
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
+#: Number of best visited sets that are expanded.
 BEAM = 6
-"""Number of best visited sets that are expanded."""
 
+#: Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
 REPORTED = 1e-3
-"""Smallest probability, relative to the best set, of a set that is followed up; smallest probability that is reported.
-"""
 
+#: Largest distance from the best set, in log probability, of a set that is followed up.
 WITHIN = float(-np.log(REPORTED))
-"""Largest distance from the best set, in log probability, of a set that is followed up."""
 
+#: Largest difference in log probability of two sets that are equally good. Further effects are tried beside both of
+#: them. Tried beside one only, they would count for that set alone, and the probabilities of its effects would be
+#: wrong: without this rule, an effect that no datum concerns loses its prior probability.
 TIE = 2.0
-"""Largest difference in log probability of two sets that are equally good. Further effects are tried beside both of
-them. Tried beside one only, they would count for that set alone, and the probabilities of its effects would be wrong:
-without this rule, an effect that no datum concerns loses its prior probability."""
 
+#: Largest number of further effects, each fitted alone, when a set is expanded.
 MOST_FURTHER = 10
-"""Largest number of further effects, each fitted alone, when a set is expanded."""
 
+#: Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded.
 RESCALING = 3
-"""Number of effects on the accuracy of data that are fitted when a set that does not explain the data is expanded."""
 
+#: Largest number of fits from given starting points, the best after one step.
 MOST_STARTS = 20
-"""Largest number of fits from given starting points, the best after one step."""
 
+#: Work, in small fits (`fitter.SMALL_FIT`), after which a search ends at the end of its step: twice the need of
+#: consistent data of three states. The result says what was not tried.
 MOST_WORK = 600
-"""Work, in small fits (`fitter.SMALL_FIT`), after which a search ends at the end of its step: twice the need of
-consistent data of three states. The result says what was not tried."""
 
+#: Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
 TWINS_DIFFER = 0.1
-"""Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
-"""
 
 Set = frozenset[LocatedEffect]
 

@@ -142,8 +142,8 @@ class Sensor(InTable):
         return tuple(found)
 
 
+#: Least count of equal numbers that makes a shape or a test a copy of another: one or two can be equal by rounding.
 ENTRIES_OF_A_COPY = 3
-"""Least count of equal numbers that makes a shape or a test a copy of another: one or two can be equal by rounding."""
 
 
 def repeated_rows(shapes: Floats, *, whole: bool) -> tuple[int, int] | None:
@@ -175,14 +175,14 @@ def repeated_rows(shapes: Floats, *, whole: bool) -> tuple[int, int] | None:
 
 
 DEFAULT_FREQUENCY_STD = 0.002
+#: Relative, and relative to a mode's largest entry; `data.Frequencies.noise` and `data.Shapes.noise` say why.
 DEFAULT_MODE_SHAPE_STD = 0.01
-"""Relative, and relative to a mode's largest entry; `data.Frequencies.noise` and `data.Shapes.noise` say why."""
 
+#: Largest asymmetry of a covariance, and smallest eigenvalue of its correlation: rounding of printed digits.
 SYMMETRIC_TO = 1e-9
-"""Largest asymmetry of a covariance, and smallest eigenvalue of its correlation: rounding of printed digits."""
 
+#: What `mode_shape_std` is relative to: a mode's largest entry, or the entry itself.
 NOISE_KINDS = ("additive", "multiplicative")
-"""What `mode_shape_std` is relative to: a mode's largest entry, or the entry itself."""
 
 
 def _no_floats() -> Floats:

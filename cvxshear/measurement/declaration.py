@@ -16,30 +16,30 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Bools, Floats, Json
 
+#: Findings of `check` that refuse a file unless they are accepted; docs/howto/check-a-file.md says what each means.
 MISTAKES = (
     "sensor_sign", "swapped_sensors", "floors_from_top", "transposed", "mode_order", "missing_mode", "mode_number",
     "entry_sign", "sensor_floors", "sensor_unit", "drifts", "periods", "frequency_unit", "signs",
 )  # fmt: skip
-"""Findings of `check` that refuse a file unless they are accepted; docs/howto/check-a-file.md says what each means."""
 
+#: Mistakes in which modes of the frame the measured ones are.
 NUMBERS = ("missing_mode", "mode_number")
-"""Mistakes in which modes of the frame the measured ones are."""
 
+#: Findings of `check` that are warnings.
 DOUBTS = (
     "angular_frequency", "heights", "masses", "deviations", "look_alike", "repeated", "gravity",
     "total_mass", "added_mass",
 )  # fmt: skip
-"""Findings of `check` that are warnings."""
 
+#: Findings that `[frame] accept` can name.
 NAMES = (*MISTAKES, *DOUBTS)
-"""Findings that `[frame] accept` can name."""
 
+#: Kinds of damping, see `Damping`.
 DAMPING_KINDS = ("modal", "story", "rayleigh")
-"""Kinds of damping, see `Damping`."""
 
 
+#: Motions of a floor that turns: two displacements of the reference point, and the angle about the vertical axis.
 MOTIONS = ("x", "y", "rotation")
-"""Motions of a floor that turns: two displacements of the reference point, and the angle about the vertical axis."""
 
 
 class InTable(checks.ReadOnlyArrays):
@@ -370,8 +370,8 @@ class ExpectedEffect(InTable):
         return name == self.name and all(getattr(self, part, None) in (None, its) for part, its in place.items())
 
 
+#: Default standard deviation, relative to the largest displacement (see `data.Static.noise`).
 DEFAULT_DISPLACEMENT_STD = 0.01
-"""Default standard deviation, relative to the largest displacement (see `data.Static.noise`)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,8 @@ __all__ = [
     "Limits", "Prior", "StaticTest", "Tested",
 ]  # fmt: skip
 
+#: Measurement of one state of the frame; both types have a `name`, a `state` and an `added_mass`.
 Tested = Configuration | StaticTest
-"""Measurement of one state of the frame; both types have a `name`, a `state` and an `added_mass`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -313,8 +313,8 @@ def _all_of(kind: type[T], items: object, where: str) -> tuple[T, ...]:
     return result
 
 
+#: An experiment, its dict, the path of a measurement file or a record file, or the name of a built-in example.
 Measurement = str | Path | Json | Experiment
-"""An experiment, its dict, the path of a measurement file or a record file, or the name of a built-in example."""
 
 
 def opened(source: Measurement, *, turning: bool = False) -> Experiment:

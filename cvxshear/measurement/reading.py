@@ -16,20 +16,20 @@ from cvxshear.measurement.configuration import ENTRIES_OF_A_COPY
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Typical difference between the shapes of a real frame and a shear frame, relative to a mode's largest entry.
 SHAPE_TOLERANCE = 0.03
-"""Typical difference between the shapes of a real frame and a shear frame, relative to a mode's largest entry."""
 
+#: Typical relative difference between the frequencies of a real frame and a shear frame.
 FREQUENCY_TOLERANCE = 0.02
-"""Typical relative difference between the frequencies of a real frame and a shear frame."""
 
+#: Factor on both tolerances that suffices for a frame which is nearly a shear frame.
 CLOSER = 0.3
-"""Factor on both tolerances that suffices for a frame which is nearly a shear frame."""
 
+#: Factor on both tolerances for a frame which is far from a shear frame (walls, coupled floors).
 FARTHER = 3.0
-"""Factor on both tolerances for a frame which is far from a shear frame (walls, coupled floors)."""
 
+#: The sign of an entry is certain if its distance from zero exceeds this number of standard deviations.
 CERTAIN = 5.0
-"""The sign of an entry is certain if its distance from zero exceeds this number of standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,20 +23,20 @@ from cvxshear.paper.setups import paper_setups, three_story
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
+#: The paper prints stiffnesses in kN/m.
 KILO = 1e3
-"""The paper prints stiffnesses in kN/m."""
 
+#: Numbers, or printed figures, of each structure by its name.
 PerStructure = Mapping[str, Any]
-"""Numbers, or printed figures, of each structure by its name."""
 
 
+#: Tables of figures; the file says what each holds, and in which unit.
 PRINTED: dict[str, Any] = tomllib.loads(
     resources.files("cvxshear.paper").joinpath("printed.toml").read_text(encoding="utf-8")
 )
-"""Tables of figures; the file says what each holds, and in which unit."""
 
+#: Method, case and entry of Table 1 that differs from the formula's value.
 MISPRINT = ("berman", "1", "23")
-"""Method, case and entry of Table 1 that differs from the formula's value."""
 
 
 def note(name: str, **gaps: object) -> str:
@@ -63,8 +63,8 @@ def values(printed: Sequence[str]) -> Floats:
 TO_THE_DIGIT = "to the last digit"
 ROUNDED = "from rounded figures"
 MISPRINTED = "misprint"
+#: Possible results of the comparison of a recomputed figure with the printed one.
 DIFFERS = "differs"
-"""Possible results of the comparison of a recomputed figure with the printed one."""
 
 
 @dataclass(frozen=True)

@@ -34,21 +34,21 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError, NoSolutionError
 from cvxshear.util.typing import Floats, Ints
 
+#: Largest length of a row of the question, with each parameter relative to its size, for an exactly known parameter.
 KNOWN_EXACTLY = 1e-12
-"""Largest length of a row of the question, with each parameter relative to its size, for an exactly known parameter."""
 
+#: Accuracy of the solver. The bound is computed afterwards, so rough weights only give a lower bound.
 ACCURACY = {"tol_gap_abs": 1e-5, "tol_gap_rel": 1e-5, "tol_feas": 1e-6}
-"""Accuracy of the solver. The bound is computed afterwards, so rough weights only give a lower bound."""
 
+#: Number of directions of the parameters in the program of D, twice as many in that of A, one and a half times in that
+#: of E; the time grows with the sixth power. Of 40 stories, it leaves the bound at least 99.5 % of the optimum.
 TOLD = 28
-"""Number of directions of the parameters in the program of D, twice as many in that of A, one and a half times in that
-of E; the time grows with the sixth power. Of 40 stories, it leaves the bound at least 99.5 % of the optimum."""
 
+#: Least relative gain of an exchange; a smaller gain is rounding.
 IMPROVES = 1e-9
-"""Least relative gain of an exchange; a smaller gain is rounding."""
 
+#: Largest relative difference of best and worst choice that counts as equal; the noise is not known to one percent.
 ARBITRARY = 0.01
-"""Largest relative difference of best and worst choice that counts as equal; the noise is not known to one percent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,8 +298,8 @@ class Eigenvalue(Criterion):
         return cp.Maximize(t), some.stated(cp, w) - t * inner >> 0
 
 
+#: Criteria by their names in options.
 CRITERIA: dict[str, Criterion] = {each.name: each for each in (Determinant(), Trace(), Eigenvalue())}
-"""Criteria by their names in options."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,8 @@ from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import listed
 from cvxshear.util.typing import Floats, Ints
 
+#: Least relative standard deviation of an unknown mass or stiffness; the uncertainty equals the value.
 UNKNOWN_STD = 1.0
-"""Least relative standard deviation of an unknown mass or stiffness; the uncertainty equals the value."""
 
 
 @dataclass(frozen=True, eq=False)

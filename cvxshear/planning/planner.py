@@ -29,14 +29,14 @@ from cvxshear.util.quantities import listed
 from cvxshear.util.results import InJson, Shown
 from cvxshear.util.typing import Floats, Ints, Json
 
+#: Goals of a plan, each with the quantities to determine.
 GOALS = {"masses": ("floor_mass",), "stiffnesses": ("story_stiffness",), "all": ("floor_mass", "story_stiffness")}
-"""Goals of a plan, each with the quantities to determine."""
 
+#: Default number of modes of a plan: ambient tests of buildings commonly give four.
 USUAL_MODES = 4
-"""Default number of modes of a plan: ambient tests of buildings commonly give four."""
 
+#: Added masses of the grid, as fractions of the limit of a floor.
 PARTS = (0.5, 1.0)
-"""Added masses of the grid, as fractions of the limit of a floor."""
 
 
 @dataclass(frozen=True, eq=False)

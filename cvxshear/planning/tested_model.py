@@ -18,9 +18,9 @@ from cvxshear.util import checks
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Floats, Ints
 
+#: Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
+#: single sensor, finite standard deviations to compare.
 UNKNOWN_STDS = 10.0
-"""Prior standard deviation of an unknown parameter, relative to its size. A finite value gives every choice, even of a
-single sensor, finite standard deviations to compare."""
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ from cvxshear.util.results import fields_as_table
 from cvxshear.util.typing import Floats, Json
 
 QUANTITY_UNITS = {"floor_mass": "kg", "story_stiffness": "N/m"}
+#: Quantities that priors speak of, with their units.
 QUANTITIES = tuple(QUANTITY_UNITS)
-"""Quantities that priors speak of, with their units."""
 
+#: Sizes of masses (kg), stiffnesses (N/m) and dashpots for the checks of a user's prior, from bench models to towers.
+#: The checks compare its residual and derivative at the size with the smallest residual.
 SIZES = (1.0, 1e2, 1e4, 1e6, 1e8)
-"""Sizes of masses (kg), stiffnesses (N/m) and dashpots for the checks of a user's prior, from bench models to towers.
-The checks compare its residual and derivative at the size with the smallest residual."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -272,8 +272,8 @@ class Bounds(Prior):
         return f"{self.quantity} {' and '.join(limits)}"
 
 
+#: Ways in which a quantity can change with height.
 DIRECTIONS = ("decreasing", "increasing")
-"""Ways in which a quantity can change with height."""
 
 
 @dataclass(frozen=True, eq=False)

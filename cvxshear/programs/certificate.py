@@ -15,18 +15,18 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Floats
 
+#: Fraction of the solution's norm, in units of each column, that is added to an unknown's size. Without it a bound at
+#: zero would have to be met exactly. With a thousandth, small unknowns keep three digits fewer than large ones.
 NEAR_ZERO = 1e-3
-"""Fraction of the solution's norm, in units of each column, that is added to an unknown's size. Without it a bound at
-zero would have to be met exactly. With a thousandth, small unknowns keep three digits fewer than large ones."""
 
+#: Fraction of the right side, in units of each column, that is also added to an unknown's size. In the last step of an
+#: iteration, the step and its violations are rounding errors. The value is well above the rounding of ill-conditioned
+#: rows.
 NEAR_NOTHING = 1e-7
-"""Fraction of the right side, in units of each column, that is also added to an unknown's size. In the last step of an
-iteration, the step and its violations are rounding errors. The value is well above the rounding of ill-conditioned
-rows."""
 
+#: Fraction of the largest row's terms that is added to the terms of every row. A millionth of it, the accepted dual
+#: residual, is the rounding of that row; an unknown with tiny coefficients has a gradient of that size.
 AT_ROUNDING = 2e-10
-"""Fraction of the largest row's terms that is added to the terms of every row. A millionth of it, the accepted dual
-residual, is the rounding of that row; an unknown with tiny coefficients has a gradient of that size."""
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util.errors import InfeasibleError
 from cvxshear.util.typing import Floats
 
+#: Smallest positive mass, relative to the mean floor mass; the smallest positive stiffness carries it at mode 1.
+#:
+#: Solvers cannot resolve a much smaller bound: HiGHS 1.15 fails at 1e-6.
 LEAST_POSITIVE = 1e-3
-"""Smallest positive mass, relative to the mean floor mass; the smallest positive stiffness carries it at mode 1.
 
-Solvers cannot resolve a much smaller bound: HiGHS 1.15 fails at 1e-6."""
-
+#: Rounding of a sum, relative to the sizes of its terms.
 REMAINDER_ROUNDING = 1e-13
-"""Rounding of a sum, relative to the sizes of its terms."""
 
 
 def remaining(side: Floats, rows: Floats, origin: Floats) -> Floats:

@@ -18,8 +18,8 @@ from cvxshear.programs.constraints import remaining
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util.typing import Floats
 
+#: Largest number of stories for a program with one row for each pair of modes: from there on a factor is faster.
 ROWS_UP_TO = 30
-"""Largest number of stories for a program with one row for each pair of modes: from there on a factor is faster."""
 
 
 def pair_products(columns: Floats, *, diagonal: bool = True) -> Floats:

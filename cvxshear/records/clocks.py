@@ -25,27 +25,27 @@ from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
+#: Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a sensor is slow,
+#: that a gain steps, that a channel carries no motion, is reversed or in another's place, and that a mode was missed.
 FAULTY = 0.02
-"""Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a sensor is slow,
-that a gain steps, that a channel carries no motion, is reversed or in another's place, and that a mode was missed."""
+#: Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. All are as probable.
 LONGEST_DELAY = 2.6
-"""Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. All are as probable."""
+#: Samples; the phases of the modes determine shorter delays more exactly.
 SHORTEST_DELAY = 0.5
-"""Samples; the phases of the modes determine shorter delays more exactly."""
+#: Corners of a first-order low-pass, over the sampling rate, a tenth apart: a lower one leaves no mode in the channel,
+#: a higher one takes less than 3 % from any. All are as probable.
 CORNERS = np.geomspace(0.02, 2.0, 47)
-"""Corners of a first-order low-pass, over the sampling rate, a tenth apart: a lower one leaves no mode in the channel,
-a higher one takes less than 3 % from any. All are as probable."""
+#: s a second; crystals differ by a tenth of that at most.
 FASTEST_DRIFT = 1e-3
-"""s a second; crystals differ by a tenth of that at most."""
+#: Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
+#: lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure.
 PHASES = 50
-"""Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
-lines tell no more. From 40 to 80 a strong dashpot is no delay, and a delay of 16 samples beside it is sure."""
+#: s; long beside the longest delay, short enough that a record has many.
 SEGMENT = 20.0
-"""s; long beside the longest delay, short enough that a record has many."""
+#: Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself.
 CLOCK_PARTS = 8
-"""Parts of a record, and parts of the spectrum of equal weight, in each of which the delay is estimated by itself."""
+#: Times the tenth of a channel's lines that hold least: below it a line counts little.
 NOISE_FLOOR = 10.0
-"""Times the tenth of a channel's lines that hold least: below it a line counts little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -446,15 +446,15 @@ def _window(length: int, *, decaying: bool) -> Floats:
     return np.concatenate([np.hanning(2 * rise)[:rise], np.hanning(2 * (length - rise))[length - rise :]])[:, None]
 
 
+#: Largest offset, s, looked for in the phases of the modes: the phases of the whole band show longer ones before.
 LONGEST = 0.05
-"""Largest offset, s, looked for in the phases of the modes: the phases of the whole band show longer ones before."""
+#: Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree. As many corners
+#: of a low-pass.
 STEPS = 4001
-"""Offsets tried between the two largest: steps of 25 microseconds turn a mode at 100 Hz by one degree. As many corners
-of a low-pass."""
+#: Degrees, root mean square over the modes: uneven damping turns the entries of lightly damped modes by as much.
 LEAST_PHASE = 0.3
-"""Degrees, root mean square over the modes: uneven damping turns the entries of lightly damped modes by as much."""
+#: Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances.
 FOLDED = 0.85
-"""Fraction of half the sampling rate. At higher frequencies, aliasing turns the phases of resonances."""
 
 
 def folded_phase(values: Complexes) -> Floats:

@@ -94,12 +94,12 @@ def _joined(first: Floats, second: Floats) -> Floats:
     return triangle
 
 
+#: Block rows of past and future: a minimum, and samples for each state of the frame.
 SUBSPACE_ROWS, SAMPLES_A_STATE = 30, 3.0
-"""Block rows of past and future: a minimum, and samples for each state of the frame."""
 
+#: Fraction of the largest variance, added to every channel's variance before the future is weighted. Resolution and
+#: hum, 40 dB below the motion, otherwise give poles.
 SILENCE = 1e-4
-"""Fraction of the largest variance, added to every channel's variance before the future is weighted. Resolution and
-hum, 40 dB below the motion, otherwise give poles."""
 
 
 class SubspaceSource(pole_sweep.Source):
@@ -190,11 +190,11 @@ def _data(excitation: Floats, response: Floats, rows: int) -> Floats:
     return np.hstack([windows(excitation, rows), windows(excitation, 0), windows(response, 0), windows(response, rows)])
 
 
+#: Block rows, and block columns, of the Hankel matrix of covariances: four periods of a highest mode at a tenth of the
+#: sampling rate, and with two sensors more than twice the 30 states of the largest model.
 SSI_ROWS = 40
-"""Block rows, and block columns, of the Hankel matrix of covariances: four periods of a highest mode at a tenth of the
-sampling rate, and with two sensors more than twice the 30 states of the largest model."""
+#: Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular.
 LEAST_NOISE = 1e-8
-"""Of the largest variance, added to every channel's: an oversampled record's covariances are nearly singular."""
 
 
 class CovarianceSource(pole_sweep.Source):

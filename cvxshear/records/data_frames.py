@@ -11,14 +11,14 @@ from cvxshear.util import checks, quantities
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Names of a column of times, s, that need no declaration.
 TIME_NAMES = ("time", "time_s", "t", "t_s", "Time", "TIME", "seconds")
-"""Names of a column of times, s, that need no declaration."""
 
+#: A run with fewer has too few periods for any of the methods.
 FEWEST_SAMPLES = 128
-"""A run with fewer has too few periods for any of the methods."""
 
+#: Share of the samples that sound pieces must hold: a record that has lost more is for a person to look at.
 LEAST_USED = 0.5
-"""Share of the samples that sound pieces must hold: a record that has lost more is for a person to look at."""
 
 
 def stretches(there: Bools) -> Ints:
@@ -121,23 +121,23 @@ def matrix_of(value: Any, where: str, dtype: type) -> Any:
     return checks.frozen(result)
 
 
+#: Units of time stamps, s.
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
-"""Units of time stamps, s."""
+#: Relative; how near the rate of the stamps must come to the declared one: clocks err by far less, typing by more.
 SAME_RATE = 0.01
-"""Relative; how near the rate of the stamps must come to the declared one: clocks err by far less, typing by more."""
+#: Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate.
 UNEVEN_STEP = 0.25
-"""Largest deviation of a step, as a fraction of the median one; more is a gap, a repetition or another rate."""
 
+#: Power of ten, s, of the finest rounding that is looked for; the coarsest is a second.
 FINEST = -9
-"""Power of ten, s, of the finest rounding that is looked for; the coarsest is a second."""
+#: Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step.
 WHOLE = 1e-4
-"""Largest distance of a stamp from a whole multiple of the rounding step, as a fraction of the step."""
+#: Shortest interval between samples that still shows when one is missing, as a fraction of the rounding step.
 SHORTEST = 0.75
-"""Shortest interval between samples that still shows when one is missing, as a fraction of the rounding step."""
+#: Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too.
 LONGEST_IN_BAND = 1.5
-"""Interval between samples, as a multiple of the rounding step, from which a missing one shows in exact stamps too."""
+#: Unusual steps are gaps, and not rounding, if they are a smaller fraction of the steps.
 LEAST_SHARE = 0.02
-"""Unusual steps are gaps, and not rounding, if they are a smaller fraction of the steps."""
 
 
 class Stamped(Protocol):

@@ -12,9 +12,9 @@ from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Probability that a stable pole of no reproducible shape between two modes is a mode of the frame: of another
+#: direction, of twisting, of a floor or of noise it is as often.
 A_MODE = 0.3
-"""Probability that a stable pole of no reproducible shape between two modes is a mode of the frame: of another
-direction, of twisting, of a floor or of noise it is as often."""
 
 
 def overlooked_modes(
@@ -64,21 +64,21 @@ def left_out(
     return [item for item in candidates if (item.physical or item.shaky) and item.members not in taken]
 
 
+#: Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported.
 LEAST_TURN = 1.0
-"""Degrees at the highest mode; a clock offset that turns it less changes nothing that is reported."""
+#: Least reported relative difference between the two directions of a transfer, for sensors and a hammer accurate to 1
+#: %.
 UNRECIPROCAL = 0.02
-"""Least reported relative difference between the two directions of a transfer, for sensors and a hammer accurate to 1
-%."""
 OTHER = (
     "{}: torsion, another axis, a local mode, a load that moves on its mounting, a split mode, a multiple of a louder "
     "frequency, or {}"
 )
+#: Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
+#: its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories.
 ALIKE = 0.8
-"""Correlation of the spectra of two hits at one floor: 0.99 in 5 % of noise, and 0.8 where a frequency changes by half
-its bandwidth from one to the other. That of neighboring floors is 0.3 to 0.7 in frames of up to five stories."""
+#: Least number of periods of the lowest mode in an ambient record; 1000 to 2000 are usual (Brincker and Ventura
+#: 2015).
 FEWEST_PERIODS = 500
-"""Least number of periods of the lowest mode in an ambient record; 1000 to 2000 are usual (Brincker and Ventura
-2015)."""
 
 
 def modal_findings(
@@ -272,12 +272,12 @@ def _mode_findings(
             yield finding("rotation/pole", {"frequency": item.frequency}, why=item.reason)
 
 
+#: Relative change of such frequencies between strong and weak motion; the mini table's are 0.6 to 2.4 %.
 TYPICAL_CHANGE = 0.01
-"""Relative change of such frequencies between strong and weak motion; the mini table's are 0.6 to 2.4 %."""
+#: Relative change of a frequency that says nothing: four degrees of temperature have this effect on a steel frame.
 SMALLEST_CHANGE = 1e-3
-"""Relative change of a frequency that says nothing: four degrees of temperature have this effect on a steel frame."""
+#: Least change of a frequency, in standard deviations: chance exceeds it for one mode in 370.
 SIGNIFICANT = 3.0
-"""Least change of a frequency, in standard deviations: chance exceeds it for one mode in 370."""
 
 
 def amplitude_findings(setting: estimate.Replication, result: ModalResult) -> Iterator[Finding]:

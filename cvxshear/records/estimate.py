@@ -61,10 +61,10 @@ def doubted(
     return {item.members: (f"{scatter} over the record's pieces", steady)}
 
 
+#: Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves.
 SURROGATES = 20
-"""Noisy copies of the fit: standard deviations from 20 of them are known to a sixth of themselves."""
+#: Pieces of a record: fewer pieces often underestimate the scatter (three pieces by half in one case of five).
 FEW_PIECES = 6
-"""Pieces of a record: fewer pieces often underestimate the scatter (three pieces by half in one case of five)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,8 +251,8 @@ def _fit(impulse: pole_sweep.Impulse, eigenvalues: Complexes, rate: float) -> Fl
     return np.asarray(2 * np.real(np.einsum("kr,roi->koi", powers, amplitudes)))
 
 
+#: Share of a mode's impulse response that is left at the end of the window.
 NOTICEABLE = 0.01
-"""Share of a mode's impulse response that is left at the end of the window."""
 
 
 def settle_truncation(record: Record, setting: Replication, values: picking.Values) -> list[Finding]:
@@ -399,8 +399,8 @@ def _numbers(shapes: Floats, record: Record, chosen: Sequence[picking.PoleCandid
     return np.arange(1, len(shapes) + 1, dtype=np.int64)
 
 
+#: Weight of equal variances, relative to the weight of the covariance.
 DRAWN = 0.3
-"""Weight of equal variances, relative to the weight of the covariance."""
 
 
 def independent_std(covariance: Floats, shape: Floats) -> Floats:

@@ -16,8 +16,8 @@ from cvxshear.records.record import FrfRecord, Run, TimeRecord
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
+#: How often each quantity is a displacement differentiated by time.
 DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
-"""How often each quantity is a displacement differentiated by time."""
 
 
 def modal_products(
@@ -64,22 +64,22 @@ def modal_scale(products: Complexes, shape: Floats, floors: Ints, driven: Ints) 
     return float(np.sqrt(square)) if square > 0 else None
 
 
+#: Block rows and columns of the Hankel matrix of impulse responses: twice the states of the largest model for a single
+#: sensor, and at a tenth of the sampling rate, where the highest mode lies at least, sixty of its periods.
 ERA_ROWS, ERA_COLUMNS = 60, 600
-"""Block rows and columns of the Hankel matrix of impulse responses: twice the states of the largest model for a single
-sensor, and at a tenth of the sampling rate, where the highest mode lies at least, sixty of its periods."""
+#: Samples at the start of an impulse response that its cut at half the sampling rate disturbs most.
 SKIPPED = 3
-"""Samples at the start of an impulse response that its cut at half the sampling rate disturbs most."""
+#: Samples that a step or a blow, sampled behind a steep filter, rings before and after.
 RINGING = 12
-"""Samples that a step or a blow, sampled behind a steep filter, rings before and after."""
+#: Of the largest force power: lines beyond the first weaker one say nothing of the frame.
 WEAKEST_FORCE = 0.01
-"""Of the largest force power: lines beyond the first weaker one say nothing of the frame."""
+#: Of the largest force power, added to it where responses are divided by the amplitude of the blow: the noise stays
+#: nearly white, and the pulse that the frame then answers to is over soon.
 LEAST_FORCE = 0.1
-"""Of the largest force power, added to it where responses are divided by the amplitude of the blow: the noise stays
-nearly white, and the pulse that the frame then answers to is over soon."""
+#: Hits at a floor: with one of them left out there must be two to compare.
 FEWEST_CROSSED = 3
-"""Hits at a floor: with one of them left out there must be two to compare."""
+#: Of a pulse's largest sample: below it the frame moves freely.
 PULSE_OVER = 1e-3
-"""Of a pulse's largest sample: below it the frame moves freely."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,18 +15,18 @@ from cvxshear.util import checks, quantities
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 
+#: Kinds of findings that the whole band and the modes may both tell of a channel.
 CLOCKS = ("clock offset", "clock drift")
-"""Kinds of findings that the whole band and the modes may both tell of a channel."""
+#: Times the highest natural frequency: as far the functions of a record are kept.
 FUNCTION_RANGE = 1.5
-"""Times the highest natural frequency: as far the functions of a record are kept."""
 
 
+#: Steps of the sampling rate: at a factor of two the highest mode is met within LOWEST_SHARE and half the rate.
 DECIMATION_FACTORS = (2, 4, 8, 16, 32, 64)
-"""Steps of the sampling rate: at a factor of two the highest mode is met within LOWEST_SHARE and half the rate."""
 
 
+#: Fraction of the sampling rate. With a lower highest mode, the rate is reduced.
 LOWEST_SHARE = 0.1
-"""Fraction of the sampling rate. With a lower highest mode, the rate is reduced."""
 
 
 SourceAndSweep = tuple[pole_sweep.Source, picking.Sweep]

@@ -16,8 +16,8 @@ from cvxshear.util import checks
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Floats, Ints
 
+#: Kinds of input that are measured, so that a response to them can be predicted.
 DRIVEN = ("base", "force")
-"""Kinds of input that are measured, so that a response to them can be predicted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,18 +171,18 @@ class DrivenRecord(checks.ReadOnlyArrays):
         return DrivenRecord(runs, single.sampling_rate, single.input, floors, added, single.name, state)
 
 
+#: Fraction of half the sampling rate above which a record has only noise: anti-aliasing filters begin at 0.8 or
+#: below.
 NOISE_FROM = 0.8
-"""Fraction of half the sampling rate above which a record has only noise: anti-aliasing filters begin at 0.8 or
-below."""
 
+#: Largest ratio of a spectrum to the noise that chance explains: averages of a dozen pieces scatter by a third.
 NOISE_SCATTER = 2.0
-"""Largest ratio of a spectrum to the noise that chance explains: averages of a dozen pieces scatter by a third."""
 
+#: Samples of a piece whose spectra are averaged: a minute at 100 Hz has some twenty, which scatter by a fifth.
 SPECTRUM_SAMPLES = 512
-"""Samples of a piece whose spectra are averaged: a minute at 100 Hz has some twenty, which scatter by a fifth."""
 
+#: Number of mirrored samples at the ends of a record: weights at this distance are below 1e-4.
 MARGIN_SAMPLES = 64
-"""Number of mirrored samples at the ends of a record: weights at this distance are below 1e-4."""
 
 
 def band_limited(samples: Floats) -> Floats:

@@ -15,26 +15,26 @@ from cvxshear.records import clocks, pole_sweep
 from cvxshear.util import ranking
 from cvxshear.util.typing import Bools, Complexes, Floats
 
+#: How the reason of a candidate begins that is set aside as a mode of rotation.
 MOSTLY_ROTATION = "mostly rotation"
-"""How the reason of a candidate begins that is set aside as a mode of rotation."""
 
+#: Of the loudest resonance's energy: fainter ones may be of noise.
 FAINT = 1e-3
-"""Of the loudest resonance's energy: fainter ones may be of noise."""
 
+#: Relative distance to a louder resonance within which none of a frame's two lowest modes lies: the third is half as
+#: high again as the second.
 BESIDE = 0.1
-"""Relative distance to a louder resonance within which none of a frame's two lowest modes lies: the third is half as
-high again as the second."""
 
+#: Fraction of a shape's largest entry. Smaller entries can have either sign, because of noise or a sensor that is
+#: askew.
 UNSURE = 0.05
-"""Fraction of a shape's largest entry. Smaller entries can have either sign, because of noise or a sensor that is
-askew."""
 
+#: Relative; a pole picked by hand is looked for so far around the frequency given.
 PICKABLE = 0.03
-"""Relative; a pole picked by hand is looked for so far around the frequency given."""
 
 
+#: Rejected candidates by their members: the reason, and whether their frequency comes back.
 Doubts = dict[tuple[tuple[int, int], ...], tuple[str, bool]]
-"""Rejected candidates by their members: the reason, and whether their frequency comes back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +313,8 @@ def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | No
     return list(max(ranked, key=itemgetter(0))[1])
 
 
+#: A choice, after its rank: modes, those whose signs fit as they stand, the log of the product of their energies.
 _Ranked = tuple[tuple[int, int, float], tuple[PoleCandidate, ...]]
-"""A choice, after its rank: modes, those whose signs fit as they stand, the log of the product of their energies."""
 
 
 def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) -> _Ranked:

@@ -22,31 +22,31 @@ from cvxshear.records.record import Channel, Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
+#: Fraction of the lowest frequency where a floor moves twice as far as the base. At lower frequencies the floors move
+#: with the base.
 QUIET = 0.5
-"""Fraction of the lowest frequency where a floor moves twice as far as the base. At lower frequencies the floors move
-with the base."""
+#: Coherence with the base of lines that count.
 COHERENT_LINE = 0.8
-"""Coherence with the base of lines that count."""
+#: A channel's ratio to the base falls if the upper half of such lines has less than this fraction of the lower half.
 FALLING = 0.9
-"""A channel's ratio to the base falls if the upper half of such lines has less than this fraction of the lower half."""
+#: Relative standard deviation of a level at low frequency, and of a ratio to another unit.
 SAME_RATIO = 0.2
-"""Relative standard deviation of a level at low frequency, and of a ratio to another unit."""
+#: Probability beforehand that a channel is in another unit than declared.
 OTHER_UNIT = 0.005
-"""Probability beforehand that a channel is in another unit than declared."""
+#: Density of levels that neither explains: one channel in a thousand, of a level up to a thousand.
 NEITHER = 1e-6
-"""Density of levels that neither explains: one channel in a thousand, of a level up to a thousand."""
+#: Standard deviation of the logarithm of a story's flexibility about the median story's: a factor of two either way.
 SPREAD_OF_STIFFNESS = 0.7
-"""Standard deviation of the logarithm of a story's flexibility about the median story's: a factor of two either way."""
+#: Deviation of an entry, relative to the mode's largest, by noise, a sensor that is askew and effects outside the shear
+#: frame.
 SHAPE_ERROR = 0.03
-"""Deviation of an entry, relative to the mode's largest, by noise, a sensor that is askew and effects outside the shear
-frame."""
+#: Ratio of the frequencies of two modes of a shear frame, and the standard deviation of its logarithm: uniform frames
+#: of 4 to 12 stories have 2.9 to 3.0, 4.4 to 4.9 and 1.5 to 1.65, those with a soft or a stiff story spread about it.
 FREQUENCY_RATIOS = {(1, 2): (2.85, 0.2), (1, 3): (4.6, 0.25), (2, 3): (1.62, 0.15)}
-"""Ratio of the frequencies of two modes of a shear frame, and the standard deviation of its logarithm: uniform frames
-of 4 to 12 stories have 2.9 to 3.0, 4.4 to 4.9 and 1.5 to 1.65, those with a soft or a stiff story spread about it."""
+#: Largest loss of log likelihood for one rule broken: no rule is as certain as its Gaussian says far out.
 WORST = 10.0
-"""Largest loss of log likelihood for one rule broken: no rule is as certain as its Gaussian says far out."""
+#: Least probability of a hypothesis that is reported beside the declared channels.
 DOUBTFUL = 0.3
-"""Least probability of a hypothesis that is reported beside the declared channels."""
 
 
 @dataclass(frozen=True)

@@ -255,9 +255,9 @@ def normalized(shapes: Complexes) -> Complexes:
     return np.asarray(shapes / size * np.conj(largest) / np.abs(largest))
 
 
+#: States of the largest model of a sweep: the minimum, and the number for each mode. A mode takes two, and has to
+#: last.
 LEAST_ORDERS, STATES = 30, 3
-"""States of the largest model of a sweep: the minimum, and the number for each mode. A mode takes two, and has to
-last."""
 
 
 @dataclass(frozen=True)
@@ -318,8 +318,8 @@ class Criteria:
         return range(2, highest + 1, 2)
 
 
+#: Poles of several orders that are taken for one mode, by their places: index of the order, index of the pole.
 Cluster = list[tuple[int, int]]
-"""Poles of several orders that are taken for one mode, by their places: index of the order, index of the pole."""
 
 
 def plausible(poles: Poles, sampling_rate: float, highest_damping: float, shift: float = 0.0) -> list[int]:

@@ -157,8 +157,8 @@ class FrfRun(checks.ReadOnlyArrays):
 
 INPUTS = ("none", "free_decay", "force", "base")
 RECORDED_QUANTITIES = ("acceleration", "velocity", "displacement")
+#: A frequency response with fewer lines has too few across any resonance.
 FEWEST_LINES = 32
-"""A frequency response with fewer lines has too few across any resonance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -449,13 +449,13 @@ def _order_by_floor(record: TimeRecord | FrfRecord) -> None:
         put(run, "responses", checks.frozen(run.responses[:, order].copy()))
 
 
+#: Sentence of each kind of finding; a key with a slash is one case of a kind.
 SENTENCES: dict[str, str] = tomllib.loads(
     resources.files("cvxshear.records").joinpath("findings.toml").read_text(encoding="utf-8")
 )
-"""Sentence of each kind of finding; a key with a slash is one case of a kind."""
 
+#: Units of gaps, with the factor for a ratio or for seconds.
 SCALES = {"%": 1e2, "ms": 1e3, "ppm": 1e6}
-"""Units of gaps, with the factor for a ratio or for seconds."""
 
 
 class _Gaps(Formatter):

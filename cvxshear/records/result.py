@@ -21,19 +21,19 @@ from cvxshear.util.typing import Bools, Complexes, Floats, Ints, Json
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Systematic standard deviation of a shape entry, relative to the mode's largest: a sensor that is 5 degrees askew
+#: loses 0.4 %, and a transverse sensitivity of 3 % adds 3 % of the floor's other motions.
 SENSOR_STD = 0.005
-"""Systematic standard deviation of a shape entry, relative to the mode's largest: a sensor that is 5 degrees askew
-loses 0.4 %, and a transverse sensitivity of 3 % adds 3 % of the floor's other motions."""
 
+#: Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
+#: 100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a
+#: degree). Without it a day's change of temperature between two tests would be found as a cause.
 REPRODUCED_TO = 2e-4
-"""Relative standard deviation of a frequency that no scatter within a record goes below: loggers' crystals are 20 to
-100 ppm off, and a degree takes 0.02 % from the frequency of a steel frame (Young's modulus falls by 0.04 % a degree).
-Without it a day's change of temperature between two tests would be found as a cause."""
+#: Least relative std of a damping ratio: friction in joints and cables changes it by more between two tests.
 DAMPING_REPRODUCED_TO = 0.01
-"""Least relative std of a damping ratio: friction in joints and cables changes it by more between two tests."""
 
+#: The kind of the findings that put the numbers of modes in doubt.
 OVERLOOKED_KIND = "overlooked mode"
-"""The kind of the findings that put the numbers of modes in doubt."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -343,8 +343,8 @@ def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:
     return all(np.array_equal(mass, added[0]) for mass in added)
 
 
+#: Keys of a prior that say what it speaks of; the others are what it says.
 PLACES = ("kind", "quantity", "at", "of", "to")
-"""Keys of a prior that say what it speaks of; the others are what it says."""
 
 
 def _refuse_shared_names(tests: Sequence[IdentifiedRecord]) -> None:

@@ -9,8 +9,8 @@ from scipy import linalg
 from cvxshear.records.record import Channel, Run, TimeRecord
 from cvxshear.util.typing import Floats
 
+#: The load is a straight line between samples this many times denser than the record's.
 OVERSAMPLING = 8
-"""The load is a straight line between samples this many times denser than the record's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,8 @@ class KnownFrame:
         return moved
 
 
+#: The three-story frame of the paper's section 5, with 1 % damping.
 PAPER_FRAME = KnownFrame(np.array([10.0, 7.5, 5.0]), np.array([1800.0, 1200.0, 600.0]), 0.01)
-"""The three-story frame of the paper's section 5, with 1 % damping."""
 
 
 def hammer_record(

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 Exact = float | int | str | None
 
+#: Largest number of columns beside the first in one table of values with deviations, by the width of a page.
 PAGE_COLUMNS = 6
-"""Largest number of columns beside the first in one table of values with deviations, by the width of a page."""
 
+#: Number of rows of a long table that a terminal shows.
 BRIEF_ROWS = 8
-"""Number of rows of a long table that a terminal shows."""
 
 
 @dataclass(frozen=True)
@@ -285,6 +285,7 @@ class Document:
         return (section for section in self.sections if not section.detail and section.parts)
 
 
+#: Module of `report` that describes each type of result.
 HOMES = {
     kind: home
     for home, kinds in {
@@ -296,7 +297,6 @@ HOMES = {
     }.items()
     for kind in kinds.split()
 }
-"""Module of `report` that describes each type of result."""
 
 
 def _imported(result: object) -> bool:

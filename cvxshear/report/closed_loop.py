@@ -80,8 +80,8 @@ def limits_section(result: LoopResult) -> blocks.Section:
     return blocks.section("limits", "What is left open", *parts)
 
 
+#: A quantity of every story or floor, shape (N,), and its derivatives by every parameter, shape (P, N).
 StateValues = tuple[Floats, Floats]
-"""A quantity of every story or floor, shape (N,), and its derivatives by every parameter, shape (P, N)."""
 
 
 def sway_stiffness(state: State) -> StateValues:

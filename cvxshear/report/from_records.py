@@ -10,12 +10,12 @@ from cvxshear.screening import FileFinding, Screening
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import capital, counted, listed, numbered, percent, with_std, with_stds
 
+#: Names of the methods of `identify_modes` in words; names from other libraries stay unchanged.
 METHOD_WORDS = {
     "era": "eigensystem realization (era)",
     "subspace": "subspace identification (subspace)", "ssi": "stochastic subspace identification (ssi)",
     "given": "modes found elsewhere",
 }  # fmt: skip
-"""Names of the methods of `identify_modes` in words; names from other libraries stay unchanged."""
 
 
 def method_in_words(result: ModalResult) -> str:

@@ -12,11 +12,11 @@ from cvxshear.report.blocks import Section, table_of_rows
 from cvxshear.util import ranking
 from cvxshear.util.quantities import SURE, chance, listed, percent, percents, significant, with_std
 
+#: Names of the first and the final model of the loop. The words "before" and "after" may be names of states.
 MODELS = ("shear model", "with effects")
-"""Names of the first and the final model of the loop. The words "before" and "after" may be names of states."""
 
+#: Smallest probability of other mode numbers, or of an effect outside the model, that a sentence mentions.
 DOUBT = 0.05
-"""Smallest probability of other mode numbers, or of an effect outside the model, that a sentence mentions."""
 
 
 def numbers_in_words(changes: Changes) -> str:
@@ -86,8 +86,8 @@ def plural_of(noise: str) -> str:
     return "priors" if noise == "prior" else noise_kinds()[noise].plural
 
 
+#: Largest number of effects that a sentence names; a table lists more.
 NAMED = 2
-"""Largest number of effects that a sentence names; a table lists more."""
 
 
 def some(texts: Sequence[str], word: str = "and") -> str:

@@ -22,11 +22,11 @@ from cvxshear.util.typing import Json
 from cvxshear.util.writing import json_text
 from cvxshear.version import __version__
 
+#: Packages that may compute the numbers of a report; the report lists their versions.
 PACKAGES = (
     "numpy", "scipy", "qpsolvers", "clarabel", "cvxpy", "osqp", "scs", "highspy", "piqp", "proxsuite", "quadprog",
     "daqp",
 )  # fmt: skip
-"""Packages that may compute the numbers of a report; the report lists their versions."""
 
 
 @cache
@@ -134,13 +134,13 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
     )
 
 
+#: Headings of the pages by the type of their result.
 HEADINGS = {
     "RecordPrediction": "Predicted response",
     "Reconstruction": "Reconstructed response",
     "History": "History of a frame",
     "Plan": "Planned test",
 }
-"""Headings of the pages by the type of their result."""
 
 
 def render_described(result: object, command: str) -> str:

@@ -115,12 +115,12 @@ def each_or_all(values: Floats, unit: str) -> str:
     return f"{shown[0]} {unit} each" if same else f"{', '.join(shown)} {unit}"
 
 
+#: Plurals of the quantities with one value for each floor or story.
 PLURALS = {
     "floor_mass": "floor masses", "story_stiffness": "story stiffnesses", "inertia": "inertias",
     **{f"{center}_center_{axis}": f"{center} centers {axis}" for center in ("mass", "stiffness") for axis in "xy"},
     **{name: name.replace("_stiffness", " stiffnesses") for name in THREE_MOTIONS.stiffness_names},
 }  # fmt: skip
-"""Plurals of the quantities with one value for each floor or story."""
 
 
 def in_words(names: Iterable[str]) -> str:
@@ -297,8 +297,8 @@ def _short(written: list[str]) -> list[str]:
     return written
 
 
+#: Smallest p-value of chi-square for a plausible model; 1 minus this value is the largest for a plausible noise.
 RULED_OUT = 1e-3
-"""Smallest p-value of chi-square for a plausible model; 1 minus this value is the largest for a plausible noise."""
 
 
 def generous_noise(fit: results.Quality) -> Iterator[str]:

@@ -377,11 +377,11 @@ def sensors(result: Reconstruction) -> blocks.Table:
     }, top_first=True)  # fmt: skip
 
 
+#: Names of the columns by quantity; the columns of floor or story 1 end in `_1`.
 COLUMN_NAMES = {name: quantity.word.replace(" ", "_") for name, quantity in RESPONSES.items()}
-"""Names of the columns by quantity; the columns of floor or story 1 end in `_1`."""
 
+#: Units of the columns; the header of a CSV file shows them in brackets. A drift ratio has no unit.
 SERIES_UNITS = {"time": "s"} | {COLUMN_NAMES[name]: each.unit.replace("²", "2") for name, each in RESPONSES.items()}
-"""Units of the columns; the header of a CSV file shows them in brackets. A drift ratio has no unit."""
 
 
 def _runs(result: Moved) -> list[tuple[Floats, Response, dict[str, Floats]]]:
@@ -459,5 +459,5 @@ def _mat(result: Moved) -> bytes:
     return out.getvalue()
 
 
+#: Writers of time series by the ending of the file.
 SERIES_WRITERS: dict[str, Callable[[Moved], bytes]] = {"csv": _csv, "mat": _mat, "npz": _npz}
-"""Writers of time series by the ending of the file."""

@@ -243,8 +243,8 @@ def counts(result: Plan) -> blocks.Table:
     })  # fmt: skip
 
 
+#: Number of decimals of a recomputed figure beyond the printed ones: the reader can see the rounding.
 MORE_DIGITS = 2
-"""Number of decimals of a recomputed figure beyond the printed ones: the reader can see the rounding."""
 
 Cells = tuple[str, ...]
 

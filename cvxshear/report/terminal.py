@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
     from cvxshear.io.spreadsheets import Sheet
 
+#: Number of spaces between columns.
 COLUMN_GAP = 2
-"""Number of spaces between columns."""
 
+#: Smallest width of a wrapped column of words, in characters.
 NARROWEST = 18
-"""Smallest width of a wrapped column of words, in characters."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,8 @@ def plain_table(
 
 STYLES = {"strong": "bold", "warning": "yellow", "mistake": "bold red", "": ""}
 
+#: Width of plain text in characters.
 PAGE = 80
-"""Width of plain text in characters."""
 
 
 def shown(result: object) -> Iterator[RenderableType]:
@@ -201,8 +201,8 @@ def data_frame_of(result: object) -> pd.DataFrame:
     return made.set_index(next(iter(found))) if tables[0].indexed else made
 
 
+#: Key of the section that a notebook illustrates with its figures.
 FIRST_SECTION = "verdict"
-"""Key of the section that a notebook illustrates with its figures."""
 
 
 def notebook_html(result: object) -> str:

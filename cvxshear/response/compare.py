@@ -22,21 +22,21 @@ from cvxshear.util.quantities import CHANNEL_UNITS, SURE, ranged
 from cvxshear.util.results import InJson
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
+#: Minimum number of pieces of the shortest run, half overlapping; fewer show no coherence.
 SEGMENTS = 4
-"""Minimum number of pieces of the shortest run, half overlapping; fewer show no coherence."""
 
+#: Number of lines in the half-power bandwidth of a mode if the record is long enough.
 BANDWIDTH_LINES = 8
-"""Number of lines in the half-power bandwidth of a mode if the record is long enough."""
 
+#: Half width of a mode's neighborhood, relative to its natural frequency, unless the next mode is nearer.
 AROUND = 0.1
-"""Half width of a mode's neighborhood, relative to its natural frequency, unless the next mode is nearer."""
 
+#: Half width of the search for a resonance, relative to the natural frequency, unless the next mode is nearer. A frame
+#: that lost two fifths of its stiffness has this shift.
 SHIFTED = 0.25
-"""Half width of the search for a resonance, relative to the natural frequency, unless the next mode is nearer. A frame
-that lost two fifths of its stiffness has this shift."""
 
+#: Minimum mean coherence of a floor that responds to the excitation.
 COHERENT = 0.6
-"""Minimum mean coherence of a floor that responds to the excitation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,8 +308,8 @@ def _shifts(
     )
 
 
+#: Number of random halves of the pieces: the deviation of a resonance is known to a seventh.
 HALVES = 24
-"""Number of random halves of the pieces: the deviation of a resonance is known to a seventh."""
 
 
 def moved_alike(measured: Floats, predicted: Floats) -> Floats:
@@ -355,19 +355,19 @@ def contradiction(measured: Floats, predicted: Floats, floors: Ints) -> str:
     return "; ".join(said)
 
 
+#: Units of acceleration that are confused with m/s2.
 CONFUSED_UNITS = ("g", "mm/s2", "cm/s2", "in/s2")
-"""Units of acceleration that are confused with m/s2."""
 
+#: Largest difference of logarithms between a ratio and the size of a unit. The rms of a prediction rarely has a
+#: larger error, and all factors differ by more.
 SAME_FACTOR = 0.25
-"""Largest difference of logarithms between a ratio and the size of a unit. The rms of a prediction rarely has a
-larger error, and all factors differ by more."""
 
+#: Least correlation in time of two motions that belong together; floors of one frame in step have 0.8.
 LIKE = 0.5
-"""Least correlation in time of two motions that belong together; floors of one frame in step have 0.8."""
 
 
+#: Largest difference of two equal motions, relative to their rms; the errors of sensors are larger.
 MOVED_ALIKE = 1e-3
-"""Largest difference of two equal motions, relative to their rms; the errors of sensors are larger."""
 
 
 def predicted_responses(model: DampedModel, recording: Recording) -> list[Response]:

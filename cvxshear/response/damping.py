@@ -22,15 +22,15 @@ from cvxshear.util.errors import InputError, NoModesError, NoSolutionError, Unsu
 from cvxshear.util.quantities import ranged
 from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 
+#: Relative standard deviation of a measured damping ratio without a declared one: the scatter of repeated tests.
 DEFAULT_STD = 0.2
-"""Relative standard deviation of a measured damping ratio without a declared one: the scatter of repeated tests."""
 
+#: Relative standard deviation of the damping ratio of an unmeasured mode: the scatter between modes of one frame.
 ASSUMED_STD = 0.5
-"""Relative standard deviation of the damping ratio of an unmeasured mode: the scatter between modes of one frame."""
 
 
+#: Least damping ratio that is questioned as a value in percent; frames with dampers have lower ratios.
 HIGH = 0.2
-"""Least damping ratio that is questioned as a value in percent; frames with dampers have lower ratios."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,15 +190,15 @@ def damping_ratios(experiment: Experiment, configuration: Configuration) -> Rati
     return Ratios(values, std, seen, tested)
 
 
+#: Relative standard deviation of the assumption of dashpots proportional to the stiffnesses. The large value only
+#: affects combinations that the ratios do not determine.
 LOOSE = 10.0
-"""Relative standard deviation of the assumption of dashpots proportional to the stiffnesses. The large value only
-affects combinations that the ratios do not determine."""
 
+#: Least damping ratio that sets the accuracy: a smaller ratio has the same absolute standard deviation.
 LEAST_RATIO = 1e-3
-"""Least damping ratio that sets the accuracy: a smaller ratio has the same absolute standard deviation."""
 
+#: Largest change of a ratio, in its standard deviation, at convergence.
 SETTLED_DASHPOTS = 1e-5
-"""Largest change of a ratio, in its standard deviation, at convergence."""
 
 
 @dataclass(frozen=True, eq=False)

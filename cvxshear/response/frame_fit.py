@@ -27,19 +27,19 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import NoModesError
 from cvxshear.util.typing import Floats
 
+#: Samples of the strongest segment of each run for the last fit, and for the first one and the choice of directions.
+#: The time of a fit is proportional to this number; model errors limit the accuracy with more samples.
 FITTED_SAMPLES, PROBED_SAMPLES = 10_000, 2_000
-"""Samples of the strongest segment of each run for the last fit, and for the first one and the choice of directions.
-The time of a fit is proportional to this number; model errors limit the accuracy with more samples."""
 
+#: Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
+#: with less information reduces the variance by less than a fifth, and the prior of the direction remains.
 LEAST_INFORMATION, FIRST_INFORMATION = 0.5, 10.0
-"""Minimum information, relative to the prior, for a direction to be fitted, in the last and in the first fit. A record
-with less information reduces the variance by less than a fifth, and the prior of the direction remains."""
 
+#: Accuracy of the last and of the first fit; four to eight steps are usual.
 FITTED, FIRST_FITTED = Accuracy(step=0.1, most_steps=20), Accuracy(step=1.0, most_steps=12)
-"""Accuracy of the last and of the first fit; four to eight steps are usual."""
 
+#: Maximum number of selections of the changes, each with a fit.
 MOST_REFITS = 4
-"""Maximum number of selections of the changes, each with a fit."""
 
 
 @dataclass(frozen=True, eq=False)

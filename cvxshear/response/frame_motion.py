@@ -28,21 +28,21 @@ from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95
 from cvxshear.util.typing import Bools, Floats
 
+#: Minimum residual of a spike, in standard deviations; Gaussian noise has one in two million samples.
 SPIKE = 5.0
-"""Minimum residual of a spike, in standard deviations; Gaussian noise has one in two million samples."""
 
+#: Maximum number of rounds of reweighting; each needs one sweep.
 MOST_REWEIGHTINGS = 12
-"""Maximum number of rounds of reweighting; each needs one sweep."""
 
+#: Maximum change of a weight at convergence: a fiftieth of the sample's influence.
 SAME_WEIGHT = 0.02
-"""Maximum change of a weight at convergence: a fiftieth of the sample's influence."""
 
+#: Relative difference of variances from their limits, a `BLOCK` or more after a change of the weights, at which the
+#: limits replace them. The replacement saves time and memory.
 NEAR_LIMIT = 0.05
-"""Relative difference of variances from their limits, a `BLOCK` or more after a change of the weights, at which the
-limits replace them. The replacement saves time and memory."""
 
+#: Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance.
 MOST_DIRECTIONS = 8
-"""Number of propagated directions of the frame's uncertainty. A factor accounts for the rest of the variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +91,8 @@ class Smoothed:
     completed: Floats
 
 
+#: First sample of a segment, the sample after its end, and its filter.
 Stretch = tuple[int, int, Filter]
-"""First sample of a segment, the sample after its end, and its filter."""
 
 
 def smooth(model: Dynamics, run: Observed, rows: Floats) -> Smoothed:
@@ -187,8 +187,8 @@ def _deviations(rows: Floats, stretches: Sequence[Stretch], samples: int) -> Flo
     return result
 
 
+#: A part of a run, and the mask of the m sensors that recorded in it, shape (m,).
 Piece = tuple[slice, Bools]
-"""A part of a run, and the mask of the m sensors that recorded in it, shape (m,)."""
 
 
 def settled_states(model: Dynamics, excitation: Floats, y: Floats, start: Floats, pieces: Sequence[Piece]) -> Floats:

@@ -28,43 +28,43 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.odds import weigh
 from cvxshear.util.typing import Floats
 
+#: Relative standard deviations of the gains of all sensors: laboratory and field calibrations, equally probable. A
+#: larger error of one sensor is a change with the prior of `SensorGain`.
 GAIN_STDS = (0.001, 0.01)
-"""Relative standard deviations of the gains of all sensors: laboratory and field calibrations, equally probable. A
-larger error of one sensor is a change with the prior of `SensorGain`."""
 
+#: Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 %
+#: in strong shaking and mostly recover (Clinton, Bradford, Heaton and Favela 2006), bench frames by some percent.
 AMPLITUDE_STD = 0.15
-"""Relative standard deviation of one factor on all story stiffnesses: instrumented buildings soften by some 5 to 30 %
-in strong shaking and mostly recover (Clinton, Bradford, Heaton and Favela 2006), bench frames by some percent."""
 
+#: Relative standard deviation of the factors of unchanged stories: some hundredths of the softening of the frame.
 SCATTER_STD = 0.003
-"""Relative standard deviation of the factors of unchanged stories: some hundredths of the softening of the frame."""
 
+#: Standard deviation of the logarithm of one factor on all damping: ratios double or halve with the amplitude.
 DAMPING_STD = 0.5
-"""Standard deviation of the logarithm of one factor on all damping: ratios double or halve with the amplitude."""
 
+#: Probability of an undeclared dashpot in some story, and of other floor masses than in the tests: most owners declare
+#: their dampers and loads.
 UNDECLARED_PROBABILITY = 0.1
-"""Probability of an undeclared dashpot in some story, and of other floor masses than in the tests: most owners declare
-their dampers and loads."""
 
+#: Standard deviation of an absent dashpot, in units of the deviation of a present one: the dashpot that gives a mode
+#: its measured ratio without other damping.
 NO_DASHPOT_STD = 1e-3
-"""Standard deviation of an absent dashpot, in units of the deviation of a present one: the dashpot that gives a mode
-its measured ratio without other damping."""
 
+#: Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two.
 NOISE_STD = 1.0
-"""Standard deviation of the logarithm of each noise level: a factor of seven to either side is within two."""
 
+#: Relative standard deviation of the floor masses if they changed since the tests: furniture, people, stored goods.
 MASS_STD = 0.05
-"""Relative standard deviation of the floor masses if they changed since the tests: furniture, people, stored goods."""
 
+#: Standard deviations of e_ij, compared by their evidence: from an exact shear frame to a frame with other modes than
+#: the model's.
 FORM_STDS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
-"""Standard deviations of e_ij, compared by their evidence: from an exact shear frame to a frame with other modes than
-the model's."""
 
+#: Minimum probability of an answer in the average, relative to the most probable answer.
 LEAST_WEIGHT = 1e-3
-"""Minimum probability of an answer in the average, relative to the most probable answer."""
 
+#: Maximum number of changes in a set, and number of sets of each size that are extended.
 MOST_CHANGES, KEPT_SETS = 3, 6
-"""Maximum number of changes in a set, and number of sets of each size that are extended."""
 
 
 @dataclass(frozen=True, eq=False)

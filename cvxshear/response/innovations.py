@@ -30,22 +30,22 @@ from cvxshear.response.varied_frame import DIFFERENCE, VariedFrame
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats
 
+#: Starting values of the fit and centers of the priors: sensor noise, relative to a channel's rms, and missed story
+#: forces, relative to the rms story force.
 FIRST_NOISE = 0.02
-"""Starting values of the fit and centers of the priors: sensor noise, relative to a channel's rms, and missed story
-forces, relative to the rms story force."""
 
+#: Bound on each unknown, in standard deviations of its prior.
 FURTHEST_STDS = 10.0
-"""Bound on each unknown, in standard deviations of its prior."""
 
+#: Bound on the noise of the excitation's sensor, relative to its rms; the lower bound is as far from the start. Without
+#: the upper one, this noise absorbs the effect of a yielding story, and the record passes for a linear frame's. Without
+#: the lower one, the level of a noise that is not there takes twenty steps to settle.
 MOST_INPUT_NOISE = 0.03
-"""Bound on the noise of the excitation's sensor, relative to its rms; the lower bound is as far from the start. Without
-the upper one, this noise absorbs the effect of a yielding story, and the record passes for a linear frame's. Without
-the lower one, the level of a noise that is not there takes twenty steps to settle."""
 
+#: Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
+#: smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
+#: reconstruction allows: beyond it, the innovations show that the record is not that of a linear frame.
 LEAST_MISSED, MOST_MISSED = 2e-3, 0.1
-"""Bounds on the missed story forces, relative to the rms story force. Sensors at a third of the floors cannot separate
-smaller missed forces from noise, and errors of form of 1 % miss as much. The largest bounds the model errors that a
-reconstruction allows: beyond it, the innovations show that the record is not that of a linear frame."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,8 @@ from cvxshear.util.quantities import listed, numbered, percent
 from cvxshear.util.results import Shown, as_json
 from cvxshear.util.typing import Floats, Ints, Json
 
+#: Quantities with standard deviations over time. Records show accelerations; owners need drifts.
 BANDS = ("floor_acceleration", "story_drift", "story_drift_ratio")
-"""Quantities with standard deviations over time. Records show accelerations; owners need drifts."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ class Quantity:
     single: bool = False
 
 
+#: Quantities of a response.
 RESPONSES = {
     "floor_acceleration": Quantity("acceleration", "acceleration", "m/s²"),
     "floor_displacement": Quantity("displacement", "displacement", "m"),
@@ -58,7 +59,6 @@ RESPONSES = {
     "base_shear": Quantity("base_shear", "base shear", "N", single=True),
     "overturning_moment": Quantity("overturning_moment", "overturning moment", "N m", single=True),
 }
-"""Quantities of a response."""
 
 
 def histories(response: Response) -> dict[str, Floats | None]:
@@ -110,11 +110,11 @@ def limits_in_json(limits: Limits | None, passed: Floats | None, stories: int) -
     return [{"name": name, "story_drift": drift, "probability": each} for name, drift, each in rows]
 
 
+#: Remark on limits without story heights.
 NO_HEIGHTS = "drift ratios need story_heights in [frame]: the limits cannot be judged"
-"""Remark on limits without story heights."""
 
+#: Least size of a sample in the strong part of a motion, relative to the peak.
 STRONG = 0.5
-"""Least size of a sample in the strong part of a motion, relative to the peak."""
 
 
 def peaks_of(runs: Iterable[tuple[Response, Mapping[str, Floats]]]) -> Peaks:

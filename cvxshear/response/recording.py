@@ -32,19 +32,19 @@ from cvxshear.util.typing import Bools, Floats, Ints
 
 RecordingSource = str | Path | TimeRecord | DrivenRecord
 
+#: Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights.
 SAID = (
     "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
     "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "gain step",
 )  # fmt: skip
-"""Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights."""
 
 
+#: Periods of a motion whose sums vary independently of the next ones.
 BLOCK_PERIODS = 4.0
-"""Periods of a motion whose sums vary independently of the next ones."""
 
+#: Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
+#: deviations, doubled because a line is largest at its ends.
 BY_CHANCE = 4.0
-"""Largest value of a straight line, in standard deviations of the mean motion, that counts as chance: two standard
-deviations, doubled because a line is largest at its ends."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ from cvxshear.util.errors import InputError, NoScaleError
 from cvxshear.util.quantities import listed, percent
 from cvxshear.util.typing import Floats
 
+#: Largest eigenvalue of a correlation matrix, relative to its maximum, that counts as rounding.
 NO_VARIANCE = 1e-12
-"""Largest eigenvalue of a correlation matrix, relative to its maximum, that counts as rounding."""
 
 
 def covariance_root(covariance: Floats) -> Floats:
@@ -120,8 +120,8 @@ class Models:
     after: Fitted
 
 
+#: Kinds of measured excitation, in words.
 DRIVING = {"base": "base motion", "force": "force"}
-"""Kinds of measured excitation, in words."""
 
 ModelSource = str | Path | Experiment | LoopResult | Estimate | Models
 MotionSource = str | Path | Record | DrivenRecord
@@ -274,9 +274,9 @@ def state_remarks(
     return []
 
 
+#: Least size of a removed line, relative to the rms of its channel, that is reported. A smaller line does not change
+#: printed figures.
 WORTH_A_WORD = 0.01
-"""Least size of a removed line, relative to the rms of its channel, that is reported. A smaller line does not change
-printed figures."""
 
 
 def line_remarks(size: float, where: str) -> list[str]:

@@ -30,14 +30,14 @@ from cvxshear.util.decorators import cached_property
 from cvxshear.util.errors import InputError
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Relative rounding error of a number.
 ROUNDING = float(np.finfo(np.float64).eps)
-"""Relative rounding error of a number."""
 
+#: Maximum number of doublings of the step: 2^60 samples exceed any record.
 MOST_DOUBLINGS = 60
-"""Maximum number of doublings of the step: 2^60 samples exceed any record."""
 
+#: Samples per block of a linear recursion: about the square root of the samples of a long record.
 BLOCK = 64
-"""Samples per block of a linear recursion: about the square root of the samples of a long record."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,22 +23,22 @@ from cvxshear.response.uncertain import Damped, UncertainFrame, modal_matrix
 from cvxshear.util.decorators import cached_property
 from cvxshear.util.typing import Bools, Floats, Ints
 
+#: Standard deviation of the logarithm of each dashpot and of each Rayleigh factor, and of the change of each mode's
+#: ratio since the tests.
 OTHER_DAMPING_STD = 0.3
-"""Standard deviation of the logarithm of each dashpot and of each Rayleigh factor, and of the change of each mode's
-ratio since the tests."""
 
+#: Remaining share of a mode's measured damping ratio beside a dashpot that accounts for the whole ratio.
 LEFT_BESIDE = 0.1
-"""Remaining share of a mode's measured damping ratio beside a dashpot that accounts for the whole ratio."""
 
+#: Smallest standard deviation of a pattern of floor masses, relative to the largest; smaller ones are rounding.
 SAME_MASSES = 1e-3
-"""Smallest standard deviation of a pattern of floor masses, relative to the largest; smaller ones are rounding."""
 
+#: Number of lowest modes that an error of form couples. Six modes have most of a building's motion. An error of form
+#: changes only the frequencies of higher modes.
 COUPLED_MODES = 6
-"""Number of lowest modes that an error of form couples. Six modes have most of a building's motion. An error of form
-changes only the frequencies of higher modes."""
 
+#: Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5.
 DIFFERENCE = 1e-5
-"""Step of finite differences of small matrices: rounding and curvature both give relative errors of 1e-5."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,8 @@ from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
+#: Factors between units of sensors: m and mm, m/s2 and g.
 UNITS = (1e3, 1e-3, quantities.STANDARD_GRAVITY, 1 / quantities.STANDARD_GRAVITY)
-"""Factors between units of sensors: m and mm, m/s2 and g."""
 
 
 UNFITTED = NearestFrame(np.zeros(0))
@@ -148,8 +148,8 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     return given, named(given, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best])
 
 
+#: A kind of mistake: the changes of a reading that would mend it, some by frames of about the right proportions.
 Kind = Callable[[MeasuredModes, Sequence[Modes]], Iterator[Change]]
-"""A kind of mistake: the changes of a reading that would mend it, some by frames of about the right proportions."""
 
 
 def _picked(reading: MeasuredModes, which: Any) -> MeasuredModes:
@@ -304,8 +304,8 @@ def entry_signs(reading: MeasuredModes, _: Sequence[Modes]) -> Iterator[Change]:
         yield Change("entry_sign", replace(reading, shapes=shapes), len(known), place)
 
 
+#: Kinds of mistakes, the simplest first: of two that are alike the first is named.
 KINDS: tuple[Kind, ...] = (
     transposed, floors_from_top, periods, drifts, other_floors, other_units, sensor_signs, exchanged_sensors,
     other_numbers, other_orders, entry_signs,
 )  # fmt: skip
-"""Kinds of mistakes, the simplest first: of two that are alike the first is named."""

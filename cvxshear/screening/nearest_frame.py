@@ -40,27 +40,26 @@ from cvxshear.programs.constraints import NamedConstraints
 from cvxshear.util import errors, ranking
 from cvxshear.util.typing import Floats
 
+#: Bound on the logarithms of masses and stiffnesses about their start: factors of a million, bearings under a house.
 FARTHEST_LOG = 14.0
-"""Bound on the logarithms of masses and stiffnesses about their start: factors of a million, bearings under a house."""
 
+#: Size of the one story or floor of the odd frames that a fit starts from; of a heavy floor its inverse.
 ODD = 1e-3
-"""Size of the one story or floor of the odd frames that a fit starts from; of a heavy floor its inverse."""
 
+#: Degrees of freedom of masses and stiffnesses about typical ones: now and then a frame stands on bearings.
 ODD_TAIL = 4.0
-"""Degrees of freedom of masses and stiffnesses about typical ones: now and then a frame stands on bearings."""
 
+#: Number of odd frames that a fit starts from, and of changes that are fitted to the end: the best by a rough measure.
 SHORTLIST = 6
-"""Number of odd frames that a fit starts from, and of changes that are fitted to the end: the best by a rough measure.
-"""
 
+#: Largest number of stories for fits of repairs: their number grows with the square of the stories.
 TALLEST_FITTED = 24
-"""Largest number of stories for fits of repairs: their number grows with the square of the stories."""
 
+#: Largest mean square, in standard deviations, of data that a shear frame explains.
 PLAUSIBLE = 4.0
-"""Largest mean square, in standard deviations, of data that a shear frame explains."""
 
+#: Prior probability that a file has a mistake of one kind: one file in a hundred.
 MISTAKEN = 1e-2
-"""Prior probability that a file has a mistake of one kind: one file in a hundred."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,8 @@ from cvxshear.util import decorators, errors, results
 if TYPE_CHECKING:
     from cvxshear.records.record import Finding as RecordFinding
 
+#: Kinds of remarks on a record that a change of its file settles; all others are of the record itself.
 MISDECLARED = ("sign", "unit", "swapped channels")
-"""Kinds of remarks on a record that a change of its file settles; all others are of the record itself."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -35,19 +35,19 @@ from cvxshear.util import checks, errors, quantities, results
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.typing import Floats, Json
 
+#: Smallest number of tests: between two tests, a step and a slope are the same.
 FEWEST_TESTS = 3
-"""Smallest number of tests: between two tests, a step and a slope are the same."""
 
+#: Range of outdoor temperatures over the years, degrees C: the unit of the influence of temperature.
 SEASONS = 50.0
-"""Range of outdoor temperatures over the years, degrees C: the unit of the influence of temperature."""
 
+#: Kinds of trends, with the words behind their sizes.
 HOW = {
     "step": "from {since} on",
     "slope": "evenly from the first test to the last",
     "temperature": "per °C",
     "amplitude": "per tenfold amplitude",
 }
-"""Kinds of trends, with the words behind their sizes."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ class TrendPlace(effects.Place):
         return f"{self.who} {gained if size > 0 else lost} {how_much} of its stiffness {how}"
 
 
+#: The number x of each test by its name, for each trend.
 Courses = Mapping[TrendPlace, Mapping[str, float]]
-"""The number x of each test by its name, for each trend."""
 
 
 class Trend(effects.Effect):

@@ -21,21 +21,21 @@ from cvxshear.util.typing import Floats, Ints
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+#: Largest number of stories. A larger number is refused as a mistake: its matrices would fill the memory.
 MOST_STORIES = 2000
-"""Largest number of stories. A larger number is refused as a mistake: its matrices would fill the memory."""
 
+#: Largest size of a quantity in SI units. Every structure stays below this size, and its square does not overflow.
 LARGEST = 1e30
-"""Largest size of a quantity in SI units. Every structure stays below this size, and its square does not overflow."""
 
+#: Smallest positive quantity in SI units. Every structure stays above it, and its square does not underflow.
 SMALLEST = 1e-30
-"""Smallest positive quantity in SI units. Every structure stays above it, and its square does not underflow."""
 
+#: Relative step of a central difference: its curvature and its rounding are both far below `DERIVATIVE_ERROR`.
 DIFFERENCE_STEP = 1e-5
-"""Relative step of a central difference: its curvature and its rounding are both far below `DERIVATIVE_ERROR`."""
 
+#: Largest relative difference of a derivative along a direction from its difference quotient. Correct derivatives agree
+#: to about 1e-7; one wrong column by a factor of two among a thousand gives 1e-2.
 DERIVATIVE_ERROR = 1e-3
-"""Largest relative difference of a derivative along a direction from its difference quotient. Correct derivatives agree
-to about 1e-7; one wrong column by a factor of two among a thousand gives 1e-2."""
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxlist, _short.maxtuple, _short.maxdict = 3, 6, 6, 3

@@ -30,14 +30,14 @@ logger = logging.getLogger(__name__)
 Item = TypeVar("Item")
 Done = TypeVar("Done")
 
+#: Number of chunks for each process: enough to balance the load, and few enough to keep the transfer cheap.
 TASKS_A_JOB = 8
-"""Number of chunks for each process: enough to balance the load, and few enough to keep the transfer cheap."""
 
+#: Time in s between two checks of a worker for its parent. A worker must end within two seconds of its parent.
 GLANCE = 0.5
-"""Time in s between two checks of a worker for its parent. A worker must end within two seconds of its parent."""
 
+#: Function that is called with the number of finished items and the number of all items.
 Progress = Callable[[int, int], None]
-"""Function that is called with the number of finished items and the number of all items."""
 
 
 def each(

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""))
 
+#: Probability of a certain conclusion, the usual level of confidence.
 SURE = 0.95
-"""Probability of a certain conclusion, the usual level of confidence."""
 
+#: Standard gravity in m/s2, by definition (CGPM 1901): the "g" of sensors.
 STANDARD_GRAVITY = 9.80665
-"""Standard gravity in m/s2, by definition (CGPM 1901): the "g" of sensors."""
 
 IN_SI = {
     "acceleration": {
@@ -23,29 +23,29 @@ IN_SI = {
     "displacement": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254},
     "force": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605},
 }  # fmt: skip
+#: Units of a channel: the measured quantity and the unit's size in m/s2, m/s, m or N (SI, international foot and
+#: pound).
 CHANNEL_UNITS = {unit: (kind, size) for kind, units in IN_SI.items() for unit, size in units.items()}
-"""Units of a channel: the measured quantity and the unit's size in m/s2, m/s, m or N (SI, international foot and
-pound)."""
 
+#: Smallest mass in kg that is written in tonnes.
 TONNES = 1e4
-"""Smallest mass in kg that is written in tonnes."""
 
+#: Range of sizes that are written without a power of ten.
 PLAIN = (1e-4, 1e6)
-"""Range of sizes that are written without a power of ten."""
 
 MOST_DECIMALS = 6
 
+#: Smallest displayed value of a flexibility; a larger unit of force raises a smaller value above this.
 LEAST_PER_FORCE = 0.1
-"""Smallest displayed value of a flexibility; a larger unit of force raises a smaller value above this."""
 
+#: Smallest count of consecutive numbers that is written as "first to last".
 LONG_ROW = 4
-"""Smallest count of consecutive numbers that is written as "first to last"."""
 
+#: Largest relative standard deviation that is not shown.
 NEGLIGIBLE_STD = 1e-9
-"""Largest relative standard deviation that is not shown."""
 
+#: Half width of the interval that holds 95 % of a normal distribution, in standard deviations.
 NORMAL_95 = 1.959963984540054
-"""Half width of the interval that holds 95 % of a normal distribution, in standard deviations."""
 
 UNKNOWN = "not determined"
 

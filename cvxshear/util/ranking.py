@@ -14,11 +14,11 @@ from cvxshear.util.typing import Ints
 
 Item = TypeVar("Item")
 
+#: Largest relative difference of two equal numbers: rounding destroys half of the digits at most.
 SAME_NUMBER = float(np.sqrt(np.finfo(np.float64).eps))
-"""Largest relative difference of two equal numbers: rounding destroys half of the digits at most."""
 
+#: Largest difference of the log evidence of two equal models: fits stop at about this distance from the optimum.
 SAME_ODDS = 1e-4
-"""Largest difference of the log evidence of two equal models: fits stop at about this distance from the optimum."""
 
 
 def order(values: ArrayLike, *, same: float | None = None) -> list[int]:

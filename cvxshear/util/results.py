@@ -139,8 +139,8 @@ def data_frame(columns: Mapping[str, Sequence[object]]) -> pd.DataFrame:
     return found
 
 
+#: Modules of higher layers by their task. `cvxshear/__init__.py` registers them, so no module imports upward.
 _modules: dict[str, str] = {}
-"""Modules of higher layers by their task. `cvxshear/__init__.py` registers them, so no module imports upward."""
 
 
 def name_module(task: str, module: str) -> None:

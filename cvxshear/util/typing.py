@@ -9,8 +9,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Complexes = NDArray[np.complex128]
+#: A result as plain Python values, ready for `json.dumps`.
 Json = dict[str, Any]
-"""A result as plain Python values, ready for `json.dumps`."""
 
+#: Any type; the same type in all places of one signature.
 T = TypeVar("T")
-"""Any type; the same type in all places of one signature."""

@@ -26,15 +26,15 @@ from cvxshear.util.quantities import listed
 
 logger = logging.getLogger(__name__)
 
+#: Folder behind /dev/stdout and /dev/fd/3 under Linux. A file that is opened again there is overwritten from its
+#: start.
 OWN_DESCRIPTORS = "/proc/self/fd"
-"""Folder behind /dev/stdout and /dev/fd/3 under Linux. A file that is opened again there is overwritten from its
-start."""
 
+#: First characters of a formula in spreadsheet programs, including the full-width ones (OWASP, "CSV injection").
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
-"""First characters of a formula in spreadsheet programs, including the full-width ones (OWASP, "CSV injection")."""
 
+#: Control characters except the line feed, marks that hide or reverse text, line separators and lone surrogates.
 STEERING = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
-"""Control characters except the line feed, marks that hide or reverse text, line separators and lone surrogates."""
 
 PathLike = str | os.PathLike[str]
 

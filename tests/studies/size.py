@@ -1,8 +1,7 @@
 """Count the lines of code of each capability of the package.
 
 python -m tests.studies size prints the table; python -m tests.studies size records io
-lists the modules of these rooms. A line of code is not blank, a comment or a docstring. Docstrings of constants count
-with the code, and also have a count of their own.
+lists the modules of these rooms. A line of code is not blank, a comment or a docstring.
 """
 
 import ast
@@ -31,19 +30,17 @@ CAPABILITIES = {
 
 
 def measured(path):
-    """Return a module's lines, its lines of code, and the lines of code that are docstrings of constants."""
+    """Return a module's lines and its lines of code."""
     lines = path.read_text(encoding="utf-8").splitlines()
-    documented, of_constants = set(), set()
+    documented = set()
     for node in ast.walk(ast.parse("\n".join(lines))):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
             documented |= set(range(node.body[0].lineno, node.body[0].end_lineno + 1))
-        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            of_constants |= set(range(node.lineno, node.end_lineno + 1))
     code = [
         number not in documented and bool(line.strip()) and not line.strip().startswith("#")
         for number, line in enumerate(lines, 1)
     ]
-    return len(lines), sum(code), len(of_constants - documented)
+    return len(lines), sum(code)
 
 
 def table():
@@ -55,11 +52,11 @@ def table():
     for words, rooms in [*CAPABILITIES.items(), ("all", tuple(found))]:
         modules = [each for room in rooms for each in found[room]]
         where = ", ".join(f"`{room}`" for room in rooms if room) if words != "all" else ""
-        median = statistics.median(lines for lines, _, _, counts in modules if counts)
-        code, said = sum(each[1] for each in modules), sum(each[2] for each in modules)
-        rows.append(f"| {words} | {where} | {len(modules)} | {code:,} | {said:,} | {median:.0f} |")
-    head = "| for | rooms | modules | lines of code | of these docstrings of constants | median module, lines |\n"
-    return f"{head}|---|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
+        median = statistics.median(lines for lines, _, counts in modules if counts)
+        code = sum(each[1] for each in modules)
+        rows.append(f"| {words} | {where} | {len(modules)} | {code:,} | {median:.0f} |")
+    head = "| for | rooms | modules | lines of code | median module, lines |\n"
+    return f"{head}|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
 
 
 if __name__ == "__main__":
@@ -67,5 +64,5 @@ if __name__ == "__main__":
         print(table())
     for room in sys.argv[1:]:
         for path in sorted((ROOT / room).rglob("*.py")):
-            lines, code, said = measured(path)
-            print(f"{path.relative_to(ROOT)!s:45}{lines:6d} lines, {code:4d} of code, {said:3d} about constants")
+            lines, code = measured(path)
+            print(f"{path.relative_to(ROOT)!s:45}{lines:6d} lines, {code:4d} of code")

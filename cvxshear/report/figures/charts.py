@@ -58,8 +58,8 @@ def changes_over_time(result: History) -> Figure:
     return figure
 
 
+#: Width of the boxes of all methods together, as a fraction of the distance between two noise levels.
 BOX = 0.8
-"""Width of the boxes of all methods together, as a fraction of the distance between two noise levels."""
 
 
 @figure("variation", NoiseStudy, title="Coefficients of variation")

@@ -24,14 +24,14 @@ from cvxshear.report.identified import in_one_unit
 from cvxshear.util.quantities import AUTOMATIC, chance, counted
 from cvxshear.util.typing import Floats
 
+#: Thickness of the heaviest floor as a fraction of the smallest story height.
 SLAB = 0.3
-"""Thickness of the heaviest floor as a fraction of the smallest story height."""
 
+#: Distance of a label from a column, as a fraction of the panel's width.
 LABEL_DISTANCE = 0.07
-"""Distance of a label from a column, as a fraction of the panel's width."""
 
+#: Width of the columns of the largest story stiffness, points; other columns are proportional.
 THICKEST = 7.0
-"""Width of the columns of the largest story stiffness, points; other columns are proportional."""
 
 
 @dataclass(frozen=True)

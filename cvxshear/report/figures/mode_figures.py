@@ -122,8 +122,8 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
     return table
 
 
+#: Line style of the shear model's shape.
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
-"""Line style of the shear model's shape."""
 
 
 @figure(
@@ -179,8 +179,8 @@ def _legend(*, changed: bool) -> list[Line2D]:
     ]
 
 
+#: Largest number of modes for a matrix with numbers in its cells.
 MOST_NUMBERED = 8
-"""Largest number of modes for a matrix with numbers in its cells."""
 
 
 def _mac_caption(result: LoopResult | Identification) -> str:
@@ -248,12 +248,12 @@ def _numbers(axes: Axes, table: Floats) -> None:
             axes.text(column, row, f"{value:.{digits}f}", ha="center", va="center", color=colour, fontsize=6.5)
 
 
+#: Width of a vertical label, inch.
 LABEL_WIDTH = 0.14
-"""Width of a vertical label, inch."""
+#: Height of the labels above the orders, as a fraction of the orders' height.
 BAND = 0.42
-"""Height of the labels above the orders, as a fraction of the orders' height."""
+#: End of the axis of frequencies, as a multiple of the highest natural frequency.
 HIGHEST = 1.3
-"""End of the axis of frequencies, as a multiple of the highest natural frequency."""
 POLES: dict[str, dict[str, Any]] = {
     "pole": {"marker": ".", "color": "#B5B5B5", "ms": 3.0},
     "stable": {"marker": "+", "color": style.BEFORE, "ms": 4.5, "mew": 0.8},
@@ -330,12 +330,12 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
         axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
 
 
+#: Axis labels of the ratio of each response to a force.
 FUNCTIONS = {
     "acceleration": "accelerance, (m/s²)/N",
     "velocity": "mobility, (m/s)/N",
     "displacement": "receptance, m/N",
 }
-"""Axis labels of the ratio of each response to a force."""
 
 
 @figure(

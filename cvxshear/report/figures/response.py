@@ -16,11 +16,11 @@ from cvxshear.util import ranking
 from cvxshear.util.quantities import NORMAL_95, listed, scaled
 from cvxshear.util.typing import Floats, Ints
 
+#: Number of periods of the first mode in a time history; more periods would blur the lines.
 PERIODS = 16
-"""Number of periods of the first mode in a time history; more periods would blur the lines."""
 
+#: Quantities with peaks that are drawn over the height.
 PROFILES = ("floor_acceleration", "story_drift", "story_shear")
-"""Quantities with peaks that are drawn over the height."""
 
 
 def _spread(places: Ints, largest: int) -> Ints:

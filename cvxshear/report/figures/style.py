@@ -44,33 +44,33 @@ MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "oo")
 DASHES = ("-", "--", "-.", ":")
 
+#: Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings.
 MOST_TICKS = 5
-"""Largest number of steps between the ticks of an axis: matplotlib's own number depends on the user's settings."""
 
+#: Width of a figure on an A4 page between its margins, inch.
 PAGE_WIDTH = 7.2
-"""Width of a figure on an A4 page between its margins, inch."""
 
+#: Height of a line of text, inch.
 LINE = 0.18
-"""Height of a line of text, inch."""
 
+#: Largest number of panels in a row, and of states, floors or stories with their own panel; the tables list all.
 MOST_PANELS = 4
-"""Largest number of panels in a row, and of states, floors or stories with their own panel; the tables list all."""
 
+#: Largest number of letters of a name in a figure.
 LONGEST_NAME = 26
-"""Largest number of letters of a name in a figure."""
 
+#: Fonts for names with letters that DejaVu Sans lacks; used if installed.
 OTHER_SCRIPTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Micro Hei", "Microsoft YaHei", "PingFang SC", "SimHei",
 )  # fmt: skip
-"""Fonts for names with letters that DejaVu Sans lacks; used if installed."""
 
+#: Settings of the house style for matplotlib.
 SETTINGS: dict[Any, Any] = dict(
     mpl.rc_params_from_file(Path(__file__).with_name("house.mplstyle"), use_default_template=False)
 )
-"""Settings of the house style for matplotlib."""
 
+#: Lock for drawing and writing figures: matplotlib has one set of settings for all threads.
 _SETTINGS_LOCK = RLock()
-"""Lock for drawing and writing figures: matplotlib has one set of settings for all threads."""
 
 
 def settings() -> dict[Any, Any]:
@@ -219,11 +219,11 @@ def spread(positions: Floats, gap: float, low: float, high: float) -> Floats:
 
 FIGURE_KINDS = ("svg", "png", "pdf")
 
+#: Pixels of a page for one point of a figure; the letters get the size of the page's text.
 ENLARGED = 1.4
-"""Pixels of a page for one point of a figure; the letters get the size of the page's text."""
 
+#: Pattern of a colour in an SVG style; a dark page replaces the colour.
 _COLOUR = re.compile(r"(?<=[: ])#([0-9A-Fa-f]{6})(?=[;\"])")
-"""Pattern of a colour in an SVG style; a dark page replaces the colour."""
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -281,8 +281,8 @@ def inline_svg(figure: Figure, name: str) -> str:
     return head + body
 
 
+#: A text, or a function that makes the text from the results.
 Words = str | Callable[..., str]
-"""A text, or a function that makes the text from the results."""
 
 
 @dataclass(frozen=True)
@@ -327,8 +327,8 @@ class FigureEntry:
         return self.alternative if isinstance(self.alternative, str) else self.alternative(*results)
 
 
+#: Figures by the type of their result, in the order of a report.
 FIGURE_TABLE: dict[type, dict[str, FigureEntry]] = {}
-"""Figures by the type of their result, in the order of a report."""
 
 
 def figure(
