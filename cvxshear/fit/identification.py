@@ -32,7 +32,7 @@ METHODS = ("efficient", "two-stage", "one-shot", "berman", "qi")
 @decorators.usual_arithmetic
 def identify(
     experiment: Measurement,
-    method: str = "efficient",
+    method: str | None = None,
     backend: str | Backend = "auto",
     priors: Sequence[Prior] = (),
     initial_mass: Sequence[float] | Floats | None = None,
@@ -46,9 +46,9 @@ def identify(
     ----------
     experiment : Experiment, path or name of a built-in example
     method : str, optional
-        "efficient": one weighted fit to all configurations, which may be incomplete. "two-stage" (the paper's),
-        "one-shot", "berman" and "qi": each configuration by itself, with all modes at all floors and the total mass.
-        Floors that turn take "one-shot", with as many modes as they have.
+        "efficient" (the default): one weighted fit to all configurations, which may be incomplete. "two-stage" (the
+        paper's), "one-shot", "berman" and "qi": each configuration by itself, with all modes at all floors and the
+        total mass. Floors that turn take "one-shot" (their default), with as many modes as they have.
     backend : str or Backend, optional
         Solver of the programs; `cvxshear.backends.available()` lists them.
     priors : sequence of Prior, optional
@@ -73,8 +73,10 @@ def identify(
     NoSolutionError
         If the backend does not solve a program.
     """
-    checks.choice(method, METHODS, "method")
-    experiment = opened(experiment, turning=method == "one-shot").with_priors(tuple(priors))
+    if method is not None:
+        checks.choice(method, METHODS, "method")
+    experiment = opened(experiment, turning=method in (None, "one-shot")).with_priors(tuple(priors))
+    method = method or ("one-shot" if experiment.frame.turns else "efficient")
     solver = Recorder(backends.get(backend)) if keep_programs else backends.get(backend)
     checks.number(tolerance, "tolerance", above=0.0)
     start = None

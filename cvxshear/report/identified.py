@@ -88,7 +88,8 @@ def _total(experiment: Experiment, units: quantities.Units) -> str:
 
 
 def _test(each: Configuration, mass: tuple[float, str]) -> tuple[str, ...]:
-    floors = str(len(each.measured_floors)) if each.measured.any() else "none"
+    seen = {sensor.floor for sensor in each.sensors} if each.sensors else each.measured_floors
+    floors = str(len(seen)) if each.measured.any() else "none"
     return each.name, str(len(each.frequencies)), floors, _added(each.added_mass, *mass), _noise(each)
 
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import typer
 from typer.main import get_command
@@ -45,6 +46,18 @@ def test_json_stands_alone_on_standard_output(run):
     assert set(result) >= {"method", "backend", "converged", "iterations", "frame", "fit", "predictions", "history"}
     assert result["iterations"] == 14
     assert result["frame"]["floor_mass"] == pytest.approx([10, 7.5, 5], rel=1e-5)
+
+
+def test_floors_that_turn_are_identified_by_the_one_shot_method(run):
+    """The expected masses are those of the frame behind the example, in its theory page."""
+    status, out, err = run("identify", str(EXAMPLES / "turning_floors.toml"), "--json", "-")
+    frame = json.loads(out)["configurations"][0]["frame"]
+    assert status == 0
+    assert err == ""
+    np.testing.assert_allclose(frame["floor_mass"], [42e3, 36e3, 30e3], rtol=0.01)
+    status, out, err = run("loop", str(EXAMPLES / "turning_floors.toml"))
+    assert (status, out) == (2, "")
+    assert "one-shot" in err
 
 
 def test_several_configurations_leave_the_top_null(run):
