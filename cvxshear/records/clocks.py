@@ -28,7 +28,8 @@ from cvxshear.util.typing import Bools, Complexes, Floats, Ints
 #: Probability beforehand of each mistake, one in fifty: that a clock is late, that it drifts, that a sensor is slow,
 #: that a gain steps, that a channel carries no motion, is reversed or in another's place, and that a mode was missed.
 FAULTY = 0.02
-#: Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. All are as probable.
+#: Longest delay, s: two seconds, which loggers started by hand are apart, and room beyond. A delay of 1 to 2 ms is as
+#: probable as one of 1 to 2 s.
 LONGEST_DELAY = 2.6
 #: Samples; the phases of the modes determine shorter delays more exactly.
 SHORTEST_DELAY = 0.5
@@ -185,17 +186,21 @@ class ChannelRatios:
         lags, corners = grid[beyond], rate * CORNERS
         slow = (each @ np.exp(2j * np.arctan(np.outer(self.segments.omega, 0.5 / (np.pi * corners))))).real
         agreement = np.hstack([delayed[:, ~beyond].max(axis=1, keepdims=True), delayed[:, beyond], slow])
-        likely = PHASES * _log_likelihood(agreement / np.abs(each).sum(axis=1, keepdims=True)).mean(axis=0)
-        counts = np.repeat([len(lags), len(corners)], [len(lags), len(corners)])
-        chances = odds.weigh(likely, np.log(np.append(1.0 - 2 * FAULTY, FAULTY / counts)))
+        likely = PHASES * _log_likelihood(agreement / np.maximum(np.abs(each).sum(axis=1, keepdims=True), 1e-300)).mean(
+            axis=0
+        )
+        priors = np.append(1.0 / np.abs(lags) / np.sum(1.0 / np.abs(lags)), np.full(len(corners), 1.0 / len(corners)))
+        logs = np.log(np.append(1.0 - 2 * FAULTY, FAULTY * priors))
+        slows = odds.weigh(likely, logs)[1 + len(lags) :]
+        if slows.sum() >= quantities.SURE:
+            first = ranking.first_largest(slows)
+            evidence = float(likely[1 + len(lags) + first] - likely[0])
+            return ChannelFault("low-pass", float(slows.sum()), evidence, float(corners[first]))
+        chances = odds.weigh(likely[: 1 + len(lags)], logs[: 1 + len(lags)])
         best = ranking.first_largest(chances[1:])
         evidence = float(likely[1 + best] - likely[0])
-        if best >= len(lags):
-            # A delay that is as probable would mend nothing: for either the channel is left out.
-            corner = float(corners[best - len(lags)])
-            return ChannelFault("low-pass", float(1.0 - chances[0]), evidence, corner)
         near = np.abs(lags - lags[best]) <= SHORTEST_DELAY / rate
-        probability = float(chances[1 : 1 + len(lags)][near].sum())
+        probability = float(chances[1:][near].sum())
         return replace(self._fitted(float(lags[best]), 0.0, drifts=False), probability=probability, evidence=evidence)
 
     def _stepped(self) -> ChannelFault | None:

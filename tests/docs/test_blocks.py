@@ -44,6 +44,8 @@ SHOWN = {
     "modes_from_hammer": r"mode 1: 1\.0336 Hz .*[\s\S]*floor_mass 1: 10\.00 ± 0\.05 kg\nfloor_mass 2: 7\.50 ± ",
     "plan_a_test": r"2 sensors: floors \[2, 8\].*\n4 sensors: floors \[1, 4, 6, 7\]",
     "three_shaker_records": r"bare\.toml, bare\.csv: 30720 samples at 256 Hz, stamped 0\.004, .*, 0\.023, \.\.\. s",
+    "many_tests": r"21 files in monitoring",
+    "roving_sensors": r"low: floors \[1, 2, 6\], \[1\.71.*\n.*\nhigh: floors \[4, 5, 6\]",
     "own_effect": r"brace: b = 39\d ± \d N/m",
 }
 """One pattern for the output of each script in examples/."""

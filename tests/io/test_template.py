@@ -14,7 +14,7 @@ PAGE = (Path(__file__).parents[2] / "docs/measurement-file.md").read_text(encodi
 TABLES = ("frame", "configuration", "static", "effect", "damping")
 EXCLUSIVE = (
     "csv", "xlsx", "uff", "modes", "other_modes", "mass_normalized", "exclude", "total_mass_std",
-    "total_mass_placeholder",
+    "total_mass_placeholder", "repeats", "frequency_covariance",
 )  # fmt: skip
 """Keys that replace others, or that need other modes than those in the file."""
 
