@@ -88,7 +88,7 @@ def conclude(
         not_considered={each.name: lack for each in wanted if (lack := each.lacks(fitter.experiment))},
         remains=tuple(results.where_it_sits(final)) if significant and not negligible else (),
         information=(*messages, *_information(search, posterior, judged, negligible=negligible)),
-        next_test=next_test.next_test(judged, [*rivals, *fits.equivalents]),
+        next_test=next_test.next_test(judged, rivals) or next_test.next_test(judged, fits.equivalents),
         others=others,
         fits=effort[0],
         programs=effort[1],
