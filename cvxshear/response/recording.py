@@ -46,6 +46,11 @@ BLOCK_PERIODS = 4.0
 #: deviations, doubled because a line is largest at its ends.
 BY_CHANCE = 4.0
 
+#: Least delay that is removed, in samples. The delay is estimated from the phases of the modes, and there may be only
+#: three: with 10 % noise on the base motion, a sound record may show 0.08 samples. A damper in one story turns the
+#: phases too; taken for a delay, it leaves false dampers in other stories.
+LEAST_DELAY = 0.25
+
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
@@ -425,6 +430,8 @@ class SensorRecord:
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
+            elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
+                continue
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
                 late[columns] += numbers["seconds"], numbers.get("drift", 0.0)
                 message = message if message.endswith("taken out") else f"{message}; taken out"
