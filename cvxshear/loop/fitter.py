@@ -37,7 +37,7 @@ from cvxshear.util.typing import Floats
 TINY = 1e-12
 
 #: Tests times parameters of a fit that takes as long as a smaller one: the solver's part is then as large.
-SMALL_FIT = 300
+SMALL_FIT = 200
 
 #: Largest distance from an active inequality, in standard deviations.
 TOUCHING = 1e-4

@@ -50,9 +50,10 @@ RESCALING = 3
 #: Largest number of fits from given starting points, the best after one step.
 MOST_STARTS = 20
 
-#: Work, in small fits (`fitter.SMALL_FIT`), after which a search ends at the end of its step: twice the need of
-#: consistent data of three states. The result says what was not tried.
-MOST_WORK = 600
+#: Work, in small fits (`fitter.SMALL_FIT`), after which a search ends at the end of its step. Nine states of
+#: frequencies alone (Los Alamos) need somewhat less: cut short, rounding would decide what had been tried. The result
+#: says what was not tried.
+MOST_WORK = 1500
 
 #: Difference of chi-square of twins, relative if chi-square exceeds one. Rounding and the priors of the sizes cause it.
 TWINS_DIFFER = 0.1
