@@ -392,6 +392,7 @@ class Backend(ABC):
         except CvxshearError:
             raise
         except Exception as error:
+            # A solver, or a user's own backend, may raise anything.
             raise NoSolutionError(self.name, f"answer() raised {type(error).__name__}: {error}") from error
         if not isinstance(answer, Answer):
             raise InputError(

@@ -126,6 +126,7 @@ def refuse_faulty(effect: object, experiment: Experiment | None = None) -> None:
     except CvxshearError:
         raise
     except Exception as error:
+        # A user's effect may raise anything; its name belongs in the message.
         read_only = "read-only" in str(error) and "; apply() must change copies of the arrays that it is given"
         raise InputError(f"effect {name} raised {type(error).__name__}: {error}{read_only or ''}") from error
 

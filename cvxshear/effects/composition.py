@@ -81,6 +81,7 @@ def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> 
     except (CvxshearError, np.linalg.LinAlgError):
         raise
     except Exception as error:
+        # A user's effect may raise anything; its place belongs in the message.
         raise FaultyEffectError(f"{placed.label}: apply() raised {type(error).__name__}: {error}") from error
     if not isinstance(found, State):
         raise FaultyEffectError(f"{placed.label}: apply() returned a {type(found).__name__}, not a State")

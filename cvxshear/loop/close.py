@@ -30,7 +30,8 @@ from cvxshear.priors import Prior
 from cvxshear.util import decorators, errors, ranking
 from cvxshear.util.typing import Floats
 
-#: Tallest frame: the derivatives by its effects, once, take some seconds, and the fourth power of the stories.
+#: Tallest frame. The derivatives by all of its effects take some seconds, and more with the fourth power of the
+#: stories.
 TALLEST_SEARCH = 100
 
 

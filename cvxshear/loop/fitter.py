@@ -36,7 +36,7 @@ from cvxshear.util.typing import Floats
 #: Rounding: share of a parameter's precision that counts as no contribution of the data to its interval.
 TINY = 1e-12
 
-#: Tests times parameters of a fit that takes as long as a smaller one: the solver's part is then as large.
+#: Tests times parameters of the largest fit that counts as one unit of work: the unit of `search.MOST_WORK`.
 SMALL_FIT = 200
 
 #: Largest distance from an active inequality, in standard deviations.

@@ -312,7 +312,7 @@ def one_experiment(folder: str | Path | Sequence[str | Path]) -> tuple[Experimen
     (first, model), *others = read.items()
     for file, each in others:
         for key in ("frame", "prior"):
-            mine, its = ({**experiment.to_dict()}.get(key) for experiment in (model, each))
+            mine, its = (experiment.to_dict().get(key) for experiment in (model, each))
             if repr(mine) != repr(its):
                 raise errors.InputError(f"{file} declares another {key} than {first}; one history has one frame")
     dates = _dates(tests)
