@@ -56,11 +56,6 @@ def _floors(result: RecordPrediction) -> Ints:
     return _spread(places, ranking.first_largest(peaks) + 1)
 
 
-def _floors_left_out(result: RecordPrediction) -> str:
-    total = len(result.peaks.values["floor_acceleration"])
-    return _left_out(len(_floors(result)), total, "floors", "the table of peaks has all")
-
-
 @figure(
     "history",
     RecordPrediction,
@@ -68,7 +63,8 @@ def _floors_left_out(result: RecordPrediction) -> str:
     caption=lambda result: (
         "Total accelerations of the floors around the strongest motion: predicted (dashed), with "
         "the band that holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, "
-        f"where the record has them, measured.{_floors_left_out(result)}"
+        "where the record has them, measured."
+        + _left_out(len(_floors(result)), len(result.after.damped.model.M), "floors", "the table of peaks has all")
     ),
     section="peaks",
 )
