@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-import scipy
 
 from cvxshear.records import clocks, estimate, examination, frf, picking
 from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
@@ -102,7 +101,9 @@ def modal_findings(
     yield from hit_findings(record, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
-    yield from first_mode_findings(record, result)
+    if result.modes[0] == 1 and result.damping_ratios[0] < LEAST_DAMPING:
+        numbers = {"mode": 1, "frequency": float(result.frequencies[0]), "damping": float(result.damping_ratios[0])}
+        yield finding("doubtful mode", numbers)
     yield from _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
     for mode, share in zip(result.modes.tolist(), shares, strict=False):
@@ -174,41 +175,6 @@ def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding
 
 #: Damping ratio; the least that frames without cladding have. A machine's tone has less.
 LEAST_DAMPING = 1e-3
-
-
-def first_mode_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
-    """Doubt a mode 1 that hardly goes with the input at its frequency, or that has almost no damping."""
-    mode, at, damping = int(result.modes[0]), float(result.frequencies[0]), float(result.damping_ratios[0])
-    if mode > 1:
-        return
-    if damping < LEAST_DAMPING:
-        yield finding("doubtful mode", {"mode": mode, "damping": damping}, frequency=at)
-    if isinstance(record, TimeRecord) and result.method == "subspace":
-        strongest = ranking.first_largest(np.abs(result.mode_shapes[0]))
-        pole = 2 * np.pi * at * complex(-damping, np.sqrt(1 - damping**2))
-        share, chance = _share_of_the_input(record, pole, strongest)
-        if chance > 1.0 - quantities.SURE:
-            yield finding("doubtful mode/input", {"mode": mode, "share": share}, frequency=at)
-
-
-def _share_of_the_input(record: TimeRecord, eigenvalue: complex, column: int) -> tuple[float, float]:
-    """Share of a channel's power within the half-power bandwidth of a mode that the mode explains, driven by the input.
-
-    And the probability that chance makes as large a share of noise: (1 - share)^(n - 1) over n lines.
-    """
-    pole, rate, of_mode = np.exp(eigenvalue / record.sampling_rate), record.sampling_rate, []
-    for run in record.runs:
-        assert run.excitation is not None
-        driven = scipy.signal.lfilter([1.0], [1.0, -pole], run.excitation)
-        lines = 2 * np.pi * rate * np.fft.rfftfreq(run.samples)
-        reach = max(-2.0 * eigenvalue.real, 16 * np.pi * rate / run.samples)
-        near = np.abs(lines - abs(eigenvalue)) <= reach
-        moved = np.fft.rfft(run.responses[:, column])
-        of_mode.append(np.column_stack([np.fft.fft(driven)[: len(lines)], moved])[near])
-    both = np.vstack(of_mode)
-    products = both.conj().T @ both
-    share = float(np.abs(products[0, 1]) ** 2 / max(float((products[0, 0] * products[1, 1]).real), 1e-300))
-    return share, float(max(1.0 - share, 0.0) ** (len(both) - 1))
 
 
 def reciprocity_findings(full: estimate.Details, setting: estimate.Replication) -> Iterator[Finding]:

@@ -258,12 +258,8 @@ def candidates_section(result: LoopResult) -> blocks.Section:
 Writer = Callable[[Sequence[float | None]], list[str]]
 
 
-def _each(written: Callable[[float | None], str]) -> Writer:
-    return lambda values: [written(value) for value in values]
-
-
-def _six_digits(value: float | None) -> str:
-    return quantities.significant(value, 6)
+def _six_digits(values: Sequence[float | None]) -> list[str]:
+    return [quantities.significant(value, 6) for value in values]
 
 
 def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
@@ -276,12 +272,12 @@ def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
     """
     for kind in noise_kinds().values():
         for figure in kind.figures:
-            yield figure.key, figure.label, quantities.percents if figure.relative else _each(_six_digits)
+            yield figure.key, figure.label, quantities.percents if figure.relative else _six_digits
         if kind is Frequencies.noise:
             yield "held_out_frequency_error", f"largest frequency error, {held_out}", quantities.percents
     yield "chi2", "chi-square of the residual", quantities.significants
-    yield "dof", "its degrees of freedom", _each(lambda value: f"{value:.0f}" if value is not None else "–")
-    yield "p_value", "p: such a residual by chance", _each(quantities.probability)
+    yield "dof", "its degrees of freedom", _six_digits
+    yield "p_value", "p: such a residual by chance", lambda values: list(map(quantities.probability, values))
 
 
 def before_after(result: LoopResult) -> blocks.Section:

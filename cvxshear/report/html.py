@@ -61,7 +61,7 @@ def page(template: str, result: Json | list[Json], **contents: Any) -> str:
 
 
 def drawings(*results: Any) -> dict[str, Json]:
-    """Draw all figures that apply to these results, by name.
+    """Draw all figures that apply to these results, then their animations, by name.
 
     Parameters
     ----------
@@ -71,12 +71,13 @@ def drawings(*results: Any) -> dict[str, Json]:
     Returns
     -------
     dict of str to dict
-        `name`, `title`, `caption`, `alternative` and `section` as in the table of figures; `svg`, the drawing.
+        `name`, `title`, `caption`, `alternative` and `section` as in the table of figures; `svg`, the drawing;
+        `moves`, whether it is an animation.
     """
     # Imported here, because a notebook shows tables without matplotlib.
-    from cvxshear.report.figures import style  # noqa: PLC0415
+    from cvxshear.report.figures import animations, style  # noqa: PLC0415
 
-    return {
+    drawn = {
         entry.name: {
             "name": entry.name,
             "title": entry.title,
@@ -85,9 +86,11 @@ def drawings(*results: Any) -> dict[str, Json]:
             "alternative": entry.alternative_of(*results),
             # matplotlib has escaped the texts in a drawing.
             "svg": Markup(style.inline_svg(entry.draw(*results), entry.name)),
+            "moves": False,
         }
         for entry in style.applicable(*results)
     }
+    return drawn | {each["name"]: each for each in animations(*results)}
 
 
 def versions() -> Iterator[tuple[str, str]]:

@@ -24,20 +24,11 @@ if TYPE_CHECKING:
 
 @blocks.describe.register
 def _experiment(experiment: Experiment) -> blocks.Document:
-    headline = f"{experiment.name}: {_experiment_headline(experiment)}"
-    return blocks.Document(experiment.name, headline, (declared(experiment, units_for(experiment)),))
-
-
-@blocks.line.register
-def _experiment_line(experiment: Experiment) -> str:
-    return f"<Experiment {experiment.name}: {_experiment_headline(experiment)}>"
-
-
-def _experiment_headline(experiment: Experiment) -> str:
-    tests = [quantities.counted(len(experiment.configurations), "configuration")]
-    if experiment.static:
-        tests.append(quantities.counted(len(experiment.static), "static test"))
-    return f"{quantities.counted(experiment.stories, 'story')}, {', '.join(tests)}"
+    counts = {"story": experiment.stories, "configuration": len(experiment.configurations)}
+    counts |= {"static test": len(experiment.static)} if experiment.static else {}
+    said = ", ".join(quantities.counted(number, noun) for noun, number in counts.items())
+    section = declared(experiment, units_for(experiment))
+    return blocks.Document(experiment.name, f"{experiment.name}: {said}", (section,))
 
 
 def units_for(experiment: Experiment) -> quantities.Units:

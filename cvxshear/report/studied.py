@@ -392,13 +392,9 @@ def _kind(result: Comparison, kind: ProgramKind) -> Iterator[blocks.Block]:
 
 def programs(kind: ProgramKind) -> str:
     """Name a kind of program and its size."""
-    sizes = (
-        quantities.counted(kind.unknowns, "unknown"),
-        quantities.counted(kind.rows, "row"),
-        quantities.counted(kind.equalities, "equality"),
-        quantities.counted(kind.inequalities, "inequality"),
-    )
-    return f"{kind.kind}: {quantities.counted(kind.programs, 'program')}, {', '.join(sizes)}"
+    nouns = {"program": kind.programs, "unknown": kind.unknowns, "row": kind.rows}
+    nouns |= {"equality": kind.equalities, "inequality": kind.inequalities}
+    return f"{kind.kind}: {', '.join(quantities.counted(number, noun) for noun, number in nouns.items())}"
 
 
 def _rows(rows: list[BackendResult]) -> Iterator[Cells]:

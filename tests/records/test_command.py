@@ -1,6 +1,5 @@
 """Test the command line on a record: writing modes to a measurement file, and the loop on the record itself."""
 
-import dataclasses
 import json
 import re
 
@@ -136,16 +135,3 @@ def test_a_tone_is_doubted_as_the_first_mode():
     found = identify_modes(record)
     np.testing.assert_allclose(found.frequencies[0], 21.6, rtol=1e-3)
     assert any(each.numbers.get("damping", 1.0) < 1e-3 for each in found.findings if each.kind == "doubtful mode")
-
-
-def test_a_mode_that_something_else_drives_is_doubted():
-    record = base_record(KnownFrame([1000.0, 1000.0], [2e6, 2e6], 0.02), 1, noise=0.01, duration=300.0)
-    assert not [each for each in identify_modes(record).findings if each.kind == "doubtful mode"]
-    pole = np.exp((-0.01 + 1j) * 2 * np.pi * 1.5 / record.sampling_rate)
-    (run,) = record.runs
-    blown = signal.lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], np.random.default_rng(5).standard_normal(6000))
-    responses = run.responses + np.outer(blown / blown.std(), [0.4, 1.0])
-    found = identify_modes(dataclasses.replace(record, runs=(dataclasses.replace(run, responses=responses),)))
-    np.testing.assert_allclose(found.frequencies[0], 1.5, rtol=0.02)
-    (doubt,) = (each for each in found.findings if each.kind == "doubtful mode")
-    assert doubt.numbers["share"] < 0.3
