@@ -163,7 +163,7 @@ def identify_modes(
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
             if functions:
                 result = dataclasses.replace(
-                    result, functions=prepare.measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=prepare.measured_functions(repaired[0], FUNCTION_RANGE * result.frequencies[-1])
                 )
             return result
     except np.linalg.LinAlgError as error:

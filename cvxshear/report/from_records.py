@@ -26,9 +26,9 @@ def method_in_words(result: ModalResult) -> str:
 @blocks.describe.register
 def _modes(result: ModalResult) -> blocks.Document:
     how = f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty_in_words}."
-    findings = (blocks.Sentence(f"{each.kind}: {each.message}", "warning") for each in result.findings)
+    findings = (blocks.Sentence(f"{capital(each.kind)}: {each.message}", "warning") for each in result.findings)
     shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
-    sections = (blocks.section("modes", "Modes", how, _table(result), *shapes, *findings),)
+    sections = (blocks.section("modes", "Modes", how, *findings, _table(result), *shapes),)
     return blocks.Document(result.name, f"{result.name}: {_modes_headline(result)}", sections, (modes_data(result),))
 
 
@@ -46,7 +46,7 @@ def _modes_headline(result: ModalResult) -> str:
 def _table(result: ModalResult) -> blocks.Table:
     frequencies = zip(result.frequencies.tolist(), result.written_frequency_std.tolist(), strict=True)
     damping = zip(result.damping_ratios.tolist(), result.written_damping_std.tolist(), strict=True)
-    title = "Modes ± standard deviation. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° then"
+    title = "Modes ± standard deviation; where all floors move in step, MPC is 1 and the lost phase 0°"
     return blocks.table("identified-modes", title, {
         "mode": [str(mode) for mode in result.modes],
         "frequency, Hz": [with_std(value, value * std, factor=1.0) for value, std in frequencies],
