@@ -8,7 +8,7 @@ import numpy as np
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import STAGES, State, summed
 from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model import Observation, ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
+from cvxshear.model import Observation, ShearSystem, System, mass_matrix, stiffness_matrix, transformation
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -44,7 +44,9 @@ def compose(
         none = np.zeros((0, n, n))
         system = System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none)
     else:
-        system = _system(mass + tested.added_mass, stiffness, size, dense=bool(acting))
+        if acting:
+            _refuse_large(n, size)
+        system = ShearSystem(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), size)
     by_stiffness = np.eye(size, n, -n)
     state = State(
         experiment=experiment,
@@ -90,32 +92,21 @@ def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> 
 
 def _refuse_not_finite(system: System, effects: Sequence[tuple[LocatedEffect, slice]]) -> None:
     """Raise an error if effects made a matrix or a derivative that is not finite."""
-    for name in ("M", "K", "dM", "dK"):
-        if not np.isfinite(np.sum(getattr(system, name))):
+    for name, array in system.arrays():
+        if not np.isfinite(np.sum(array)):
             names = ", ".join(placed.label for placed, _ in effects)
             raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
 
-def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:
-    """Build the shear frame with derivatives by all parameters; whole matrices if effects will act on them.
-
-    Raises
-    ------
-    UnsuitableError
-        If these matrices would not fit into memory; raised before the first one is made.
-    """
-    n = len(mass)
-    if not dense:
-        return ShearSystem(mass_matrix(mass), stiffness_matrix(stiffness), size)
-    if 2 * size * n * n * 8 > MEMORY:
+def _refuse_large(stories: int, size: int) -> None:
+    """Raise `UnsuitableError` if the derivatives of a frame with effects would not fit into memory."""
+    needed = 2 * size * stories**2 * 8
+    if needed > MEMORY:
         raise UnsuitableError(
-            f"effects in a frame of {n} stories need {2 * size * n * n * 8 / 1e9:.1f} GB for derivatives; up to "
+            f"effects in a frame of {stories} stories need {needed / 1e9:.1f} GB for derivatives; up to "
             f"{int((MEMORY / 32) ** (1 / 3))} stories fit into {MEMORY / 1e9:g} GB: join stories, or identify "
             "the frame without effects"
         )
-    plain = shear_system(mass, stiffness)
-    extra = np.zeros((size - 2 * n, n, n))
-    return System(plain.M, plain.K, np.concatenate([plain.dM, extra]), np.concatenate([plain.dK, extra]))
 
 
 def _assembled(state: State) -> State:

@@ -255,7 +255,8 @@ def _candidates(posterior: Posterior, fits: comparison.VerdictFits) -> list[resu
             probability += (1.0 - probability) * unseen.get(placed, 0.0)
         found.append(results.Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
     order = posterior.ranked((each.placed for each in found), {each.placed: each.probability for each in found})
-    return sorted(found, key=lambda each: (order.index(each.placed) if each.probability else len(order), each.chi2))
+    place = {placed: at for at, placed in enumerate(order)}
+    return sorted(found, key=lambda each: (place[each.placed] if each.probability else len(order), each.chi2))
 
 
 def _quoted(names: Sequence[str]) -> str:

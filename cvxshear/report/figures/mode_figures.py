@@ -426,7 +426,14 @@ def _named(seen: Functions) -> str:
     return FUNCTIONS[seen.quantity]
 
 
-@figure("shapes", ModalResult, title="Mode shapes", alternative="Mode shapes; the numbers are in the table above.")
+@figure(
+    "shapes",
+    ModalResult,
+    title="Mode shapes",
+    alternative="Mode shapes; the numbers are in the table above.",
+    applies=lambda *results: not any(result.sensors for result in results),
+    needs="one motion a floor",
+)
 def modal_shapes(*results: ModalResult) -> Figure:
     """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
 
