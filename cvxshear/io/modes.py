@@ -275,6 +275,8 @@ class RecordTables:
     channels : list of ChannelDeclaration
     runs : list of dict
     name : str
+    turns : bool
+        Whether the floors turn (frame: motions).
     added_mass : list of float or None
         kg.
     state : str or None
@@ -293,7 +295,11 @@ class RecordTables:
             for key in ("time", "frequency", "axis"):
                 if key in declared:
                     checks.text(declared[key], f"record: {key}")
-            self.channels = record_tables.channels_of(self.table["channel"], declared, path, lines)
+            frame = self.table.get("frame")
+            self.turns = isinstance(frame, Mapping) and frame.get("motions", ["x"]) != ["x"]
+            if self.turns and self.kind == "frf":
+                raise InputError("frame: motions: functions of floors that turn are not read; give time histories")
+            self.channels = record_tables.channels_of(self.table["channel"], declared, path, lines, self.turns)
             self.input = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
             self.name = checks.text(declared.get("name", named_after(path)), "record: name")
             self.runs = record_tables.runs_of(self.table, declared)
@@ -421,6 +427,7 @@ def _common(tables: RecordTables) -> dict[str, Any]:
         "band": declared.get("band"),
         "exponential_window": declared.get("exponential_window"),
         "name": tables.name,
+        "turns": tables.turns,
     }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special
 from scipy.optimize import nnls
 
+from cvxshear.measurement.configuration import Sensor
 from cvxshear.records import frf, picking, pole_sweep
 from cvxshear.records.clocks import Offsets, offsets, rms_phase, undone
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
@@ -83,6 +84,8 @@ class Replication:
         Decay that an exponential window added, 1/s.
     base : bool
         Whether the input is a base acceleration.
+    turns : bool
+        Whether the floors turn.
     """
 
     parts: picking.Parts
@@ -91,6 +94,12 @@ class Replication:
     quantity: str
     shift: float
     base: bool
+    turns: bool
+
+    @property
+    def driving_point(self) -> bool:
+        """Whether the sensor of a floor shows the motion where the force acts."""
+        return not (self.base or self.turns)
 
     @property
     def source(self) -> pole_sweep.Source:
@@ -151,13 +160,17 @@ def details(
     turned = None if products is None else frf.participations(products, values.shapes)
     right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
     late = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
+    if setting.turns:
+        # Modes in x alone and in y alone link no clocks; the whole band has set them right before.
+        none = 0.0 * late.seconds
+        late = Offsets(none, none, none, late.reference)
     straight = undone(values.eigenvalues, values.shapes, late.seconds)
     shapes = np.array([picking.main_axis(shape) for shape in straight])
     real = np.array([picking.real_shape(shape) for shape in straight])
     places = ranking.largest(np.abs(real if reference is None else reference.real))
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
-    if products is not None and not setting.base:
+    if products is not None and setting.driving_point:
         found = [
             frf.modal_scale(_turned_back(each, value, late.seconds), shape, setting.floors, driven)
             for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
@@ -355,8 +368,17 @@ def assembled(
         },
         covariance=joint @ covariance @ joint.T,
         uncertainty=uncertainty,
+        sensors=_sensors(record),
         sweep=setting.sweep,
     )
+
+
+def _sensors(record: Record) -> tuple[Sensor, ...]:
+    """Places and directions of the channels, where the floors turn."""
+    if not record.turns:
+        return ()
+    stands = [(each, np.array(each.position, dtype=np.float64)) for each in record.channels]
+    return tuple(Sensor(each.floor, position, each.direction or 0.0) for each, position in stands)
 
 
 def _entry_jacobian(full: Details, size: int) -> Floats:
@@ -393,7 +415,7 @@ def _numbers(shapes: Floats, record: Record, chosen: Sequence[picking.PoleCandid
     numbers = np.array([item.number for item in chosen], dtype=np.int64)
     if numbers.all():
         return numbers
-    if shapes.shape[1] == record.stories > 1:
+    if shapes.shape[1] == record.stories > 1 and not record.turns:
         changes = np.array([picking.sign_changes(shape) for shape in shapes], dtype=np.int64)
         if np.all(np.diff(changes) > 0):
             return changes + 1

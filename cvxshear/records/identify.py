@@ -165,7 +165,7 @@ def identify_modes(
                 result = dataclasses.replace(result, amplitude=looked.record.largest)
             if functions:
                 result = dataclasses.replace(
-                    result, functions=prepare.measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=prepare.measured_functions(repaired[0], FUNCTION_RANGE * result.frequencies[-1])
                 )
             return result
     except np.linalg.LinAlgError as error:
@@ -187,7 +187,7 @@ def _attempt(
 ) -> SourceAndSweep:
     """Bring a record into the method's form and sweep the orders; `order` puts the channels in that of their floors."""
     source = prepare.source_of(record, method, blocks=blocks)
-    by_signs = len(record.channels) == record.stories > 1
+    by_signs = None if record.turns else len(record.channels) == record.stories > 1
     choose = picking.ModeChoice(wanted, record.stories, by_signs, picked, order)
     shift = _window_decay(record)
     return source, picking.sweep_orders(source, criteria, choose, band=record.band, shift=shift, turning=turning)
@@ -219,7 +219,8 @@ def _identified(
         sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
     while sweep.chosen:
-        setting = estimate.Replication(parts, sweep, record.floors, record.quantity, _window_decay(record), base)
+        of_record = record.floors, record.quantity, _window_decay(record), base, record.turns
+        setting = estimate.Replication(parts, sweep, *of_record)
         of_leakage = estimate.settle_truncation(record, setting, picking.Values.of(sweep.chosen))
         full = estimate.details(setting, picking.Values.of(sweep.chosen), None)
         spread, how, lost = estimate.covariance(setting, full, seed)
@@ -243,7 +244,8 @@ def _identified(
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     sizes = {"floors": len(record.channels), "stories": record.stories}
     left = diagnostics.left_out(sweep.candidates, sweep.chosen)
-    findings += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
+    if not record.turns:
+        findings += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
     return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
 
 
@@ -259,7 +261,7 @@ def _repaired(
     """
     found = settled(record, wanted, attempt, highest=highest)
     frequencies, lowest = picking.strongest(found[1], 2)
-    if len(record.channels) < 2 or len(lowest) < 2:
+    if record.turns or len(record.channels) < 2 or len(lowest) < 2:
         return record, found, []
     hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
     findings = placement.findings_of(hypotheses, record.channels, lowest[0])
@@ -281,9 +283,9 @@ def _repaired(
 
 def _wanted(record: Record, count: int | None, picked: tuple[float, ...]) -> int:
     """How many modes would be all."""
-    most = record.stories
+    most = record.most_modes
     if len(picked) > most:
-        raise InputError(f"pick names {len(picked)} modes; a frame of {most} stories has no more than {most}")
+        raise InputError(f"pick names {len(picked)} modes; a frame of {record.stories} stories has no more than {most}")
     return len(picked) or (most if count is None else checks.whole(count, "count", least=1, most=most))
 
 

@@ -138,10 +138,11 @@ class ModeChoice:
         Most modes to choose.
     stories : int
         Stories of the frame; the frame has one mode for each story.
-    by_signs : bool
+    by_signs : bool, optional
         Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
         when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
-        Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow.
+        Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow; None
+        numbers them 1, 2, ..., for floors that turn.
     picked : tuple of float
         Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
     order : sequence of int, optional
@@ -150,7 +151,7 @@ class ModeChoice:
 
     count: int
     stories: int
-    by_signs: bool
+    by_signs: bool | None
     picked: tuple[float, ...] = ()
     order: Sequence[int] | None = None
 
@@ -163,7 +164,9 @@ class ModeChoice:
             chosen = _by_signs(usable, self.count, self.order)
         else:
             loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
-            chosen = _as_low(sorted(loudest, key=lambda item: item.frequency), self.stories, self.order)
+            chosen = sorted(loudest, key=lambda item: item.frequency)
+            if self.by_signs is not None:
+                chosen = _as_low(chosen, self.stories, self.order)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)

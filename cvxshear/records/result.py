@@ -10,6 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from cvxshear.measurement.configuration import Sensor, motion_shares
+from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.records import picking
 from cvxshear.records.data_frames import matrix_of
 from cvxshear.records.prepare import Functions
@@ -81,6 +83,8 @@ class ModalResult(Shown):
     uncertainty : str
         How the standard deviations were got.
     findings : tuple of Finding
+    sensors : tuple of Sensor, optional
+        Place and direction of the sensor of each entry, where the floors turn.
     sweep : Sweep, optional
         For the stabilization diagram.
     functions : Functions, optional
@@ -109,6 +113,7 @@ class ModalResult(Shown):
     covariance: Floats
     uncertainty: str
     findings: tuple[Finding, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
     sweep: picking.Sweep | None = None
     functions: Functions | None = None
     amplitude: float | None = None
@@ -116,8 +121,24 @@ class ModalResult(Shown):
     json_keys = (
         "name method stories floors modes frequencies frequency_std=written_frequency_std damping_ratios "
         "damping_std=written_damping_std mode_shapes mode_shape_std entry_std=written_entry_std mass_normalized "
+<<<<<<< HEAD
         "phase_collinearity lost_phase clock_offsets=named_offsets amplitude uncertainty findings"
+=======
+        "phase_collinearity lost_phase clock_offsets=named_offsets uncertainty findings sensors motion_shares"
+>>>>>>> main
     )
+
+    @property
+    def motion_shares(self) -> Floats | None:
+        """Shares of x, y and rotation in each mode, shape (m, 3), see `motion_shares`; None without `sensors`."""
+        return motion_shares(self.sensors, self.mode_shapes) if self.sensors else None
+
+    @property
+    def entries(self) -> list[str]:
+        """Name of each entry of a shape: its floor, or of floors that turn its sensor."""
+        if self.sensors:
+            return [f"sensor {place}" for place in range(1, len(self.sensors) + 1)]
+        return [f"floor {floor}" for floor in self.floors.tolist()]
 
     @property
     def named_offsets(self) -> dict[str, dict[str, float]]:
@@ -186,7 +207,8 @@ class ModalResult(Shown):
         -------
         pandas.DataFrame
             `frequency_Hz` and its standard deviation `frequency_std_Hz`, `damping_ratio` and `damping_ratio_std` as
-            fractions of critical, `floor_1`, ... in the scale of `mode_shapes`; indexed by `mode`.
+            fractions of critical, `floor_1`, ... in the scale of `mode_shapes`; of floors that turn `sensor_1`, ...,
+            after `share_x`, `share_y` and `share_rotation`. Indexed by `mode`.
 
         Raises
         ------
@@ -200,9 +222,13 @@ class ModalResult(Shown):
             "damping_ratio": self.damping_ratios.tolist(),
             "damping_ratio_std": self.written_damping_std.tolist(),
         }
+        if self.motion_shares is not None:
+            columns |= {
+                f"share_{name}": each for name, each in zip(MOTIONS, self.motion_shares.T.tolist(), strict=True)
+            }
         columns |= {
-            f"floor_{floor}": entries.tolist()
-            for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
+            name.replace(" ", "_"): entries.tolist()
+            for name, entries in zip(self.entries, self.mode_shapes.T, strict=True)
         }
         return data_frame(columns).set_index("mode")
 
@@ -216,7 +242,11 @@ class ModalResult(Shown):
         if self.amplitude is not None:
             result["amplitude"] = self.amplitude
         result |= {
-            "measured_floors": self.floors.tolist(),
+            **(
+                {"sensors": [sensor.to_dict() for sensor in self.sensors]}
+                if self.sensors
+                else {"measured_floors": self.floors.tolist()}
+            ),
             "modes": self.modes.tolist(),
             "other_modes": [
                 {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
