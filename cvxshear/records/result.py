@@ -121,11 +121,8 @@ class ModalResult(Shown):
     json_keys = (
         "name method stories floors modes frequencies frequency_std=written_frequency_std damping_ratios "
         "damping_std=written_damping_std mode_shapes mode_shape_std entry_std=written_entry_std mass_normalized "
-<<<<<<< HEAD
-        "phase_collinearity lost_phase clock_offsets=named_offsets amplitude uncertainty findings"
-=======
-        "phase_collinearity lost_phase clock_offsets=named_offsets uncertainty findings sensors motion_shares"
->>>>>>> main
+        "phase_collinearity lost_phase clock_offsets=named_offsets amplitude uncertainty findings sensors "
+        "motion_shares"
     )
 
     @property
