@@ -122,10 +122,8 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
     """
     if comparison is None:
         comparison = compare_backends(result.experiment, repeats=1)
-    figure = drawings(result)
-    if not result.effects:
-        # The picture of the verdict is the identified frame then.
-        figure = {name: each for name, each in figure.items() if name != "frame"}
+    # Without effects the picture of the verdict is the identified frame.
+    figure = {name: each for name, each in drawings(result).items() if result.effects or name != "frame"}
     return page(
         "report.html",
         result.to_dict(),

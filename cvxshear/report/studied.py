@@ -49,14 +49,12 @@ def _changes(result: History) -> Iterator[blocks.Block | str]:
         yield blocks.Sentence("A significant residual is left, so that every change is provisional.", "warning")
     if result.changes:
         units = {"temperature": "% per °C", "amplitude": "% per factor of ten"}
+        sizes = [(each.size, each.std, units.get(each.kind, "%")) for each in result.changes]
         cells = {
             "kind": [each.kind for each in result.changes],
             "story": [str(each.story or "all") for each in result.changes],
             "from": [each.test or "" for each in result.changes],
-            "change of stiffness": [
-                quantities.with_std(100 * each.size, 100 * each.std, units.get(each.kind, "%"), factor=1.0)
-                for each in result.changes
-            ],
+            "change of stiffness": [quantities.with_std(*each, factor=0.01) for each in sizes],
             "probability": [quantities.chance(each.probability) for each in result.changes],
             "or from": [", ".join(each.other_tests) for each in result.changes],
             "or in its place": [", ".join(each.rivals) for each in result.changes],
@@ -102,9 +100,15 @@ def history_data(result: History) -> blocks.Table:
 @blocks.describe.register
 def _plan(result: Plan) -> blocks.Document:
     design = result.model.design
-    noise = f"Expected noise: {result.model.noise.words}."
     sections = [
-        blocks.section("choice", "", typical(result), *other_frames(result), sure(result), noise),
+        blocks.section(
+            "choice",
+            "",
+            typical(result),
+            *other_frames(result),
+            sure(result),
+            f"Expected noise: {result.model.noise.words}.",
+        ),
         blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
         blocks.section("accuracy", "What they will determine", accuracy(result), remedies(result), counts(result)),
     ]
@@ -169,9 +173,8 @@ def other_frames(result: Plan) -> list[blocks.Block]:
 
 def sure(result: Plan) -> str:
     """State the objective and the largest possible distance of the choice from the optimum."""
-    value = quantities.percent(result.objective)
-    if result.objective >= UNKNOWN_STD:
-        value = f"open, {quantities.percent(UNKNOWN_STD, 0)} or more"
+    unknown = f"open, {quantities.percent(UNKNOWN_STD, 0)} or more"
+    value = unknown if result.objective >= UNKNOWN_STD else quantities.percent(result.objective)
     said = f"{quantities.capital(result.measure)} (criterion {result.criterion}): {value}"
     if len(result.sensors) == result.model.design.stories:
         return said
