@@ -33,9 +33,20 @@ def test_a_sound_record_comes_back_as_it_went_in(kind):
         np.testing.assert_array_equal(before.responses, after.responses)
 
 
-NEEDS_TIME = ("without samples", "gain step")
-"""Faults at one instant, which decays of a minute are too short to show."""
-FAULTS = ["delay", "drift", "dead", "stuck", "saturated", "spikes", "without samples", "low-pass", "gain step"]
+NEEDS_TIME = ("without samples", "gain step", "resonance")
+"""Faults that decays of a minute are too short to show."""
+FAULTS = [
+    "delay",
+    "drift",
+    "dead",
+    "stuck",
+    "saturated",
+    "spikes",
+    "without samples",
+    "low-pass",
+    "resonance",
+    "gain step",
+]
 
 
 @pytest.mark.parametrize(
@@ -55,7 +66,7 @@ def test_a_fault_of_one_channel_is_named(kind, fault):
         # Three releases have short motions. The stated deviation of the drift gives the tolerance.
         within = 3e6 * first.numbers["drift_std"] if kind == "free_decay" else 5.0
         assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=within)
-    if fault == "low-pass":
+    if fault in ("low-pass", "resonance"):
         assert first.numbers["corner"] == pytest.approx(case.size, rel=0.15)
     if fault == "gain step":
         assert np.log(first.numbers["factor"]) == pytest.approx(np.log(case.size), rel=0.2)
