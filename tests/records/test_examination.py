@@ -55,7 +55,9 @@ FAULTS = [
 )
 def test_a_fault_of_one_channel_is_named(kind, fault):
     """The check runs before the identification; delays and drifts are right within a tenth of a sample."""
-    least, most = {"delay": (0.05, 2.0), "drift": (100.0, 500.0), "low-pass": (0.0, 5.0)}.get(fault, (-1.0, 2.0))
+    least, most = {"delay": (0.05, 2.0), "drift": (100.0, 500.0), "low-pass": (0.0, 5.0), "resonance": (0.0, 99.0)}.get(
+        fault, (-1.0, 2.0)
+    )
     case = next(case for seed in range(60, 90) if least < abs((case := case_of(seed, kind, fault)).size) <= most)
     found = [item for item in examined(case.record).findings if item.numbers.get("channel") in case.channels]
     assert {item.kind for item in found} & set(NAMED_BY[fault])
