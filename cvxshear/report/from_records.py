@@ -6,8 +6,10 @@ import numpy as np
 
 from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.records import ModalResult
+from cvxshear.records.result import over_amplitude
 from cvxshear.report import blocks
 from cvxshear.screening import FileFinding, Screening
+from cvxshear.util import quantities
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import capital, counted, listed, numbered, percent, with_std, with_stds
 
@@ -81,6 +83,28 @@ def modes_data(result: ModalResult) -> blocks.Table:
         blocks.exact(name, each, unit=unit) for (name, unit), each in values.items() if np.any(np.isfinite(each))
     )
     return blocks.Table(result.name, "Modes", tuple(columns))
+
+
+def amplitude_section(results: Sequence[ModalResult]) -> blocks.Section:
+    """Tabulate frequencies and damping of several records of one frame over the amplitude of its motion.
+
+    Parameters
+    ----------
+    results : sequence of ModalResult
+        Each with its amplitude.
+    """
+    results = sorted(results, key=lambda each: each.amplitude or 0.0)
+    cells = {"record": [result.name for result in results]}
+    cells["largest motion (SI)"] = quantities.significants([result.amplitude or 0.0 for result in results], 3)
+    trends = []
+    for mode, (frequencies, damping, (change, std)) in over_amplitude(results).items():
+        for head, values in ((f"mode {mode}, Hz", frequencies), (f"damping {mode}, %", 100 * damping)):
+            cells[head] = ["–" if np.isnan(value) else f"{value:#.4g}" for value in values.tolist()]
+        if np.isfinite(change):
+            trends.append(f"mode {mode} by {with_std(100 * change, 100 * std, factor=1.0)} %")
+    said = f"A tenfold motion changes the frequency of {listed(trends)}." if trends else ""
+    table = blocks.table("amplitude", "Modes over the amplitude of the motion", cells)
+    return blocks.section("amplitude", "", *table.folded(blocks.PAGE_COLUMNS), *filter(None, [said]))
 
 
 def poles_table(result: ModalResult) -> blocks.Table:

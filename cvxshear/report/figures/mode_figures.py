@@ -19,7 +19,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
 from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.records.prepare import Functions
-from cvxshear.records.result import band_of, synthesized
+from cvxshear.records.result import band_of, over_amplitude, synthesized
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
@@ -328,6 +328,43 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
     ):
         axes.plot([frequency, frequency, x], [0, 1.03 * top, 1.1 * top], color=style.AFTER, lw=0.6, alpha=0.6)
         axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
+
+
+@figure(
+    "amplitude",
+    ModalResult,
+    title="Modes over the amplitude of the motion",
+    applies=lambda *results: len(results) > 2 and all(result.amplitude for result in results),
+    needs="three continuous records or more",
+)
+def modes_over_amplitude(*results: ModalResult) -> Figure:
+    """Draw frequency and damping of each mode over the largest motion in each record.
+
+    Frequencies relative to their median over the records, and damping ratios. Each dot is a record.
+
+    Parameters
+    ----------
+    *results : ModalResult
+
+    Returns
+    -------
+    Figure
+    """
+    figure = style.new_figure(style.PAGE_WIDTH, 4.0)
+    above, below = style.panels(figure, 2, 1, sharex=True)
+    at = [result.amplitude or 0.0 for result in results]
+    modes = list(over_amplitude(results).items())[: len(style.MARKERS) - 1]
+    for (mode, (frequencies, damping, _)), look in zip(modes, style.looks(len(modes)), strict=True):
+        dots = {"color": look["color"], "marker": look["marker"], "ls": "none", "ms": 3.5}
+        middle = float(np.nanmedian(frequencies))
+        above.plot(at, 100 * (frequencies / middle - 1.0), label=f"mode {mode}: {middle:#.4g} Hz", **dots)
+        below.plot(at, 100 * damping, **dots)
+    above.set_ylabel("frequency,\nchange in %")
+    below.set(ylabel="damping, %", xlabel="largest motion (SI)", xscale="log")
+    below.xaxis.set_major_formatter(LogFormatter())
+    below.xaxis.set_minor_formatter(LogFormatter())
+    style.legend(figure, above, 3)
+    return figure
 
 
 #: Axis labels of the ratio of each response to a force.
