@@ -99,16 +99,9 @@ def history_data(result: History) -> blocks.Table:
 
 @blocks.describe.register
 def _plan(result: Plan) -> blocks.Document:
-    design = result.model.design
+    design, noise = result.model.design, f"Expected noise: {result.model.noise.words}."
     sections = [
-        blocks.section(
-            "choice",
-            "",
-            typical(result),
-            *other_frames(result),
-            sure(result),
-            f"Expected noise: {result.model.noise.words}.",
-        ),
+        blocks.section("choice", "", typical(result), *other_frames(result), sure(result), noise),
         blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
         blocks.section("accuracy", "What they will determine", accuracy(result), remedies(result), counts(result)),
     ]
