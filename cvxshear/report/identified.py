@@ -304,9 +304,9 @@ def generous_noise(fit: results.Quality) -> Iterator[str]:
         return
     size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
     yield (
-        f"the residual is {size} times smaller than the stated standard deviations let expect ({_chi_square(fit)}): "
-        "these are too large, and so are those of masses and stiffnesses. Deviations that 'modes' writes also hold "
-        "errors that all data share"
+        f"the residual is {size} times smaller than the stated standard deviations ({_chi_square(fit)}): either they "
+        "are too large, and so are those of masses and stiffnesses, or they include errors that all data share, such "
+        "as the calibration of a sensor; those that 'modes' writes do"
     )
 
 
