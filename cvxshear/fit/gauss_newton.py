@@ -42,7 +42,7 @@ HOPELESS = 25.0
 
 #: Weight of the damping rows of a plain step, relative to the sensitivity of the data to each parameter. They do not
 #: move a stationary point; they determine the step along directions that the data leave open.
-LEAST_STEP_DAMPING = 1e-7
+LEAST_DAMPING = 1e-7
 
 
 @dataclass(frozen=True)
@@ -137,14 +137,14 @@ class StepDamping:
     """The weight of the damping rows."""
 
     def __init__(self, accuracy: Accuracy) -> None:
-        self.weight = LEAST_STEP_DAMPING
+        self.weight = LEAST_DAMPING
         self._accuracy = accuracy
         self._factor = 2.0
 
     @property
     def active(self) -> bool:
         """Whether the step is damped."""
-        return self.weight > LEAST_STEP_DAMPING
+        return self.weight > LEAST_DAMPING
 
     @property
     def exhausted(self) -> bool:
@@ -158,13 +158,13 @@ class StepDamping:
 
     def lighter(self, kept: float) -> None:
         """Lower the weight after a step with this ratio of its gain to the predicted gain."""
-        self.weight = max(LEAST_STEP_DAMPING, self.weight * max(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3))
+        self.weight = max(LEAST_DAMPING, self.weight * max(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3))
         self._factor = 2.0
         if self.weight < self._accuracy.negligible_damping:
-            self.weight = LEAST_STEP_DAMPING
+            self.weight = LEAST_DAMPING
 
 
-def step_program(at: Residuals, theta: Floats, domain: Domain, damping: float = LEAST_STEP_DAMPING) -> LeastSquares:
+def step_program(at: Residuals, theta: Floats, domain: Domain, damping: float = LEAST_DAMPING) -> LeastSquares:
     """Write the program of one step d: minimize |J d + r|^2 + |damping D d|^2, theta + d within its domain.
 
     D is the diagonal of the sensitivities (`fit.optimality.sensitivities`).
@@ -272,7 +272,7 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
     NoSolutionError
         If the solution is not accurate enough.
     """
-    found = optimality(problem, fit.theta, fit.at, domain, LEAST_STEP_DAMPING)
+    found = optimality(problem, fit.theta, fit.at, domain, LEAST_DAMPING)
     rms = max(1.0, float(np.sqrt(fit.at.objective / max(len(fit.at.r), 1))))
     if found.violation > KEPT_TO:
         raise errors.NoSolutionError(name, f"the fit breaks an exact statement by {found.violation:.1e} of its size")
@@ -283,7 +283,7 @@ def _certified(problem: Problem[E], fit: Fit[E], domain: Domain, name: str) -> O
         )
     if found.step > 10.0 * FULL.step * rms * np.sqrt(len(fit.at.r)):
         # The model is not linear along directions that the data hardly determine, so the step is tried.
-        d, _ = best_step(fit.theta, fit.at, domain, LEAST_STEP_DAMPING)
+        d, _ = best_step(fit.theta, fit.at, domain, LEAST_DAMPING)
         trial = halved(problem, fit.theta, d, fit.at, domain, FULL.halvings)
         if trial is not None and fit.at.objective - trial[1].objective > FLAT * rms**2:
             raise errors.NoSolutionError(name, "the fit ended where a step of another solver lowers the misfit further")
