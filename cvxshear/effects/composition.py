@@ -7,8 +7,9 @@ import numpy as np
 
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import STAGES, State, summed
-from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model import Observation, ShearSystem, System, mass_matrix, shear_system, stiffness_matrix, transformation
+from cvxshear.measurement.experiment import Configuration, Experiment, Tested
+from cvxshear.model import FrameSystem, Observation, System, mass_matrix, stiffness_matrix, transformation
+from cvxshear.motions import unit_derivatives
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -27,7 +28,7 @@ def compose(
     tested : Tested
     effects : sequence of LocatedEffect
     theta : ndarray, shape (P,)
-        Floor masses without added mass (N), story stiffnesses (N), then the effects' parameters in order.
+        Parameters of the floors without added mass, of the stories, then of the effects in order.
     derivatives : bool, optional
         If false, and if the model has no effects, return the matrices alone.
 
@@ -35,17 +36,19 @@ def compose(
     -------
     State
     """
-    acting = [item for item in slices(effects, 2 * experiment.stories) if item[0].acts_on(tested)]
+    acting = [item for item in slices(effects, experiment.parameters) if item[0].acts_on(tested)]
     acting.sort(key=lambda item: STAGES.index(item[0].effect.stage))
     n, size = experiment.stories, len(theta)
-    mass, stiffness = theta[:n], theta[n : 2 * n]
+    mass, stiffness = theta[experiment.of_floors], theta[experiment.of_stories]
     if not derivatives and not effects:
         size = 0
-        none = np.zeros((0, n, n))
-        system = System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none)
+        M, K = _matrices(experiment, tested, mass, stiffness)
+        none = np.zeros((0, *M.shape))
+        system = System(M, K, none, none)
     else:
-        system = _system(mass + tested.added_mass, stiffness, size, dense=bool(acting))
-    by_stiffness = np.eye(size, n, -n)
+        system = _system(experiment, tested, mass, stiffness, size, dense=bool(acting))
+    by_stiffness = np.eye(size, len(stiffness), -len(mass))
+    turning = isinstance(tested, Configuration) and experiment.frame.turns
     state = State(
         experiment=experiment,
         tested=tested,
@@ -59,7 +62,7 @@ def compose(
         joint_flexibility=np.zeros(n + 1),
         d_joint_flexibility=np.zeros((size, n + 1)),
         system=system,
-        observation=Observation(np.eye(n)),
+        observation=Observation(tested.sensor_rows if turning else np.eye(n)),
     )
     frame = [item for item in acting if STAGES.index(item[0].effect.stage) < STAGES.index("flexibility")]
     for placed, own in frame:
@@ -96,26 +99,39 @@ def _refuse_not_finite(system: System, effects: Sequence[tuple[LocatedEffect, sl
             raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
 
-def _system(mass: Floats, stiffness: Floats, size: int, *, dense: bool) -> System:
-    """Build the shear frame with derivatives by all parameters; whole matrices if effects will act on them.
+def _matrices(experiment: Experiment, tested: Tested, mass: Floats, stiffness: Floats) -> tuple[Floats, Floats]:
+    """Assemble M, with the added mass of the test, and K; without rotation by their diagonals alone."""
+    motions = experiment.motions
+    if motions.count == 1:
+        return mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness)
+    assert isinstance(tested, Configuration)
+    added = motions.loads(tested.added_mass, tested.added_mass_position)
+    return motions.masses(mass) + added, motions.stiffnesses(stiffness)
+
+
+def _system(
+    experiment: Experiment, tested: Tested, mass: Floats, stiffness: Floats, size: int, *, dense: bool
+) -> System:
+    """Build the frame with derivatives by all parameters; whole matrices if effects will act on them.
 
     Raises
     ------
     UnsuitableError
         If these matrices would not fit into memory; raised before the first one is made.
     """
-    n = len(mass)
+    M, K = _matrices(experiment, tested, mass, stiffness)
     if not dense:
-        return ShearSystem(mass_matrix(mass), stiffness_matrix(stiffness), size)
+        return FrameSystem(experiment.motions, M, K, size)
+    n = len(M)
     if 2 * size * n * n * 8 > MEMORY:
         raise UnsuitableError(
             f"effects in a frame of {n} stories need {2 * size * n * n * 8 / 1e9:.1f} GB for derivatives; up to "
             f"{int((MEMORY / 32) ** (1 / 3))} stories fit into {MEMORY / 1e9:g} GB: join stories, or identify "
             "the frame without effects"
         )
-    plain = shear_system(mass, stiffness)
-    extra = np.zeros((size - 2 * n, n, n))
-    return System(plain.M, plain.K, np.concatenate([plain.dM, extra]), np.concatenate([plain.dK, extra]))
+    dM, dK = unit_derivatives(experiment.motions, experiment.stories)
+    extra = np.zeros((size - len(dM), n, n))
+    return System(M, K, np.concatenate([dM, extra]), np.concatenate([dK, extra]))
 
 
 def _assembled(state: State) -> State:
