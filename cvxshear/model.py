@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from cvxshear.motions import ONE_MOTION, Motions, slopes, unit_derivatives
-from cvxshear.util import errors, ranking
+from cvxshear.util import decorators, errors, ranking
 from cvxshear.util.typing import Floats, Ints
 
 #: Minimum number of stories for the tridiagonal eigensolver, which is slower for smaller frames.
@@ -75,6 +75,18 @@ class System:
         """dK u by every parameter, shape (P, N)."""
         return np.asarray(self.dK @ u)
 
+    def plus(self, name: str, values: Floats, units: Floats, own: slice) -> SummedSystem:
+        """Add the sum of values_i units_i to M or K, see `Term`; the values are parameters."""
+        matrices, n = {"M": self.M, "K": self.K}, units.shape[-1]
+        matrices[name] = matrices[name].copy()
+        matrices[name][:n, :n] += np.tensordot(values, units, 1)
+        before, terms = (self.before, self.terms) if isinstance(self, SummedSystem) else (self, ())
+        return SummedSystem(**matrices, before=before, terms=(*terms, Term(name, units, own)))
+
+    def arrays(self) -> Iterator[tuple[str, Floats]]:
+        """Yield the numbers that the system holds, each with the name of its matrix or derivative."""
+        yield from (("M", self.M), ("K", self.K), ("dM", self.dM), ("dK", self.dK))
+
 
 class FrameSystem(System):
     """A frame without effects, with derivatives of low rank.
@@ -117,6 +129,9 @@ class FrameSystem(System):
     def by(self, which: slice) -> System:
         return FrameSystem(self._motions, self.M, self.K, self._size, which)
 
+    def arrays(self) -> Iterator[tuple[str, Floats]]:
+        yield from (("M", self.M), ("K", self.K))
+
     def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
         motions = self._motions
         own_mass = slopes(phi, phi_j, motions.mass_basis)
@@ -137,6 +152,90 @@ class FrameSystem(System):
         if extra:
             rows = np.concatenate([rows, np.zeros((extra, *rows.shape[1:]))])
         return rows[self._which]
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """Constant matrices times parameters as a part of M or K.
+
+    Parameters
+    ----------
+    name : str
+        "M" or "K".
+    units : ndarray, shape (p, n, n)
+        Matrices for the first n motions: the derivatives by the parameters.
+    own : slice
+        Places of the parameters.
+    """
+
+    name: str
+    units: Floats
+    own: slice
+
+    def by(self, which: slice) -> Term:
+        """Keep the parameters among those of a slice without steps."""
+        wanted = range(self.own.stop)[which]
+        first, last = max(wanted.start, self.own.start), max(wanted.stop, self.own.start)
+        units = self.units[first - self.own.start : last - self.own.start]
+        return Term(self.name, units, slice(first - wanted.start, last - wanted.start))
+
+
+class SummedSystem(System):
+    """A system with terms added: whole derivatives, which each term would copy, are made when they are asked for.
+
+    Parameters
+    ----------
+    M, K : ndarray, shape (N, N)
+        With the terms.
+    before : System
+        Without them.
+    terms : tuple of Term
+    """
+
+    def __init__(self, M: Floats, K: Floats, before: System, terms: tuple[Term, ...]) -> None:
+        self.__dict__.update(M=M, K=K, before=before, terms=terms)
+
+    before: System
+    terms: tuple[Term, ...]
+
+    @decorators.cached_property
+    def dM(self) -> Floats:  # noqa: N802 - a field there; here made when asked for
+        """As of `System`."""
+        return self._plus_terms("M", self.before.dM.copy())
+
+    @decorators.cached_property
+    def dK(self) -> Floats:  # noqa: N802 - likewise
+        """As of `System`."""
+        return self._plus_terms("K", self.before.dK.copy())
+
+    def _plus_terms(self, name: str, slopes: Floats) -> Floats:
+        for term in self.terms:
+            if term.name == name:
+                n = term.units.shape[-1]
+                slopes[term.own, :n, :n] += term.units
+        return slopes
+
+    def by(self, which: slice) -> System:
+        return SummedSystem(self.M, self.K, self.before.by(which), tuple(each.by(which) for each in self.terms))
+
+    def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
+        by_stiffness, by_mass = self.before.modal_products(phi, phi_j)
+        for term in self.terms:
+            n = term.units.shape[-1]
+            (by_mass if term.name == "M" else by_stiffness)[term.own] += phi[:n].T @ (term.units @ phi_j[:n])
+        return by_stiffness, by_mass
+
+    def stiffness_slopes(self, u: Floats) -> Floats:
+        slopes = self.before.stiffness_slopes(u)
+        for term in self.terms:
+            n = term.units.shape[-1]
+            if term.name == "K":
+                slopes[term.own, :n] += term.units @ u[:n]
+        return slopes
+
+    def arrays(self) -> Iterator[tuple[str, Floats]]:
+        yield from (("M", self.M), ("K", self.K), *((f"d{term.name}", term.units) for term in self.terms))
+        yield from (each for each in self.before.arrays() if each[0] in ("dM", "dK"))
 
 
 def shear_system(floor_mass: Floats, story_stiffness: Floats) -> System:

@@ -143,8 +143,7 @@ def unit_derivatives(motions: Motions, stories: int) -> tuple[Floats, Floats]:
     n = stories * motions.count
     units, relative = np.eye(n), motions.relative(np.eye(n))
     dM, dK = (
-        slopes(each, each, basis)
-        for each, basis in ((units, motions.mass_basis), (relative, motions.stiffness_basis))
+        slopes(each, each, basis) for each, basis in ((units, motions.mass_basis), (relative, motions.stiffness_basis))
     )
     found = np.concatenate([dM, np.zeros_like(dK)]), np.concatenate([np.zeros_like(dM), dK])
     for each in found:

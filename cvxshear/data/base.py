@@ -149,9 +149,7 @@ def numbered(configuration: Configuration, found: Modes, M: Floats, motions: int
     return np.asarray(frame_modes(found, M, floors)[declared])
 
 
-def paired(
-    configuration: Configuration, found: Modes, observation: Observation, M: Floats, motions: int = 1
-) -> Ints:
+def paired(configuration: Configuration, found: Modes, observation: Observation, M: Floats, motions: int = 1) -> Ints:
     """Which mode of the model each measured one is, zero-based.
 
     The declared numbers hold unless a shape speaks against them; modes that changed places are then paired

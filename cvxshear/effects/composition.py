@@ -9,7 +9,6 @@ from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import STAGES, State, summed
 from cvxshear.measurement.experiment import Configuration, Experiment, Tested
 from cvxshear.model import FrameSystem, Observation, System, mass_matrix, stiffness_matrix, transformation
-from cvxshear.motions import unit_derivatives
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -46,7 +45,9 @@ def compose(
         none = np.zeros((0, *M.shape))
         system = System(M, K, none, none)
     else:
-        system = _system(experiment, tested, mass, stiffness, size, dense=bool(acting))
+        if acting:
+            _refuse_large(n, size)
+        system = FrameSystem(experiment.motions, *_matrices(experiment, tested, mass, stiffness), size)
     by_stiffness = np.eye(size, len(stiffness), -len(mass))
     turning = isinstance(tested, Configuration) and experiment.frame.turns
     state = State(
@@ -93,8 +94,8 @@ def _applied(placed: LocatedEffect, state: State, theta: Floats, own: slice) -> 
 
 def _refuse_not_finite(system: System, effects: Sequence[tuple[LocatedEffect, slice]]) -> None:
     """Raise an error if effects made a matrix or a derivative that is not finite."""
-    for name in ("M", "K", "dM", "dK"):
-        if not np.isfinite(np.sum(getattr(system, name))):
+    for name, array in system.arrays():
+        if not np.isfinite(np.sum(array)):
             names = ", ".join(placed.label for placed, _ in effects)
             raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
 
@@ -109,29 +110,15 @@ def _matrices(experiment: Experiment, tested: Tested, mass: Floats, stiffness: F
     return motions.masses(mass) + added, motions.stiffnesses(stiffness)
 
 
-def _system(
-    experiment: Experiment, tested: Tested, mass: Floats, stiffness: Floats, size: int, *, dense: bool
-) -> System:
-    """Build the frame with derivatives by all parameters; whole matrices if effects will act on them.
-
-    Raises
-    ------
-    UnsuitableError
-        If these matrices would not fit into memory; raised before the first one is made.
-    """
-    M, K = _matrices(experiment, tested, mass, stiffness)
-    if not dense:
-        return FrameSystem(experiment.motions, M, K, size)
-    n = len(M)
-    if 2 * size * n * n * 8 > MEMORY:
+def _refuse_large(stories: int, size: int) -> None:
+    """Raise `UnsuitableError` if the derivatives of a frame with effects would not fit into memory."""
+    needed = 2 * size * stories**2 * 8
+    if needed > MEMORY:
         raise UnsuitableError(
-            f"effects in a frame of {n} stories need {2 * size * n * n * 8 / 1e9:.1f} GB for derivatives; up to "
+            f"effects in a frame of {stories} stories need {needed / 1e9:.1f} GB for derivatives; up to "
             f"{int((MEMORY / 32) ** (1 / 3))} stories fit into {MEMORY / 1e9:g} GB: join stories, or identify "
             "the frame without effects"
         )
-    dM, dK = unit_derivatives(experiment.motions, experiment.stories)
-    extra = np.zeros((size - len(dM), n, n))
-    return System(M, K, np.concatenate([dM, extra]), np.concatenate([dK, extra]))
 
 
 def _assembled(state: State) -> State:

@@ -382,7 +382,7 @@ class AttachedMass(_OnSprings):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         stories = len(state.story_stiffness)
-        by_mass = np.zeros(len(state.system.dM))
+        by_mass = np.zeros(len(state.d_story_stiffness))
         by_mass[own.start] = 1.0
         by_mass[:stories] = LEAST_MASS / stories
         mass = float(values[0] + LEAST_MASS * np.mean(state.floor_mass))
@@ -430,7 +430,7 @@ class LoadMounting(_OnSprings):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         loads = state.tested.added_mass
-        M, none = state.system.M.copy(), np.zeros(len(state.system.dM))
+        M, none = state.system.M.copy(), np.zeros(len(state.d_story_stiffness))
         at = np.arange(len(loads))
         M[at, at] -= loads
         state = state.with_mass(M, state.system.dM)

@@ -119,20 +119,17 @@ class State:
         ValueError
             If `units` has another shape.
         """
-        return self.with_stiffness(*self._plus(self.system.K, self.system.dK, values, units, own))
+        return self._plus("K", values, units, own)
 
     def plus_mass(self, values: Floats, units: Floats, own: slice) -> State:
         """Return the same state with the mass values_i units_i added, as `plus_stiffness` does with stiffness."""
-        return self.with_mass(*self._plus(self.system.M, self.system.dM, values, units, own))
+        return self._plus("M", values, units, own)
 
-    def _plus(self, matrix: Floats, slopes: Floats, values: Floats, units: Floats, own: slice) -> tuple[Floats, Floats]:
+    def _plus(self, name: str, values: Floats, units: Floats, own: slice) -> State:
         units, n = np.asarray(units), len(self.floor_mass)
         if units.shape != (len(values), n, n):
             raise ValueError(f"units has the shape {units.shape}, not {(len(values), n, n)}")
-        more, d_more = matrix.copy(), slopes.copy()
-        more[:n, :n] += summed(values, units)
-        d_more[own, :n, :n] += units
-        return more, d_more
+        return self.having(system=self.system.plus(name, np.asarray(values), units, own))
 
     def with_flexibility(self, p: float, D: Floats, own: slice) -> State:
         """Return the same state with p D added to its flexibility.

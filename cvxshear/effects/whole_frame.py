@@ -168,11 +168,12 @@ class BaseRocking(_Flexible):
 
 
 class Wall(Effect):
-    """K + EI F^-1, with F_ij = z_i^2 (3 z_j - z_i) / 6 for z_i <= z_j: a wall or core beside the frame.
+    """K + EI F^-1 at the floors of a wall in bending, from the base to the top or to one floor above the first.
 
-    F / EI is the flexibility of a cantilever in bending, clamped at the base. The floors join frame and wall, so that
-    both have the same sway. The parameter is w = EI / (H^2 mean(k h)) = 1 / (lambda H)^2, with H the height of the top
-    and k the stiffness of the columns in this state: only the ratios of the heights matter.
+    F / EI is the flexibility of a cantilever in bending, clamped at the base. Its floors join frame and wall, so that
+    both have the same sway. The parameter is w = EI / (H^2 mean(k h)) = 1 / (lambda H)^2, with H the height of the wall
+    and k the stiffness of the columns beside it in this state: only the ratios of the heights matter. A wall in one
+    story would equal the stiffness of that story.
 
     Expected size 0.36: with the tail of Student's t, nine in ten values of lambda H then lie between 1 and 6, as in
     most dual systems (Miranda 1999; a smaller lambda H is a wall, a larger one a frame). Most tall buildings have walls
@@ -181,7 +182,7 @@ class Wall(Effect):
 
     name = "wall"
     summary = "A shear wall or core beside the frame bends like a cantilever and sways with the floors."
-    formula = "K + EI F^-1,  F_ij = z_i^2 (3 z_j - z_i) / 6 for z_i <= z_j,  EI = w H^2 mean(k h)"
+    formula = "K + EI F^-1,  F_ij = z_i^2 (3 z_j - z_i) / 6 for z_i <= z_j <= H,  EI = w H^2 mean(k h)"
     source = "wall and frame in parallel, Heidebrecht and Stafford Smith 1973; deflection of a cantilever, Bernoulli"
     stage = "spring"
     parameters = (Parameter("w", "", lower=0.0, start=0.05),)
@@ -189,24 +190,31 @@ class Wall(Effect):
     usual = 0.36
     probability = 0.05
 
+    def places(self, experiment: Experiment) -> list[Place]:
+        return [Place(), *(Place(floor=top) for top in range(2, experiment.stories))]
+
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
-        heights = state.heights
-        bent = cantilever(tuple(heights.tolist()))
-        unit = float(np.mean(state.column_stiffness * heights))
-        dK = state.system.dK + (values[0] * np.mean(state.d_column_stiffness * heights, axis=1))[:, None, None] * bent
+        heights = state.heights[: place.floor]
+        floors = len(heights)
+        bent = np.zeros(state.system.K.shape)
+        bent[:floors, :floors] = cantilever(tuple(heights.tolist()))
+        unit = float(np.mean(state.column_stiffness[:floors] * heights))
+        d_unit = np.mean(state.d_column_stiffness[:, :floors] * heights, axis=1)
+        dK = state.system.dK + values[0] * d_unit[:, None, None] * bent
         dK[own] += unit * bent
         return state.with_stiffness(state.system.K + values[0] * unit * bent, dK)
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         w = float(values[0])
         slenderness = 1.0 / np.sqrt(w) if w > 0 else np.inf
+        up_to = "" if place.floor is None else f" up to floor {place.floor}"
         return (
-            f"a wall or core bends beside the frame, with EI = {with_std(w, std[0])} times H^2 mean(k h) "
+            f"a wall or core bends beside the frame{up_to}, with EI = {with_std(w, std[0])} times H^2 mean(k h) "
             f"(lambda H = {slenderness:.2g})"
         )
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def cantilever(heights: tuple[float, ...]) -> Floats:
     """Return the stiffness H^2 F^-1 of a cantilever clamped at the base at the floors, for EI = 1, shape (N, N), 1/m.
 

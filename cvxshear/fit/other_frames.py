@@ -53,7 +53,12 @@ SAME_ROOT = 1e-6
 def may_have_others(estimate: Estimate) -> bool:
     """Whether the data are frequencies alone, or no more than the unknowns, and determine the frame locally."""
     experiment = estimate.experiment
-    if experiment.frame.turns or experiment.stories > TALLEST_SEARCHED or experiment.static or estimate.uncertainty.null_directions:
+    if (
+        experiment.frame.turns
+        or experiment.stories > TALLEST_SEARCHED
+        or experiment.static
+        or estimate.uncertainty.null_directions
+    ):
         return False
     return estimate.dof <= 0 or not any(each.measured.any() for each in experiment.configurations)
 

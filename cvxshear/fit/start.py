@@ -421,7 +421,11 @@ def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
     measured = [(chi2(start), start) for start in starts(misfit.experiment)]
     usable = sorted((item for item in measured if np.isfinite(item[0])), key=lambda item: item[0])
     ordered = [start for _, start in usable]
-    if misfit.experiment.frame.turns or usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
+    if (
+        misfit.experiment.frame.turns
+        or usable
+        and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own]))
+    ):
         return ordered
     try:
         smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))

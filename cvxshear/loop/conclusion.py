@@ -255,7 +255,8 @@ def _candidates(posterior: Posterior, fits: comparison.VerdictFits) -> list[resu
             probability += (1.0 - probability) * unseen.get(placed, 0.0)
         found.append(results.Candidate(placed, probability, item.probability, chi2, dof, p_value, confounded))
     order = posterior.ranked((each.placed for each in found), {each.placed: each.probability for each in found})
-    return sorted(found, key=lambda each: (order.index(each.placed) if each.probability else len(order), each.chi2))
+    place = {placed: at for at, placed in enumerate(order)}
+    return sorted(found, key=lambda each: (place[each.placed] if each.probability else len(order), each.chi2))
 
 
 def _quoted(names: Sequence[str]) -> str:
@@ -271,10 +272,9 @@ def _rests_on(final: Estimate) -> Iterator[str]:
         yield "the stated standard deviations"
         return
     # The noise of the misfit is not used: it has no factor if the fit stopped at the default.
-    factors = dict(final.noise.noise.factors)
-    shown = ", ".join(
-        f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
-    )
+    factors, noises = dict(final.noise.noise.factors), final.misfit.noises
+    sizes = {noises[kind].plural: noises[kind].sized(factors[kind]) for kind in final.misfit.open_noises}
+    shown = ", ".join(f"{name} {quantities.significant(size, 2)} {unit}" for name, ((size,), unit) in sizes.items())
     partly = len(final.misfit.open_noises) < len(final.misfit.noises)
     yield f"{'stated and ' if partly else ''}estimated noise ({shown})"
 

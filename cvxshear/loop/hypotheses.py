@@ -192,7 +192,7 @@ def able_to_take_part(wanted: Sequence[Effect], experiment: Experiment) -> tuple
 
 
 def assumed_effects(experiment: Experiment, assume: Sequence[str | LocatedEffect]) -> tuple[LocatedEffect, ...]:
-    """List the effects that are declared from the start; an effect given by name alone must have only one place.
+    """List the effects that are declared from the start; a name alone means the whole frame, or the only place.
 
     Raises
     ------
@@ -210,6 +210,7 @@ def assumed_effects(experiment: Experiment, assume: Sequence[str | LocatedEffect
                 f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"
             )
         places = effect.places(experiment)
+        places = [place for place in places if place == Place()] or places
         if len(places) > 1:
             raise errors.InputError(
                 f"effect {each} can sit at {len(places)} places; which one is said in Python: "

@@ -162,7 +162,7 @@ class Linearised:
         open_to = np.array(log_priors)
         own, left, basis = self._own.copy(), self.base.fit.at.r.copy(), self._reached.copy()
         for _ in self.candidates:
-            gains = self._gains(own, left) + open_to
+            gains = (self._gains(own, left) if taken else self.gains) + open_to
             at = ranking.first_largest(gains)
             if not gains[at] > 0.0:
                 break

@@ -79,7 +79,7 @@ class Search:
         self.other_optima: list[ModelClass] = []
         self.untried: list[str] = []
         self._done: set[tuple[str, Set]] = set()
-        self._last: Linearised | None = None
+        self._kept: list[Linearised] = []
 
     @property
     def best(self) -> ModelClass:
@@ -242,7 +242,8 @@ class Search:
 
     def visit_twins(self) -> None:
         """Visit, for each of the best sets, the sets in which a twin replaces an effect."""
-        for model in self._near:
+        # The verdict needs the best set again.
+        for model in reversed(self._near):
             if not model.effects:
                 continue
             found = self.linearised(model)
@@ -253,11 +254,14 @@ class Search:
                     self._visit(base.estimate, self.linearised(base), new, FULL)
 
     def linearised(self, model: ModelClass) -> Linearised:
-        """Linearise the model at the fit of a set, with all effects that the set lacks; the latest result is kept."""
-        if self._last is None or self._last.base is not model.estimate:
-            self._last = Linearised(model.estimate, self.candidates(model), self.fitter.expectation)
-            self.fitter.count(self._last.parameters)
-        return self._last
+        """Linearise the model at the fit of a set, with all effects that the set lacks; the latest results are kept."""
+        found = next((each for each in self._kept if each.base is model.estimate), None)
+        if found is None:
+            found = Linearised(model.estimate, self.candidates(model), self.fitter.expectation)
+            self.fitter.count(found.parameters)
+        of_base = [each for each in self._kept if each.base is self.base.estimate]
+        self._kept = list({id(each): each for each in (*of_base, found)}.values())
+        return found
 
     def twins(self, model: ModelClass, placed: LocatedEffect) -> list[LocatedEffect]:
         """List the twins of an effect in a set whose fit with the twin is equally good."""

@@ -61,7 +61,7 @@ def page(template: str, result: Json | list[Json], **contents: Any) -> str:
 
 
 def drawings(*results: Any) -> dict[str, Json]:
-    """Draw all figures that apply to these results, by name.
+    """Draw the animations of these results, then all figures that apply, by name.
 
     Parameters
     ----------
@@ -71,12 +71,14 @@ def drawings(*results: Any) -> dict[str, Json]:
     Returns
     -------
     dict of str to dict
-        `name`, `title`, `caption`, `alternative` and `section` as in the table of figures; `svg`, the drawing.
+        `name`, `title`, `caption`, `alternative` and `section` as in the table of figures; `svg`, the drawing;
+        `moves`, whether it is an animation.
     """
     # Imported here, because a notebook shows tables without matplotlib.
-    from cvxshear.report.figures import style  # noqa: PLC0415
+    from cvxshear.report.figures import animations, style  # noqa: PLC0415
 
-    return {
+    moving = {each["name"]: each for each in animations(*results)}
+    return moving | {
         entry.name: {
             "name": entry.name,
             "title": entry.title,
@@ -85,6 +87,7 @@ def drawings(*results: Any) -> dict[str, Json]:
             "alternative": entry.alternative_of(*results),
             # matplotlib has escaped the texts in a drawing.
             "svg": Markup(style.inline_svg(entry.draw(*results), entry.name)),
+            "moves": False,
         }
         for entry in style.applicable(*results)
     }
@@ -119,6 +122,8 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
     """
     if comparison is None:
         comparison = compare_backends(result.experiment, repeats=1)
+    # Without effects the picture of the verdict is the identified frame.
+    figure = {name: each for name, each in drawings(result).items() if result.effects or name != "frame"}
     return page(
         "report.html",
         result.to_dict(),
@@ -126,7 +131,7 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
         heading=result.experiment.report,
         headline=capital(headline(result)),
         verdict=verdict_of(result),
-        figure=drawings(result),
+        figure=figure,
         backends=describe(comparison)["worst"],
         left_out=comparison.left_out,
         command=command,

@@ -500,6 +500,10 @@ def test_wall(slenderness, number):
     slender wall."""
     w = slenderness**-2
     assert_same(modes_with([placed("wall")], w, number=number), sway_modes(fe.with_wall(building(number), w)))
+    low = building(number).stories - 1
+    assert_same(
+        modes_with([placed("wall", floor=low)], w, number=number), sway_modes(fe.with_wall(building(number), w, low))
+    )
 
 
 @pytest.mark.parametrize("slenderness", [0.5, 2.5, 8.0])

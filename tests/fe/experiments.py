@@ -389,9 +389,9 @@ def with_soft_feet(frame: Building, rho: float, _at: int | None) -> Building:
 
 
 def with_wall(frame: Building, w: float, at: int | None = None) -> Building:
-    """Add a wall with EI = w H^2 mean(k h)."""
-    bending = w * float(frame.heights.sum()) ** 2 * float(np.mean(frame.story_stiffness * frame.heights))
-    return dataclasses.replace(frame, wall_bending=bending)
+    """Add a wall with EI = w H^2 mean(k h), up to the roof or to a floor."""
+    k, h = frame.story_stiffness[:at], frame.heights[:at]
+    return dataclasses.replace(frame, wall_bending=w * float(h.sum()) ** 2 * float(np.mean(k * h)), wall_top=at)
 
 
 CHANGES: dict[str, Callable[..., Building]] = {

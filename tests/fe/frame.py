@@ -65,6 +65,8 @@ class Building:
         Masses on springs that floors carry: floor, mass, kg, and the spring, N/m.
     wall_bending : float, optional
         EI of a wall without mass, clamped at the ground, whose nodes sway with the floors, N m2; 0 for none.
+    wall_top : int, optional
+        Floor at the top of the wall; the roof by default.
     """
 
     heights: Floats
@@ -87,6 +89,7 @@ class Building:
     brace_axial: Floats | None = None
     attached: tuple[tuple[int, float, float], ...] = ()
     wall_bending: float = 0.0
+    wall_top: int | None = None
 
     @property
     def stories(self) -> int:
@@ -157,7 +160,7 @@ def assemble(building: Building) -> Model:
     for low, high, axial in building.ties:
         model.member(joints[low][0], joints[high][-1], Section(bending=0.0, axial=axial))
     if building.wall_bending:
-        levels = range(building.stories + 1)
+        levels = range((building.wall_top or building.stories) + 1)
         nodes = [
             Node(0.0, elevation(building, level), {("sway", level): 1.0}, {}, {("wall", level): 1.0})
             for level in levels

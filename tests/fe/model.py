@@ -60,6 +60,10 @@ class Model:
         """Add a spring that this motion stretches, N/m (N m/rad if the motion is a rotation)."""
         self._gather(self._stiff, np.array([[constant]]), [motion])
 
+    def stiffness(self, matrix: Floats, motions: list[Motion]) -> None:
+        """Add a stiffness matrix between these motions."""
+        self._gather(self._stiff, matrix, motions)
+
     def mass(self, motion: Motion, amount: float) -> None:
         """Add a mass with this motion, kg (kg m2 if the motion is a rotation)."""
         self._gather(self._heavy, np.array([[amount]]), [motion])

@@ -5,6 +5,7 @@ from scipy import stats
 
 from tests.studies.calibration import Trial, coverage, outcome
 from tests.studies.drawn import chance
+from tests.studies.outside import outcome as outcome_outside
 
 SEED = 7_000_000
 TALLEST = 4
@@ -72,3 +73,11 @@ def test_standard_deviations_of_the_averaged_frame_cover_the_truth(outcomes):
     covered, count = coverage(outcomes)
     assert covered / count > 0.95 - 2 * (2 * 0.05 * 0.95 / count) ** 0.5 > BARELY
     assert covered / count < 1.0
+
+
+@pytest.mark.parametrize("kind", ["wall beside the frame", "wall of half the height"])
+def test_a_wall_is_found_up_to_its_top(kind):
+    """The wall is made from the closed form of a cantilever, under moments, too."""
+    found = outcome_outside((kind, 977_001))
+    assert [name for name, _ in found.named] == ["wall"]
+    assert found.covered[0] >= found.covered[1] - 1

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 
+import numpy as np
 import pytest
 
 import cvxshear
@@ -159,7 +160,7 @@ def test_a_prediction_does_not_run_over_its_edge(browser, tmp_path, viewport):
     page.close()
 
 
-@pytest.mark.parametrize(("name", "figures"), [("modes", 3), ("tall", 2)])
+@pytest.mark.parametrize(("name", "figures"), [("modes", 4), ("tall", 3)])
 @pytest.mark.parametrize("viewport", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_the_report_of_modes_does_not_run_over_its_edge_and_can_be_read(opened, name, figures, viewport):
     page = opened(name, viewport)
@@ -194,6 +195,28 @@ def test_letters_and_lines_of_a_drawing_stand_out_from_the_page(opened, scheme):
     assert (paper < 60) == (scheme == "dark")
     assert inks
     assert all(abs(ink - paper) > 80 for ink in inks)
+
+
+def test_a_mode_sways_on_a_screen_and_stands_still_elsewhere(opened):
+    """The frame at rest reaches from -30 to 30, and its largest sway is 30; the animation takes two seconds."""
+    page = opened("paper")
+    ends = """time => {
+        const svg = document.querySelector("#figure-swaying svg");
+        svg.pauseAnimations(); svg.setCurrentTime(time);
+        const box = svg.querySelector(".moving path:not(.rest)").getBBox();
+        return [box.x, box.x + box.width];
+    }"""
+    for time, expected in ((0.0, [-30, 60]), (0.5, [-30, 30]), (1.0, [-60, 30]), (2.0, [-30, 60])):
+        np.testing.assert_allclose(page.evaluate(ends, time), expected, atol=0.2)
+    seen = [page.locator(f"#figure-swaying {each} >> nth=0") for each in (".moving", ".still", ".hold")]
+    assert [each.is_visible() for each in seen] == [True, False, True]
+    page.check(".hold input")
+    assert [each.is_visible() for each in seen] == [False, True, True]
+    page.uncheck(".hold input")
+    page.emulate_media(reduced_motion="reduce")
+    assert [each.is_visible() for each in seen] == [False, True, False]
+    page.emulate_media(reduced_motion="no-preference", media="print")
+    assert [each.is_visible() for each in seen] == [False, True, False]
 
 
 def test_the_report_is_whole_without_scripts_and_a_mouse(browser, reports):

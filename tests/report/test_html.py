@@ -105,6 +105,7 @@ def test_headings_descend_one_at_a_time_and_images_have_words(page):
     assert levels.count(1) == 1
     assert np.diff(levels).max() == 1
     drawings = [attributes for _, attributes in page.attributes if attributes.get("role") == "img"]
+    # Without effects, the picture of the verdict is that of the frame.
     assert len(drawings) == 4
     assert all(attributes["aria-label"].strip() for attributes in drawings)
     hidden = [attributes for tag, attributes in page.attributes if tag == "svg" and attributes.get("role") != "img"]
@@ -247,3 +248,25 @@ def test_before_after_and_change_of_the_story_that_lost_stiffness():
         value = float(rows[place - 1][2].split(" (")[1].split(" ± ")[0])
         assert value == pytest.approx(100 * size / whole, rel=0.01)
         assert len(describe(result)["states"].parts) == 1
+
+
+def sways(outline):
+    """Return the sway of each floor in the outline of a frame, in halves of its width."""
+    corners = np.array(re.findall(r"L(-?[\d.]+) (-?[\d.]+)h60", outline), dtype=float)
+    return corners[:, 0] / 30 + 1
+
+
+def test_the_modes_in_motion_are_those_of_the_final_model(paper, of_paper):
+    """The page states the predicted shapes, and its outlines show them."""
+    drawing = re.search(r'<figure id="figure-swaying">(.*?)</figure>', of_paper, re.DOTALL)[1]
+    assert "<script" not in of_paper
+    panels = re.findall(r"<title>mode (\d): .*?up: (.*?)</title>(.*?)</g></g>", drawing, re.DOTALL)
+    assert [int(mode) for mode, _, _ in panels] == [1, 2]
+    predicted = paper.estimate.predictions[0].mode_shapes
+    expected = [shape / shape[np.argmax(np.abs(shape))] for shape in predicted]
+    for (_, stated, drawn), shape in zip(panels, expected, strict=True):
+        np.testing.assert_allclose([float(each) for each in stated.split(", ")], shape, atol=6e-4)
+        left, right, again = (sways(each) for each in re.search(r'values="(M.*?)"', drawn)[1].split(";"))
+        np.testing.assert_allclose([left, right, again], [shape, -shape, shape], atol=2e-3)
+        still = re.search(r'class="still"><path class="rest" d=".*?"/><path d="(.*?)"', drawn)[1]
+        np.testing.assert_allclose(sways(still), shape, atol=2e-3)

@@ -1,6 +1,7 @@
 """Test that figures of a prediction are readable and show the prediction."""
 
 import dataclasses
+import re
 import sys
 
 import numpy as np
@@ -13,6 +14,7 @@ from cvxshear.records.motion import DrivenRecord, DrivenRun
 from cvxshear.report import figures
 from cvxshear.report.blocks import describe
 from cvxshear.report.figures.style import figures_of
+from cvxshear.report.html import render_described
 from cvxshear.response import (
     DampedModel,
     Fitted,
@@ -25,6 +27,7 @@ from cvxshear.response import (
     response,
 )
 from tests.report.test_figures import assert_readable
+from tests.report.test_html import sways
 from tests.response.common import damped_frame, declared, matrices, pole_ratios, shaking
 
 DRAWN = [figures.response_histories, figures.response_peaks]
@@ -100,3 +103,23 @@ def test_the_story_that_the_headline_names_is_drawn():
     for entry in figures_of(Reconstruction).values():
         assert_readable(entry.draw(found))
     assert "1 of 5 stories is not drawn" in figures_of(Reconstruction)["histories"].caption_of(found)
+    page = render_described(found, "cvxshear reconstruct")
+    drawing = re.search(r'<figure id="figure-shaking">(.*?)</figure>', page, re.DOTALL)[1]
+    pictures = [sways(each) for each in re.search(r'values="(M.*?)"', drawing)[1].split(";")]
+    moved = found.runs[0].response.displacement
+    drifts = np.abs(found.runs[0].response.drift).max(axis=1)
+    # The pictures are samples of the reconstructed motion, at least 15 in a period, with the largest drift among them.
+    scale = max(np.abs(each).max() for each in pictures)
+    assert scale == pytest.approx(1.0, abs=2e-3)
+    (unit,) = (float(each) * 1e-3 for each in re.findall(r"floor 5 sways most, by ([\d.]+) mm", drawing))
+    strongest = moved[np.argmax(drifts)] / unit
+    assert min(np.abs(each - strongest).max() for each in pictures) < 5e-3
+    at = [int(np.argmin(np.abs(moved / unit - each).max(axis=1))) for each in pictures]
+    np.testing.assert_allclose(moved[at] / unit, pictures, atol=5e-3)
+    assert (np.diff(at) == at[1] - at[0]).mean() > 0.95
+    assert 100 / (at[1] - at[0]) > 15 * found.model.modes.frequencies[0]
+    stills = re.findall(r'class="still"><path class="rest" d=".*?"/><path d="(.*?)"/>.*?>([\d.]+) s<', drawing)
+    for outline, time in stills:
+        np.testing.assert_allclose(sways(outline), moved[round(100 * float(time))] / unit, atol=5e-3)
+    assert len(stills) == 4
+    assert float(stills[0][1]) == pytest.approx(0.01 * np.argmax(drifts))

@@ -159,7 +159,127 @@ def neighbor(frame, rng, added, state):
     return modes_of(M, K + tie * np.outer(ends, ends), np.arange(n), kept)
 
 
-OPEN = {"other_stiffness", "other_inertia", "other_changes", "other_loads", "other_gains", "other_shapes"}
+def wall(frame, rng, added, state, top=1.0, outrigger=0.0):
+    """Put a wall that bends beside the frame, over part of its height, with arms that resist its turn at half of that.
+
+    Its flexibility is a cantilever's, in closed form: z^2 (3 Z - z) / 6EI for heights z <= Z. A moment at height h
+    turns it by z min(z, h) - min(z, h)^2 / 2 of displacement, over EI.
+    """
+    n = frame.n
+    floors = max(2, round(top * n))
+    z = HEIGHT * np.arange(1, floors + 1)
+    low, high = np.minimum.outer(z, z), np.maximum.outer(z, z)
+    flexibility = low**2 * (3.0 * high - low) / 6.0
+    soft = np.sum(1.0 / frame.stiffness[:floors])
+    EI = state.setdefault("EI", float(rng.uniform(0.3, 1.0))) * z[-1] ** 3 / (3.0 * soft)
+    if outrigger:
+        arm = HEIGHT * ((floors + 1) // 2)
+        turned = np.where(z <= arm, z**2 / 2.0, arm * z - arm**2 / 2.0)
+        flexibility -= np.outer(turned, turned) / (arm + z[-1] / outrigger)
+    K = chain(frame.stiffness)
+    K[:floors, :floors] += EI * linalg.inv(flexibility)
+    return modes_of(np.diag(frame.mass + added), K, np.arange(n))
+
+
+def low_wall(frame, rng, added, state):
+    return wall(frame, rng, added, state, top=0.55)
+
+
+def outrigger(frame, rng, added, state):
+    return wall(frame, rng, added, state, outrigger=5.0)
+
+
+def _on_springs(frame, added, share, ratio):
+    """Let a share of the known masses move on springs, at a multiple of the first frequency; the frame's modes."""
+    n, M = frame.n, np.diag([*(frame.mass + (1.0 - share) * added), *np.maximum(share * added, 1e-3)])
+    first = linalg.eigh(chain(frame.stiffness), np.diag(frame.mass), eigvals_only=True)[0]
+    springs = ratio**2 * first * np.diag(M)[n:]
+    K = np.zeros((2 * n, 2 * n))
+    K[:n, :n] = chain(frame.stiffness) + np.diag(springs)
+    K[n:, n:] = np.diag(springs)
+    K[:n, n:] = K[n:, :n] = -np.diag(springs)
+
+    def kept(values, vectors):
+        return np.sort(np.argsort((vectors[n:] ** 2 * np.diag(M)[n:, None]).sum(axis=0))[:n])
+
+    return modes_of(M, K, np.arange(n), kept)
+
+
+def arms(frame, rng, added, state):
+    """Put the known mass of the last test on an arm that sways by itself, above the frame's first modes."""
+    return _on_springs(frame, added, *((1.0, 9.0) if state["number"] == 3 else (0.0, 30.0)))
+
+
+def water(frame, rng, added, state):
+    """Put water on the frame in the last test, of which two fifths slosh at half the first frequency."""
+    return _on_springs(frame, added, *((0.4, 0.5) if state["number"] == 3 else (0.0, 30.0)))
+
+
+def infill(frame, rng, added, state):
+    """Stiffen a story of the last test by a panel at one side of a floor of 10 m by 10 m, which couples to rotation."""
+    n, side = frame.n, 5.0
+    story = state.setdefault("story", int(rng.integers(0, n)))
+    panel = (0.3 * 2e7 if state["number"] == 3 else 0.0) * (np.arange(n) == story)
+    K = np.block(
+        [
+            [chain(frame.stiffness + panel), chain(panel * side)],
+            [chain(panel * side), chain(1.8 * frame.stiffness * side**2 + panel * side**2)],
+        ]
+    )
+    m = frame.mass + added
+
+    def kept(values, vectors):
+        return np.sort(np.argsort((vectors[:n] ** 2 * m[:, None]).sum(axis=0))[-n:])
+
+    return modes_of(np.diag([*m, *(m * (2 * side) ** 2 / 6.0)]), K, np.arange(n), kept)
+
+
+def between_floors(frame, rng, added, state):
+    """Let a sensor stand half a story too low. On the top floor, that is a light floor with the top one above it."""
+    f, shapes = modes_of(np.diag(frame.mass + added), chain(frame.stiffness), np.arange(frame.n))
+    floor = state.setdefault("floor", int(rng.integers(1, frame.n - 1)))
+    shapes[:, floor] = 0.5 * (shapes[:, floor] + shapes[:, floor - 1])
+    return f, shapes
+
+
+def amplitude(frame, rng, added, state):
+    """Shake the last test harder: in each mode, a story loses up to 15 % with its share of the largest drift."""
+    n, M = frame.n, np.diag(frame.mass + added)
+    f, shapes = modes_of(M, chain(frame.stiffness), np.arange(n))
+    if state["number"] < 3:
+        return f, shapes
+    for mode in range(n):
+        for _ in range(20):
+            drift = np.abs(np.diff(shapes[mode], prepend=0.0))
+            secant = frame.stiffness * (1.0 - 0.15 * drift / drift.max())
+            found, vectors = modes_of(M, chain(secant), np.arange(n))
+            f[mode], shapes[mode] = found[mode], vectors[mode]
+    return f, shapes
+
+
+def sun(frame, rng, added, state):
+    """Warm the frame in the second test: stories lose up to 6 %, the more the higher they are."""
+    loss = 0.06 * np.arange(1, frame.n + 1) / frame.n if state["number"] == 2 else 0.0
+    return modes_of(np.diag(frame.mass + added), chain(frame.stiffness * (1.0 - loss)), np.arange(frame.n))
+
+
+def wrong_floor(frame, rng, added, state):
+    """Let the second test's added mass stand at the wrong floor: one floor higher than declared."""
+    moved = np.roll(added, 1) if state["number"] == 2 else added
+    return modes_of(np.diag(frame.mass + moved), chain(frame.stiffness), np.arange(frame.n))
+
+
+OPEN = {
+    "other_stiffness",
+    "other_inertia",
+    "other_changes",
+    "other_loads",
+    "other_gains",
+    "other_shapes",
+    "other_frequencies",
+}
+
+LOOSE = {"attached_mass", "load_mounting", "load_scale", "added_mass", "state_mass", "other_loads", "other_inertia"}
 
 KINDS: dict[str, tuple[Callable[..., tuple[np.ndarray, np.ndarray]], set[str], bool]] = {
     "brace over several stories": (brace, {"spring", "ground_spring", "other_stiffness"}, True),
@@ -172,6 +292,24 @@ KINDS: dict[str, tuple[Callable[..., tuple[np.ndarray, np.ndarray]], set[str], b
     "weights 10 % off": (wrong_weights, {"load_scale", "total_mass", "other_loads"}, True),
     "neighbor on the ground": (neighbor, {"attached_mass", "ground_spring", "other_stiffness", "other_inertia"}, True),
     "clock 1 % fast": (fast_clock, {"state_stiffness", "state_mass", "other_changes", "other_loads"}, True),
+    "wall beside the frame": (wall, {"wall"}, True),
+    "wall of half the height": (low_wall, {"wall"}, True),
+    "wall with an outrigger": (outrigger, {"wall", "other_stiffness"}, True),
+    "load on an arm": (arms, LOOSE, True),
+    "water as a load": (water, LOOSE, True),
+    "eccentric panel": (
+        infill,
+        {"state_stiffness", "story_change", "other_changes", "other_stiffness", "other_inertia"},
+        True,
+    ),
+    "sensor between floors": (between_floors, {"sensor_gain", "other_gains", "other_shapes"}, True),
+    "soft at large amplitude": (
+        amplitude,
+        {"state_stiffness", "story_change", "other_changes", "other_frequencies"},
+        True,
+    ),
+    "warm upper stories": (sun, {"state_stiffness", "story_change", "other_changes"}, True),
+    "load at another floor": (wrong_floor, {"other_loads", "state_mass", "added_mass"}, True),
 }
 """Kind of frame: its function, the effects that identify its kind, and whether masses and stiffnesses are unchanged."""
 

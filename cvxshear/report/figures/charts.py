@@ -58,10 +58,6 @@ def changes_over_time(result: History) -> Figure:
     return figure
 
 
-#: Width of the boxes of all methods together, as a fraction of the distance between two noise levels.
-BOX = 0.8
-
-
 @figure("variation", NoiseStudy, title="Coefficients of variation")
 def noise_variation(study: NoiseStudy) -> Figure:
     """Coefficients of variation beside the Cramer-Rao bound (the paper's Fig. 6).
@@ -114,7 +110,8 @@ def noise_boxes(study: NoiseStudy) -> Figure:
     groups = _by_method(study)
     first = next(iter(groups.values()))
     figure, drawn, levels = _panels_of(first, "error, %")
-    width = BOX / len(groups)
+    # The gap between two noise levels is as wide as a box.
+    width = 1 / (len(groups) + 1)
     for parameter, axes in enumerate(drawn):
         axes.axhline(0, color="black", lw=0.7)
         for place, scatters in enumerate(groups.values()):

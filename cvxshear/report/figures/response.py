@@ -1,20 +1,28 @@
-"""Draw predicted and measured responses: histories with a band, peaks over height, transfer functions."""
+"""Draw predicted and measured responses: histories with a band, peaks over height, and the frame in motion."""
 
+from collections.abc import Iterator
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from cvxshear.loop import LoopResult
+from cvxshear.records import ModalResult
+from cvxshear.records.picking import scaled_to_one
 from cvxshear.report.figures import style
+from cvxshear.report.figures.drawn_frame import elevations
+from cvxshear.report.figures.mode_figures import mode_shapes
 from cvxshear.report.figures.style import figure
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.predicted import RESPONSES
 from cvxshear.util import ranking
-from cvxshear.util.quantities import NORMAL_95, listed, scaled
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.quantities import NORMAL_95, listed, scaled, significant, significants
+from cvxshear.util.typing import Floats, Ints, Json
 
 #: Number of periods of the first mode in a time history; more periods would blur the lines.
 PERIODS = 16
@@ -48,11 +56,6 @@ def _floors(result: RecordPrediction) -> Ints:
     return _spread(places, ranking.first_largest(peaks) + 1)
 
 
-def _floors_left_out(result: RecordPrediction) -> str:
-    total = len(result.peaks.values["floor_acceleration"])
-    return _left_out(len(_floors(result)), total, "floors", "the table of peaks has all")
-
-
 @figure(
     "history",
     RecordPrediction,
@@ -60,7 +63,8 @@ def _floors_left_out(result: RecordPrediction) -> str:
     caption=lambda result: (
         "Total accelerations of the floors around the strongest motion: predicted (dashed), with "
         "the band that holds 95\N{NO-BREAK SPACE}% by the deviations of masses, stiffnesses, effects and damping, and, "
-        f"where the record has them, measured.{_floors_left_out(result)}"
+        "where the record has them, measured."
+        + _left_out(len(_floors(result)), len(result.after.damped.model.M), "floors", "the table of peaks has all")
     ),
     section="peaks",
 )
@@ -245,3 +249,152 @@ def _drawn_stories(result: Reconstruction) -> Ints:
     peaks = result.peaks.values
     peak = peaks.get("story_drift_ratio", peaks["story_drift"])
     return _spread(np.arange(1, len(peak) + 1), ranking.first_largest(peak) + 1)
+
+
+# The frame in motion, as SVG that a browser plays without a script.
+
+#: Width of a frame in motion and its largest sway from side to side, in pixels; a panel is three times as wide.
+SWAY = 60.0
+
+#: Number of pictures in a second of an animation, which shows one period of the first mode.
+PICTURES = 20
+
+
+@singledispatch
+def animations(*results: Any) -> Iterator[Json]:
+    """Yield the animations of results of one type, with the keys of `html.drawings`; most types have none."""
+    yield from ()
+
+
+@animations.register
+def _swaying(result: LoopResult) -> Iterator[Json]:
+    """Move the modes of the final model, each as the first test that measured it shows it."""
+    found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_shapes(result.estimate))}
+    yield _modes(found, elevations(result.experiment)[0], "The modes of the final model, with measured frequencies.")
+
+
+@animations.register
+def _swaying_records(*results: ModalResult) -> Iterator[Json]:
+    """Move the measured modes, each as the first record that has it shows it."""
+    first = results[0]
+    if any(each.sensors for each in results):
+        return
+    found = {
+        mode: (frequency, shape)
+        for each in reversed(results)
+        for mode, frequency, shape in zip(each.modes.tolist(), each.frequencies, each.mode_shapes, strict=True)
+        if np.array_equal(each.floors, first.floors)
+    }
+    yield _modes(found, first.floors, "The measured modes at the floors with sensors.")
+
+
+def _modes(found: dict[int, tuple[float, Floats]], levels: Floats | Ints, caption: str) -> Json:
+    """Draw modes in motion: the frequency and the shape of each by its number."""
+    rows, columns = style.grid_of(len(found), style.MOST_PANELS)
+    panels = []
+    for place, (mode, (frequency, given)) in enumerate(sorted(found.items())):
+        label, shape = f"mode {mode}: {frequency:#.4g} Hz", scaled_to_one(given)
+        sways = np.outer([1, -1, 1], shape)
+        said = f"{label}; sway from the lowest floor up: {', '.join(significants(shape.tolist()))}"
+        slow = 'calcMode="spline" keyTimes="0;.5;1" keySplines=".4 0 .6 1;.4 0 .6 1"'
+        drawn = _still(sways[0], levels, label) + _moving(sways, levels, 2.0, more=_words(label), how=slow)
+        panels.append(_panel(f"<title>{said}</title>{drawn}", place % columns, place // columns))
+    return {
+        "name": "swaying",
+        "title": "Mode shapes in motion",
+        "section": "shapes",
+        "caption": f"{caption} All sway at one speed and equally far.",
+        "alternative": "The mode shapes as a frame that sways; another figure shows the same shapes.",
+        "svg": _svg(panels, columns, rows),
+        "moves": True,
+    }
+
+
+@animations.register
+def _shaking(result: Reconstruction) -> Iterator[Json]:
+    """Replay the strongest motion beside the excitation; stills show one period in quarters."""
+    sizes = [np.abs(item.response.drift) for item in result.runs]
+    first_mode, rate = float(result.model.modes.frequencies[0]), result.recording.sampling_rate
+    place, window = _strongest(sizes, first_mode, rate)
+    run, peak = result.runs[place], int(np.argmax(sizes[place].max(axis=1)))
+    step = max(1, round(rate / first_mode / PICTURES))
+    shown = np.arange(window.start + (peak - window.start) % step, window.stop, step)
+    sways, excitation, time = run.response.displacement, run.excitation[shown], run.response.time
+    largest = np.max(np.abs(sways[shown]), axis=0)
+    top = ranking.first_largest(largest)
+    sways = sways / largest[top]
+    heights = run.response.heights
+    levels = np.arange(1, len(largest) + 1) if heights is None else np.cumsum(heights)
+    quarters = peak + np.round(np.arange(style.MOST_PANELS) * rate / first_mode / 4).astype(int)
+    stills = [
+        _panel(_still(sways[at], levels, f"{time[at]:.2f} s"), column, 0)
+        for column, at in enumerate(np.minimum(quarters, len(time) - 1))
+    ]
+    seconds = float(time[shown[-1]] - time[shown[0]]) * first_mode
+    driven = _history(excitation, time[shown], seconds)
+    replayed = _panel(_moving(sways[shown], levels, seconds, more=driven), 0, 0)
+    said = f"largest sway from floor 1 up: {', '.join(significants((1e3 * largest).tolist(), 3))} mm"
+    word, unit = ("force", "N") if result.recording.input == "force" else ("base acceleration", "m/s²")
+    strongest = significant(float(np.abs(excitation).max()), 3)
+    yield {
+        "name": "shaking",
+        "title": "The strongest motion",
+        "section": "motion",
+        "caption": (
+            f"The frame against the ground around the strongest motion; floor {top + 1} sways most, by "
+            f"{significant(1e3 * float(largest[top]), 3)} mm. In motion, beside the {word} (at most {strongest} "
+            f"{unit}), a second shows {significant(1 / first_mode, 2)} s. Without motion: one period in quarters."
+        ),
+        "alternative": f"The frame as it swayed; {said}.",
+        "svg": _svg([f"<title>{said}</title>", *stills, replayed], style.MOST_PANELS, 1),
+        "moves": True,
+    }
+
+
+def _outline(sway: Floats, levels: Floats | Ints) -> str:
+    """Write a frame as the path of an SVG, story by story; the middle of its base is the origin."""
+    x = SWAY / 2 * (np.concatenate([[0.0], sway]) - 1.0)
+    y = -2 * SWAY * np.concatenate([[0.0], levels / levels[-1]])
+    corners = zip(x, y, x[1:], y[1:], strict=False)
+    return "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}h{SWAY:g}L{a + SWAY:.1f} {b:.1f}z" for a, b, c, d in corners)
+
+
+def _still(sway: Floats, levels: Floats | Ints, label: str) -> str:
+    """Draw a swayed frame before the frame at rest, for readers without motion."""
+    rest, swayed = _outline(np.zeros(len(sway)), levels), _outline(sway, levels)
+    return f'<g class="still"><path class="rest" d="{rest}"/><path d="{swayed}"/>{_words(label)}</g>'
+
+
+def _moving(sways: Floats, levels: Floats | Ints, seconds: float, *, more: str, how: str = "") -> str:
+    """Draw a frame that goes through these sways, shape (pictures, N), again and again."""
+    values = ";".join(_outline(sway, levels) for sway in sways)
+    repeat = f'dur="{seconds:.2f}s" repeatCount="indefinite"'
+    moved = f'<path><animate attributeName="d" {repeat} {how} values="{values}"/></path>'
+    rest = _outline(np.zeros(len(levels)), levels)
+    return f'<g class="moving"><path class="rest" d="{rest}"/>{moved}{more}</g>'
+
+
+def _history(values: Floats, time: Floats, seconds: float) -> str:
+    """Draw the excitation beside a frame, with a line that moves along as time passes."""
+    x, y = np.linspace(2 * SWAY, 10 * SWAY, len(values)), -SWAY * (1 + values / np.abs(values).max())
+    line = "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
+    ends = _words(f"{time[0]:.1f} s", x[0]) + _words(f"{time[-1]:.1f} s", x[-1])
+    way = f'values="{x[0]:g};{x[-1]:g}" dur="{seconds:.2f}s" repeatCount="indefinite"'
+    now = f'<path d="M0 0V{-2 * SWAY:g}"><animateTransform attributeName="transform" type="translate" {way}/></path>'
+    return f'<path d="M{line}"/>{now}{ends}'
+
+
+def _words(text: str, x: float = 0.0) -> str:
+    return f'<text x="{x:g}" y="18" text-anchor="middle">{text}</text>'
+
+
+def _panel(drawn: str, column: int, row: int) -> str:
+    """Put a drawing into a panel of a grid."""
+    return f'<g transform="translate({(3 * column + 1.5) * SWAY:g} {(2.6 * row + 2.1) * SWAY:g})">{drawn}</g>'
+
+
+def _svg(parts: list[str], columns: int, rows: int) -> Markup:
+    """Write a drawing of panels; all of its texts are numbers and words from here."""
+    width, height = 3 * SWAY * columns, (2.6 * rows - 0.1) * SWAY
+    size = f'width="{width:g}" style="--width: {width:g}px" viewBox="0 0 {width:g} {height:g}"'
+    return Markup(f'<svg class="motion" aria-hidden="true" focusable="false" {size}>{"".join(parts)}</svg>')
