@@ -67,7 +67,7 @@ class Motions:
         return np.asarray(relative.T @ linalg.block_diag(*of_stories) @ relative)
 
     def loads(self, mass: Floats, position: Floats) -> Floats:
-        """Assemble the mass matrix of a point mass on each floor, shapes (N,) and (N, 2), or at the reference points."""
+        """Assemble M of a point mass on each floor, shapes (N,) and (N, 2), or (0,) at the reference points."""
         moved = np.zeros((len(mass), 2, self.count))
         moved[:, :, :2] = np.eye(2)[:, : self.count]
         if len(position):

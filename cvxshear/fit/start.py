@@ -88,8 +88,9 @@ SMOOTH = SmoothProfiles()
 def starts(experiment: Experiment) -> list[Floats]:
     """List the starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
-    Of floors that turn it is the solution of their story equations. Else they are the design values of the priors, if these suggest both; the solution of the story equations; and frames of
-    equal masses with uniform stiffness and with the taper that fits the ratios of the frequencies best.
+    Of floors that turn it is the solution of their story equations. Else they are the design values of the priors, if
+    these suggest both; the solution of the story equations; and frames of equal masses with uniform stiffness and with
+    the taper that fits the ratios of the frequencies best.
     """
     if experiment.frame.turns:
         return [_turning_start(experiment)]
@@ -421,10 +422,8 @@ def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
     measured = [(chi2(start), start) for start in starts(misfit.experiment)]
     usable = sorted((item for item in measured if np.isfinite(item[0])), key=lambda item: item[0])
     ordered = [start for _, start in usable]
-    if (
-        misfit.experiment.frame.turns
-        or usable
-        and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own]))
+    if misfit.experiment.frame.turns or (
+        usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own]))
     ):
         return ordered
     try:

@@ -2,7 +2,7 @@
 
     python -m tests.studies turning [TESTS [FRAMES]]
 
-Random frames (`tests/fe/plan_frames.py`) of two to eight stories are measured in all of their lowest modes. The bound is
+Random frames (`tests/fe/plan_frames.py`) of two to eight stories are measured in their lowest modes. The bound is
 computed here from difference quotients of an eigenvalue problem that is assembled entry by entry.
 """
 
