@@ -49,7 +49,7 @@ def compose(
             _refuse_large(n, size)
         system = FrameSystem(experiment.motions, *_matrices(experiment, tested, mass, stiffness), size)
     by_stiffness = np.eye(size, len(stiffness), -len(mass))
-    turning = isinstance(tested, Configuration) and experiment.frame.turns
+    rows = tested.sensor_rows if experiment.frame.turns and isinstance(tested, Configuration) else np.eye(n)
     state = State(
         experiment=experiment,
         tested=tested,
@@ -63,7 +63,7 @@ def compose(
         joint_flexibility=np.zeros(n + 1),
         d_joint_flexibility=np.zeros((size, n + 1)),
         system=system,
-        observation=Observation(tested.sensor_rows if turning else np.eye(n)),
+        observation=Observation(rows),
     )
     frame = [item for item in acting if STAGES.index(item[0].effect.stage) < STAGES.index("flexibility")]
     for placed, own in frame:
