@@ -101,7 +101,7 @@ def modal_findings(
     yield from hit_findings(record, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
-    if result.modes[0] == 1 and result.damping_ratios[0] < LEAST_DAMPING:
+    if result.modes[0] == 1 and result.damping_ratios[0] < UNDAMPED:
         numbers = {"mode": 1, "frequency": float(result.frequencies[0]), "damping": float(result.damping_ratios[0])}
         yield finding("doubtful mode", numbers)
     yield from _mode_findings(record, result, setting, wanted)
@@ -174,7 +174,7 @@ def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding
 
 
 #: Damping ratio; the least that frames without cladding have. A machine's tone has less.
-LEAST_DAMPING = 1e-3
+UNDAMPED = 1e-3
 
 
 def reciprocity_findings(full: estimate.Details, setting: estimate.Replication) -> Iterator[Finding]:
