@@ -9,8 +9,8 @@ from tests.studies.size import CAPABILITIES, measured
 ROOT = Path(cvxshear.__file__).parent
 
 ROOMS = (
-    # General tools, then measured and declared quantities with their priors, and the motions of a floor.
-    ("util",), ("version",), ("priors",), ("measurement",), ("motions",),
+    # General tools, then the motions of a floor, and measured and declared quantities with their priors.
+    ("util",), ("version",), ("priors",), ("motions",), ("measurement",),
     # The convex programs of a measurement, and the solvers of such programs.
     ("programs",), ("backends",),
     # The model, the effects that act on it, and the data compared with it.
