@@ -394,7 +394,9 @@ def _other_sensors(sensors: Sequence[Sensor]) -> Iterator[tuple[str, Mapping[str
         rows = [sensor.row]
         x, y = sensor.position.tolist()
         others = [("sensor_direction", replace(sensor, direction=sensor.direction + by)) for by in (180.0, 90.0, -90.0)]
-        others += [("sensor_position", replace(sensor, position=at)) for at in ((-x, y), (x, -y), (-x, -y), (y, x))]
+        others += [
+            ("sensor_position", replace(sensor, position=np.array(at))) for at in ((-x, y), (x, -y), (-x, -y), (y, x))
+        ]
         for key, other in others:
             if not any(np.allclose(other.row, row) for row in rows):
                 rows.append(other.row)
@@ -420,11 +422,11 @@ def _misfits(experiment: Experiment, configuration: Configuration) -> list[_Misf
         motion, _, rank, _ = np.linalg.lstsq(rows, reading, rcond=None)
         misfit, freedom = misfit + float(np.sum((rows @ motion - reading) ** 2)), freedom + len(reading) - int(rank)
     program, even = test.one_shot_masses(), test.even_masses
-    assert program.A is not None
+    known = np.zeros((0, len(even))) if program.A is None else program.A
     rows, aim = program.weighted
     # Parameters are as large as those of even floors, which decide what the modes leave open.
-    size = np.ravel(even[::4, None] * test.radius[:, None] ** [0.0, 1.0, 1.0, 2.0])
-    free = linalg.null_space(program.A * size)
+    size = np.ravel(even[::4, None] * experiment.radius[:, None] ** [0.0, 1.0, 1.0, 2.0])
+    free = linalg.null_space(known * size)
     both = np.vstack([rows * size, np.eye(len(even))]) @ free
     change = free @ np.linalg.lstsq(both, np.concatenate([aim - rows @ even, 0.0 * even]), rcond=None)[0]
     masses = even + size * change
