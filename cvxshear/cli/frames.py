@@ -44,7 +44,7 @@ def identify(
     file
         A measurement file (TOML), or 'paper' for the built-in example.
     method
-        efficient (the default), two-stage, one-shot (the default of floors that turn), berman or qi.
+        efficient (the default), two-stage, one-shot, berman or qi. Floors that turn take efficient and one-shot.
     initial_mass
         Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself.
     tolerance
@@ -55,7 +55,7 @@ def identify(
 
     files_of = outputs.prepared(cvxshear.Identification)
     experiment, start = cvxshear.load(file), numbers(initial_mass, "--initial-mass")
-    doubts = () if experiment.frame.turns else screening.refuse_mistakes(experiment)
+    doubts = screening.refuse_mistakes(experiment)
     method = method or (None if start is None else "two-stage")
     result = cvxshear.identify(experiment, method=method, backend=backend, initial_mass=start, tolerance=tolerance)
     said = {**result.to_dict(), "warnings": as_json(doubts)}

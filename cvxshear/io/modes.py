@@ -164,8 +164,8 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
     write_measurement(path, declared, comments)
 
 
-def _tested(asked: tuple[str, int | None], *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:
-    file, place = asked
+def _tested(item: tuple[str, int | None], *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:
+    file, place = item
     try:
         source = read_record(file)
         record, picked = source.record, options.get("pick")

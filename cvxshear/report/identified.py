@@ -223,9 +223,7 @@ def frequencies_table(experiment: Experiment, predictions: Iterable[results.Pred
     rows = []
     for item in predictions:
         configuration = next(each for each in experiment.configurations if each.name == item.configuration)
-        for mode, measured in zip(
-            item.modes_of(configuration).tolist(), configuration.frequencies.tolist(), strict=True
-        ):
+        for mode, measured in zip(item.modes.tolist(), configuration.frequencies.tolist(), strict=True):
             modelled = float(item.frequencies[mode - 1])
             rows.append((configuration.name, mode, measured, modelled, modelled / measured - 1))
     names, modes, measured, model, errors = zip(*rows, strict=True)
