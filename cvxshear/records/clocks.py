@@ -70,6 +70,8 @@ class Segments:
         Samples.
     rate : float
         Hz.
+    decaying : bool
+        Whether the motion decays from blows or releases.
     """
 
     spectra: Complexes
@@ -78,6 +80,7 @@ class Segments:
     groups: list[Ints]
     length: int
     rate: float
+    decaying: bool
 
     @staticmethod
     def of(record: TimeRecord) -> Segments:
@@ -85,7 +88,8 @@ class Segments:
         rate = record.sampling_rate
         length = min(int(SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
         blows = struck(record)
-        window = _window(length, decaying=blows or record.input == "free_decay")
+        decaying = blows or record.input == "free_decay"
+        window = _window(length, decaying=decaying)
         spectra, times, started = [], [], 0
         for run in record.runs:
             both = [run.responses] if run.excitation is None else [run.responses, run.excitation[:, None]]
@@ -102,7 +106,7 @@ class Segments:
             weights = np.nan_to_num(power / (power + floor)) ** 2
         weights[:, :2] = 0.0
         groups = np.array_split(np.arange(len(times)), min(CLOCK_PARTS, len(times)))
-        return Segments(found, weights, np.array(times), groups, length, rate)
+        return Segments(found, weights, np.array(times), groups, length, rate, decaying)
 
     @property
     def omega(self) -> Floats:
@@ -187,7 +191,9 @@ class ChannelRatios:
         grid, delayed = self._delays(each)
         beyond = np.abs(grid) >= SHORTEST_DELAY / rate
         lags, omega = grid[beyond], self.segments.omega[:, None] / (2 * np.pi * rate)
-        at, ratios = (item.ravel() for item in np.meshgrid(CORNERS, RESONANT))
+        # In a decay there is motion at the modes alone, and a damper turns single modes as a resonance does.
+        ratios = RESONANT[:0] if self.segments.decaying else RESONANT
+        at, ratios = (item.ravel() for item in np.meshgrid(CORNERS, ratios))
         ringing = np.arctan2(2.0 * ratios * omega / at, 1.0 - (omega / at) ** 2)
         curves = np.exp(2j * np.hstack([np.arctan(omega / CORNERS), ringing]))
         slow = (each @ curves).real
@@ -196,7 +202,7 @@ class ChannelRatios:
             axis=0
         )
         priors = [1.0 / np.abs(lags) / np.sum(1.0 / np.abs(lags))]
-        priors += [np.full(count, 1.0 / count) for count in (len(CORNERS), len(at))]
+        priors += [np.full(count, 1.0 / max(count, 1)) for count in (len(CORNERS), len(at))]
         logs = np.log(np.append(1.0 - 3 * FAULTY, FAULTY * np.concatenate(priors)))
         slows = odds.weigh(likely, logs)[1 + len(lags) :]
         first = ranking.first_largest(slows)
