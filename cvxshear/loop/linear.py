@@ -14,12 +14,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit import domain, gaussian
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.fitter import free_basis
+from cvxshear.loop.hypotheses import OPEN
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Floats
 
@@ -208,6 +209,44 @@ class Linearised:
                 at = [int(np.flatnonzero(columns == i)[0]) for i in range(own.start, own.stop)]
                 theta[: 2 * self.base.experiment.stories] += self._shift(each) @ (values - null)[at]
         return np.concatenate([theta, values])
+
+    def stand_in(self, placed: LocatedEffect, log_priors: Floats) -> tuple[LocatedEffect, Floats] | None:
+        """Find the cause of one parameter that best replaces an effect of the fit; None without candidates.
+
+        The fit holds the effect at its size, so the derivatives are those of a frame that explains the data: no effect
+        is too large for them, as long as the matrices are linear in it.
+
+        Parameters
+        ----------
+        placed : LocatedEffect
+        log_priors : ndarray, shape (n,)
+            Logarithm of the prior odds of each candidate.
+
+        Returns
+        -------
+        cause : LocatedEffect
+        theta : ndarray, shape (P - p + 1,)
+            Minimum of the linearised model: parameters of the fit without the effect, then of the cause.
+        """
+        base, single = self.base, self._singles
+        own, J = base.own(placed), base.fit.at.J
+        free = self._free @ linalg.null_space(self._free[own])
+        reached, triangle = np.linalg.qr(J @ free)
+        left = base.fit.at.r - J[:, own] @ (base.theta[own] - [item.null for item in placed.effect.parameters])
+        columns = self._columns[:, single.columns]
+        beyond = columns - reached @ (reached.T @ columns)
+        slope, h = beyond.T @ left, np.sum(beyond**2, axis=0)
+        gains = single.gains(-slope, h) + log_priors[single.at]
+        told = h > EXACT**2 * np.sum(columns**2, axis=0)
+        gains[[self.candidates[at].effect.kind == OPEN for at in single.at] | ~told] = -np.inf
+        if not np.any(np.isfinite(gains)):
+            return None
+        best = ranking.first_largest(gains)
+        size = float(np.clip(-slope[best] / h[best], single.lower[best], single.upper[best]))
+        change = np.linalg.solve(triangle, reached.T @ (left + size * columns[:, best]))
+        cause = self.candidates[single.at[best]]
+        theta = np.delete(base.theta - free @ change, np.arange(own.start, own.stop))
+        return cause, np.append(theta, cause.effect.parameters[0].null + size)
 
     def decrease(self, placed: LocatedEffect) -> float:
         """Return the decrease of chi-square with an effect within its bounds, without a prior on the effect."""

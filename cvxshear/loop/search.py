@@ -315,7 +315,9 @@ class Search:
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
-        named = [each for each in named_entries(model, self.fitter) if not self._tried(self.fitter.set_of(each))]
+        named = [
+            each for each in named_entries(model, linear, self.fitter) if not self._tried(self.fitter.set_of(each))
+        ]
         self._record(self.fitter.models(named))
 
     def _hopeless(self, effects: Set) -> bool:
@@ -444,10 +446,10 @@ def promising(
     return [*(model.effects | {placed} for placed in single), several]
 
 
-def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
-    """Propose sets in which causes of the catalogue replace an open class: the causes of its significant entries.
+def named_entries(model: ModelClass, linear: Linearised, fitter: Fitter) -> list[FitProposal]:
+    """Propose sets in which causes of the catalogue replace an open class: one cause, or those of its large entries.
 
-    Derivatives at null hardly show several simultaneous large changes; the fitted class provides their sizes.
+    Derivatives at null hardly show large changes; the fitted class provides their sizes.
     """
     estimate, experiment = model.estimate, fitter.experiment
     known = {(item.placed.effect.name, item.placed.place): item.placed for item in fitter.hypotheses}
@@ -455,6 +457,11 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
     for placed in model.effects:
         if not isinstance(placed.effect, open_class.OpenClass):
             continue
+        rest = [each for each in estimate.effects if each is not placed]
+        found = linear.stand_in(placed, fitter.log_priors(linear.candidates, model.effects - {placed}))
+        if found is not None:
+            one = fitter.proposal(estimate, (*rest, found[0]))
+            proposals.append(dataclasses.replace(one, starts=(found[1],)))
         own = estimate.own(placed)
         values = estimate.theta[own]
         standing = placed.effect.conspicuous(values, estimate.std[own])
@@ -465,7 +472,6 @@ def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
         }
         if not causes:
             continue
-        rest = [each for each in estimate.effects if each is not placed]
         new = [cause for cause in causes if cause not in rest]
         proposal = fitter.proposal(estimate, (*rest, *new))
         bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
