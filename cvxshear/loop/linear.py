@@ -210,10 +210,10 @@ class Linearised:
                 theta[: 2 * self.base.experiment.stories] += self._shift(each) @ (values - null)[at]
         return np.concatenate([theta, values])
 
-    def stand_in(self, placed: LocatedEffect, log_priors: Floats) -> tuple[LocatedEffect, Floats] | None:
-        """Find the cause of one parameter that best replaces an effect of the fit; None without candidates.
+    def in_place_of(self, placed: LocatedEffect, log_priors: Floats) -> tuple[list[LocatedEffect], Floats]:
+        """Find the causes of one parameter each that replace an effect of the fit, the most promising first.
 
-        The fit holds the effect at its size, so the derivatives are those of a frame that explains the data: no effect
+        The fit holds the effect at its size, so the derivatives are those of a frame that explains the data: no change
         is too large for them, as long as the matrices are linear in it.
 
         Parameters
@@ -224,29 +224,39 @@ class Linearised:
 
         Returns
         -------
-        cause : LocatedEffect
-        theta : ndarray, shape (P - p + 1,)
-            Minimum of the linearised model: parameters of the fit without the effect, then of the cause.
+        causes : list of LocatedEffect
+            Added in sequence while the evidence of the linearised model grows.
+        theta : ndarray, shape (P - p + k,)
+            Minimum of the linearised model: parameters of the fit without the effect, then of the causes.
         """
         base, single = self.base, self._singles
         own, J = base.own(placed), base.fit.at.J
         free = self._free @ linalg.null_space(self._free[own])
         reached, triangle = np.linalg.qr(J @ free)
-        left = base.fit.at.r - J[:, own] @ (base.theta[own] - [item.null for item in placed.effect.parameters])
+        residual = base.fit.at.r - J[:, own] @ (base.theta[own] - [item.null for item in placed.effect.parameters])
         columns = self._columns[:, single.columns]
-        beyond = columns - reached @ (reached.T @ columns)
-        slope, h = beyond.T @ left, np.sum(beyond**2, axis=0)
-        gains = single.gains(-slope, h) + log_priors[single.at]
-        told = h > EXACT**2 * np.sum(columns**2, axis=0)
-        gains[[self.candidates[at].effect.kind == OPEN for at in single.at] | ~told] = -np.inf
-        if not np.any(np.isfinite(gains)):
-            return None
-        best = ranking.first_largest(gains)
-        size = float(np.clip(-slope[best] / h[best], single.lower[best], single.upper[best]))
-        change = np.linalg.solve(triangle, reached.T @ (left + size * columns[:, best]))
-        cause = self.candidates[single.at[best]]
-        theta = np.delete(base.theta - free @ change, np.arange(own.start, own.stop))
-        return cause, np.append(theta, cause.effect.parameters[0].null + size)
+        beyond, left = (each - reached @ (reached.T @ each) for each in (columns, residual))
+        rounding = EXACT**2 * np.sum(columns**2, axis=0)
+        odds = np.where([self.candidates[at].effect.kind == OPEN for at in single.at], -np.inf, log_priors[single.at])
+        taken: list[int] = []
+        while len(taken) < len(odds):
+            h = np.sum(beyond**2, axis=0)
+            gains = np.where(h > rounding, single.gains(-(beyond.T @ left), h) + odds, -np.inf)
+            best = ranking.first_largest(gains)
+            if not gains[best] > 0.0:
+                break
+            taken.append(best)
+            odds[best] = -np.inf
+            unit = beyond[:, best] / np.sqrt(h[best])
+            beyond, left = (each - np.multiply.outer(unit, unit @ each) for each in (beyond, left))
+        basis = np.hstack([reached, columns[:, taken]])
+        change = -np.linalg.lstsq(basis, residual, rcond=None)[0]
+        sizes = np.clip(change[len(free.T) :], single.lower[taken], single.upper[taken])
+        moved = np.linalg.solve(triangle, reached.T @ (residual + columns[:, taken] @ sizes))
+        causes = [self.candidates[at] for at in single.at[taken]]
+        nulls = np.array([cause.effect.parameters[0].null for cause in causes])
+        theta = np.delete(base.theta - free @ moved, np.arange(own.start, own.stop))
+        return causes, np.concatenate([theta, nulls + sizes])
 
     def decrease(self, placed: LocatedEffect) -> float:
         """Return the decrease of chi-square with an effect within its bounds, without a prior on the effect."""
