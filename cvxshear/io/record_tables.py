@@ -161,8 +161,6 @@ def driver_of(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclarati
     if kind == "base":
         if len(ground) != 1:
             raise InputError(f'input = "base" needs one channel on the ground (floor = 0), there are {len(ground)}')
-        if ground[0].quantity != "acceleration":
-            raise InputError(f'channel "{ground[0].name}": the base input must be an acceleration')
         return ground[0]
     if kind == "force":
         if len(forces) != 1:

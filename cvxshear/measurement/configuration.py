@@ -566,6 +566,24 @@ class Configuration(InTable):
         return np.isfinite(self.mode_shapes)
 
     @cached_property
+    def entry_floors(self) -> Ints:
+        """Floor of each entry of a shape, shape (n,)."""
+        return np.array([each.floor for each in self.sensors]) if self.sensors else self.measured_floors
+
+    @cached_property
+    def entry_rows(self) -> Ints:
+        """Row of the observation matrix that each entry of a shape shows, shape (n,)."""
+        return np.arange(len(self.sensors)) if self.sensors else self.measured_floors - 1
+
+    @cached_property
+    def sensor_rows(self) -> Floats:
+        """Observation matrix of the sensors of a frame of N floors that turn, shape (n, 3 N)."""
+        C = np.zeros((len(self.sensors), 3 * len(self.added_mass)))
+        for row, sensor in zip(C, self.sensors, strict=True):
+            row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
+        return C
+
+    @cached_property
     def known_shapes(self) -> Floats:
         """`mode_shapes` with zero for entries that were not measured, shape (m, n)."""
         return np.where(self.measured, self.mode_shapes, 0.0)

@@ -101,6 +101,9 @@ def modal_findings(
     yield from hit_findings(record, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
+    if result.modes[0] == 1 and result.damping_ratios[0] < UNDAMPED:
+        numbers = {"mode": 1, "frequency": float(result.frequencies[0]), "damping": float(result.damping_ratios[0])}
+        yield finding("doubtful mode", numbers)
     yield from _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
     for mode, share in zip(result.modes.tolist(), shares, strict=False):
@@ -168,6 +171,10 @@ def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding
         if periods < FEWEST_PERIODS:
             numbers = {"periods": periods, "duration": record.duration}
             yield finding("resolution/ambient", numbers, needed=FEWEST_PERIODS)
+
+
+#: Damping ratio; the least that frames without cladding have. A machine's tone has less.
+UNDAMPED = 1e-3
 
 
 def reciprocity_findings(full: estimate.Details, setting: estimate.Replication) -> Iterator[Finding]:

@@ -161,9 +161,11 @@ def identify_modes(
             except InputError as error:
                 raise type(error)(str(error) + _besides(looked)) from None
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
+            if not isinstance(looked.record, FrfRecord) and method != "era":
+                result = dataclasses.replace(result, amplitude=looked.record.largest)
             if functions:
                 result = dataclasses.replace(
-                    result, functions=prepare.measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=prepare.measured_functions(repaired[0], FUNCTION_RANGE * result.frequencies[-1])
                 )
             return result
     except np.linalg.LinAlgError as error:
@@ -223,8 +225,9 @@ def _identified(
         full = estimate.details(setting, picking.Values.of(sweep.chosen), None)
         spread, how, lost = estimate.covariance(setting, full, seed)
         result = estimate.assembled(record, setting, full, spread, method=method, uncertainty=how)
-        # Once clocks are right, and by surrogates where nothing can be left out.
-        each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), result.frequency_std.tolist(), strict=True)
+        # Once clocks are right, which no frequency depends on, and by surrogates where nothing can be left out.
+        stds = np.zeros(len(sweep.chosen)) if len(source.groups) else result.frequency_std
+        each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), stds.tolist(), strict=True)
         doubts = {k: v for item in each for k, v in estimate.doubted(*item, criteria).items()}
         if picked or not doubts:
             break

@@ -21,8 +21,8 @@ MOSTLY_ROTATION = "mostly rotation"
 #: Of the loudest resonance's energy: fainter ones may be of noise.
 FAINT = 1e-3
 
-#: Relative distance to a louder resonance within which none of a frame's two lowest modes lies: the third is half as
-#: high again as the second.
+#: Relative distance to another resonance within which none of a frame's two lowest modes lies: the third is half as
+#: high again as the second. A frequency that follows the amplitude splits into two with one shape.
 BESIDE = 0.1
 
 #: Fraction of a shape's largest entry. Smaller entries can have either sign, because of noise or a sensor that is
@@ -233,7 +233,7 @@ def _distinct(found: list[PoleCandidate], criteria: pole_sweep.Criteria) -> list
         twins = [
             other
             for other in kept
-            if abs(item.frequency - other.frequency) < 0.05 * other.frequency
+            if abs(item.frequency - other.frequency) < BESIDE * other.frequency
             and mac(item.shape, other.shape) > criteria.shape_agreement
         ]
         if twins and item.physical:

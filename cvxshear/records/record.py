@@ -361,6 +361,11 @@ class TimeRecord(_Recorded):
         """Length of all runs together, s."""
         return sum(run.samples for run in self.runs) / self.sampling_rate
 
+    @property
+    def largest(self) -> float:
+        """Largest motion of a channel about its mean, in the unit of the responses."""
+        return max(float(np.abs(run.responses - run.responses.mean(axis=0)).max()) for run in self.runs)
+
 
 @dataclass(frozen=True, eq=False)
 class FrfRecord(_Recorded):

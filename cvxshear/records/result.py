@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from cvxshear.measurement.configuration import Sensor, motion_shares
@@ -88,6 +89,8 @@ class ModalResult(Shown):
         For the stabilization diagram.
     functions : Functions, optional
         What the record shows over frequency, for the figures.
+    amplitude : float, optional
+        Largest motion of a floor in a continuous record, in the unit of its responses (m/s2, m/s or m).
     """
 
     name: str
@@ -113,11 +116,13 @@ class ModalResult(Shown):
     sensors: tuple[Sensor, ...] = ()
     sweep: picking.Sweep | None = None
     functions: Functions | None = None
+    amplitude: float | None = None
 
     json_keys = (
         "name method stories floors modes frequencies frequency_std=written_frequency_std damping_ratios "
         "damping_std=written_damping_std mode_shapes mode_shape_std entry_std=written_entry_std mass_normalized "
-        "phase_collinearity lost_phase clock_offsets=named_offsets uncertainty findings sensors motion_shares"
+        "phase_collinearity lost_phase clock_offsets=named_offsets amplitude uncertainty findings sensors "
+        "motion_shares"
     )
 
     @property
@@ -231,6 +236,8 @@ class ModalResult(Shown):
             result["state"] = state
         if added_mass is not None:
             result["added_mass"] = [float(mass) for mass in added_mass]
+        if self.amplitude is not None:
+            result["amplitude"] = self.amplitude
         result |= {
             **(
                 {"sensors": [sensor.to_dict() for sensor in self.sensors]}
@@ -367,6 +374,38 @@ def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:
     stories = max(test.modes.stories for test in tests)
     added = [np.zeros(stories) if test.added_mass is None else np.asarray(test.added_mass) for test in tests]
     return all(np.array_equal(mass, added[0]) for mass in added)
+
+
+def over_amplitude(results: Sequence[ModalResult]) -> dict[int, tuple[Floats, Floats, Floats]]:
+    """Frequencies and damping of each mode at the amplitudes of several records, and how the frequencies follow them.
+
+    Parameters
+    ----------
+    results : sequence of ModalResult
+
+    Returns
+    -------
+    dict
+        Mode number to frequencies, Hz, and damping ratios, shape (records,), nan where a record lacks the mode; and to
+        the relative change of frequency for a tenfold amplitude with its standard deviation, by a straight line
+        through the logarithms, nan for fewer than three records. There are as many modes as floors with sensors, whose
+        numbers are sure.
+    """
+    amplitudes = np.log10([np.nan if each.amplitude is None else each.amplitude for each in results])
+    found = {}
+    for mode in range(1, 1 + min(len(each.floors) for each in results)):
+        values = np.full((2, len(results)), np.nan)
+        for place, each in enumerate(results):
+            here = each.modes == mode
+            if here.any():
+                values[:, place] = each.frequencies[here][0], each.damping_ratios[here][0]
+        slope = np.full(2, np.nan)
+        told = np.isfinite(values[0] + amplitudes)
+        if np.count_nonzero(told) > 2 and np.ptp(amplitudes[told]) > 0:
+            line = scipy.stats.linregress(amplitudes[told], np.log(values[0, told]))
+            slope = np.array([np.expm1(line.slope), line.stderr])
+        found[mode] = values[0], values[1], slope
+    return found
 
 
 #: Keys of a prior that say what it speaks of; the others are what it says.

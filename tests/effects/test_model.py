@@ -5,8 +5,8 @@ import pytest
 from scipy import linalg
 
 from cvxshear.model import (
+    FrameSystem,
     Observation,
-    ShearSystem,
     attached_share,
     frame_modes,
     mass_matrix,
@@ -16,6 +16,7 @@ from cvxshear.model import (
     stiffness_matrix,
     transformation,
 )
+from cvxshear.motions import ONE_MOTION
 from cvxshear.util.errors import NoModesError
 
 MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 400.0])
@@ -118,7 +119,7 @@ def test_rank_one_derivatives_are_those_of_the_whole_matrices(which):
     """Two further parameters have no effect on the matrices."""
     whole = shear_system(MASS, STIFFNESS)
     dM, dK = (np.concatenate([each, np.zeros((2, 3, 3))])[which] for each in (whole.dM, whole.dK))
-    found = ShearSystem(whole.M, whole.K, 8).by(which)
+    found = FrameSystem(ONE_MOTION, whole.M, whole.K, 8).by(which)
     np.testing.assert_array_equal(found.dM, dM)
     np.testing.assert_array_equal(found.dK, dK)
     rng = np.random.default_rng(0)
