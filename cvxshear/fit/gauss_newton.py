@@ -63,11 +63,15 @@ class Race:
     patience: int = 6
     lost: int = 0
 
-    def count(self, objective: float, gain: float, promised: float) -> bool:
-        """Count a step; return whether the fit should end."""
+    @property
+    def over(self) -> bool:
+        """Whether the fit ends."""
+        return self.lost >= self.patience
+
+    def count(self, objective: float, gain: float, promised: float) -> None:
+        """Count a step that began at this objective."""
         half = 0.5 * (objective - self.enough)
         self.lost = 0 if gain >= half else self.lost + (1 if promised >= half else self.patience // 2)
-        return self.lost >= self.patience
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ class Accuracy:
         Number of step programs that the backend may leave unsolved. This many in a row damp a step to a thousandth,
         with a well-conditioned program; a backend that fails more often does not solve them.
     race : Race, optional
-        Another fit of the same data that this one must come near; by default none.
+        Another fit of the same data that this one must come near; by default any fit is near enough.
     """
 
     step: float = 1e-6
@@ -108,7 +112,7 @@ class Accuracy:
     most_damping: float = 1e6
     no_gain: float = 1e-12
     most_refused: int = 6
-    race: Race | None = field(default=None, compare=False)
+    race: Race = field(default_factory=lambda: Race(np.inf), compare=False)
 
 
 FULL = Accuracy()
@@ -242,8 +246,7 @@ def gauss_newton(
     if refused is not None and fit.reason is Ending.NO_BETTER_STEP:
         # The unsolved step could have lowered the misfit.
         raise refused
-    behind = accuracy.race is not None and accuracy.race.lost >= accuracy.race.patience
-    if accuracy.step <= FULL.step and fit.converged and not behind:
+    if accuracy.step <= FULL.step and fit.converged and not accuracy.race.over:
         fit = dataclasses.replace(fit, optimality=_certified(problem, fit, domain, backend.name))
     return fit
 
@@ -255,7 +258,7 @@ def _descended(
     feasible = made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else problem.evaluate(feasible)
     theta = feasible
-    damping, flat, failures = StepDamping(accuracy), 0, 0
+    damping, flat, failures, race = StepDamping(accuracy), 0, 0, accuracy.race
     refused: errors.NoSolutionError | None = None
     for step in range(1, accuracy.most_steps + 1):
         try:
@@ -278,10 +281,9 @@ def _descended(
         taken = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
         promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
         gain = 0.0 if taken is None else at.objective - taken[1].objective
-        if accuracy.race is not None and accuracy.race.count(
-            at.objective, gain, np.inf if damping.active else promised
-        ):
-            return Fit(theta, at, Ending.FLAT, step), refused
+        race.count(at.objective, gain, np.inf if damping.active else promised)
+        if race.over:
+            return Fit(*(taken or (theta, at)), Ending.FLAT, step), refused
         if taken is None:
             if damping.exhausted or (damping.active and promised < accuracy.no_gain * at.objective):
                 return Fit(theta, at, Ending.NO_BETTER_STEP, step), refused

@@ -183,6 +183,7 @@ class Searches:
         return self._search(numbering, theta)
 
     def _search(self, numbering: hypotheses.Numbering, theta: Floats) -> Search:
+        # Far from the data a full fit may follow an endless curved valley; effects are searched for from there, too.
         fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation)
         noise = self.start.misfit.noise
         misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.noise_inflation)

@@ -347,8 +347,9 @@ class Search:
         """
         kept = False
         for proposal in sorted(proposals, key=lambda each: holds_open(each.effects)):
-            race = None if self._unsatisfied or proposal.misfit.open_noises else Race(self._near_enough)
-            kept |= self._record(self.fitter.models([proposal], dataclasses.replace(accuracy, race=race)))
+            enough = np.inf if self._unsatisfied or proposal.misfit.open_noises else self._near_enough
+            by = dataclasses.replace(accuracy, race=Race(enough))
+            kept |= self._record(self.fitter.models([proposal], by))
         return kept
 
     @property

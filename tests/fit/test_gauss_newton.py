@@ -168,7 +168,7 @@ def test_a_fit_that_stays_far_behind_another_ends_early():
     """The smallest misfit is one, at the end of a curved valley. Another fit that is no better does not matter."""
     problem, start = Problem(lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0], 1.0])), np.array([-1.2, 1.0])
     alone, behind, near = (
-        gauss_newton(problem, start, free(2), AUTO, Accuracy(race=race)) for race in (None, Race(0.5), Race(4.0))
+        gauss_newton(problem, start, free(2), AUTO, Accuracy(race=Race(enough))) for enough in (np.inf, 0.5, 4.0)
     )
     assert behind.reason is Ending.FLAT
     assert behind.steps < alone.steps / 2
