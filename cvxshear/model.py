@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from cvxshear.motions import ONE_MOTION, Motions, unit_derivatives
+from cvxshear.motions import ONE_MOTION, Motions, slopes, unit_derivatives
 from cvxshear.util import decorators, errors, ranking
 from cvxshear.util.typing import Floats, Ints
 
@@ -88,57 +88,61 @@ class System:
         yield from (("M", self.M), ("K", self.K), ("dM", self.dM), ("dK", self.dK))
 
 
-class ShearSystem(System):
-    """The plain shear frame with rank-one derivatives.
+class FrameSystem(System):
+    """A frame without effects, with derivatives of low rank.
 
-    dM/dm_i = e_i e_i' and dK/dk_i = t_i t_i', t_i column i of T. Products use these vectors instead of
-    matrices, which would need 128 GB for 2,000 stories.
+    In the shear frame dM/dm_i = e_i e_i' and dK/dk_i = t_i t_i', t_i column i of T. Products use these vectors instead
+    of matrices, which would need 128 GB for 2,000 stories.
 
     Parameters
     ----------
-    M, K : ndarray, shape (N, N)
+    motions : Motions
+    M, K : ndarray, shape (N d, N d)
     size : int
-        Number P of parameters: N floor masses, N story stiffnesses, and others without influence on M and K.
+        Number P of parameters: those of the floors, those of the stories, and others without influence on M and K.
     which : slice, optional
         Parameters of the requested derivatives.
     """
 
-    def __init__(self, M: Floats, K: Floats, size: int, which: slice = slice(None)) -> None:
+    def __init__(self, motions: Motions, M: Floats, K: Floats, size: int, which: slice = slice(None)) -> None:
         put = object.__setattr__
         put(self, "M", M)
         put(self, "K", K)
+        put(self, "_motions", motions)
         put(self, "_size", size)
         put(self, "_which", which)
 
+    _motions: Motions
     _size: int
     _which: slice
 
     @property
     def dM(self) -> Floats:  # noqa: N802 - a field there; here made when asked for
         """As of `System`."""
-        return self._padded(unit_derivatives(ONE_MOTION, len(self.M))[0])
+        return self._padded(unit_derivatives(self._motions, len(self.M) // self._motions.count)[0])
 
     @property
     def dK(self) -> Floats:  # noqa: N802 - likewise
         """As of `System`."""
-        return self._padded(unit_derivatives(ONE_MOTION, len(self.M))[1])
+        return self._padded(unit_derivatives(self._motions, len(self.M) // self._motions.count)[1])
 
     def by(self, which: slice) -> System:
-        return ShearSystem(self.M, self.K, self._size, which)
+        return FrameSystem(self._motions, self.M, self.K, self._size, which)
 
     def arrays(self) -> Iterator[tuple[str, Floats]]:
         yield from (("M", self.M), ("K", self.K))
 
     def modal_products(self, phi: Floats, phi_j: Floats) -> tuple[Floats, Floats]:
-        drifts, drifts_j = phi.copy(), phi_j.copy()
-        drifts[1:] -= phi[:-1]
-        drifts_j[1:] -= phi_j[:-1]
-        own_mass = phi[:, :, None] * phi_j[:, None, :]
-        own_stiffness = drifts[:, :, None] * drifts_j[:, None, :]
-        none = np.zeros_like(own_mass)
-        return self._padded(np.concatenate([none, own_stiffness])), self._padded(np.concatenate([own_mass, none]))
+        motions = self._motions
+        own_mass = slopes(phi, phi_j, motions.mass_basis)
+        own_stiffness = slopes(motions.relative(phi), motions.relative(phi_j), motions.stiffness_basis)
+        by_stiffness = np.concatenate([np.zeros_like(own_mass), own_stiffness])
+        by_mass = np.concatenate([own_mass, np.zeros_like(own_stiffness)])
+        return self._padded(by_stiffness), self._padded(by_mass)
 
     def stiffness_slopes(self, u: Floats) -> Floats:
+        if self._motions.count > 1:
+            return super().stiffness_slopes(u)
         T = transformation(len(self.M))
         return self._padded(np.concatenate([np.zeros(T.shape), (T * (T.T @ u)).T]))
 

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from cvxshear.util.typing import Floats
+from cvxshear.util.typing import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,19 @@ class Motions:
         """Number of motions d of a floor."""
         return int(self.mass_basis.shape[1])
 
+    @property
+    def lengths(self) -> tuple[Ints, Ints]:
+        """Powers of a length in the units of the q and the p parameters: one for each rotation of an entry."""
+        bases = (self.mass_basis, self.stiffness_basis)
+        found = [[np.sum(np.argwhere(each)[0] == 2) for each in basis] for basis in bases]
+        return np.array(found[0]), np.array(found[1])
+
+    @property
+    def positive(self) -> tuple[Bools, Bools]:
+        """Whether each of the q and the p parameters is a diagonal entry, which is positive."""
+        first, second = (np.trace(basis, axis1=1, axis2=2) > 0 for basis in (self.mass_basis, self.stiffness_basis))
+        return first, second
+
     def masses(self, a: Floats) -> Floats:
         """Assemble M, shape (N d, N d), from the parameters of the floors, the lowest floor first."""
         return np.asarray(linalg.block_diag(*blocks(a, self.mass_basis)))
@@ -52,6 +65,15 @@ class Motions:
         of_stories = blocks(b, self.stiffness_basis)
         relative = self.relative(np.eye(len(of_stories) * self.count))
         return np.asarray(relative.T @ linalg.block_diag(*of_stories) @ relative)
+
+    def loads(self, mass: Floats, position: Floats) -> Floats:
+        """Assemble M of a point mass on each floor, shapes (N,) and (N, 2), or (0,) at the reference points."""
+        moved = np.zeros((len(mass), 2, self.count))
+        moved[:, :, :2] = np.eye(2)[:, : self.count]
+        if len(position):
+            moved[:, :, 2] = position[:, ::-1] * [-1.0, 1.0]
+        rows = moved[:, :1] if self.count == 1 else moved
+        return np.asarray(linalg.block_diag(*(mass[:, None, None] * np.swapaxes(rows, 1, 2) @ rows)))
 
     def relative(self, motion: Floats) -> Floats:
         """Subtract the motion of the floor below from that of each floor, along axis 0 of shape (N d, ...)."""
@@ -90,7 +112,7 @@ def blocks(parameters: Floats, basis: Floats) -> Floats:
     return np.asarray(np.einsum("fq,qab->fab", parameters.reshape(-1, len(basis)), basis))
 
 
-def products(first: Floats, second: Floats, basis: Floats) -> Floats:
+def slopes(first: Floats, second: Floats, basis: Floats) -> Floats:
     """Differentiate first' X second by the parameters of X, X block-diagonal in a basis.
 
     Parameters
@@ -100,12 +122,19 @@ def products(first: Floats, second: Floats, basis: Floats) -> Floats:
 
     Returns
     -------
-    ndarray, shape (r, m, N q)
+    ndarray, shape (N q, r, m)
     """
     d = basis.shape[1]
+    if len(basis) == d == 1:
+        return np.asarray((basis[0] * first)[:, :, None] * second[:, None, :])
     left, right = (each.reshape(-1, d, each.shape[1]) for each in (first, second))
-    found = np.einsum("fak,qab,fbj->kjfq", left, basis, right, optimize=True)
-    return np.asarray(found.reshape(first.shape[1], second.shape[1], -1))
+    found = np.einsum("fak,qab,fbj->fqkj", left, basis, right, optimize=True)
+    return np.asarray(found.reshape(-1, first.shape[1], second.shape[1]))
+
+
+def products(first: Floats, second: Floats, basis: Floats) -> Floats:
+    """Compute `slopes` with the parameters last, shape (r, m, N q)."""
+    return np.moveaxis(slopes(first, second, basis), 0, -1)
 
 
 @lru_cache(maxsize=8)
@@ -114,8 +143,7 @@ def unit_derivatives(motions: Motions, stories: int) -> tuple[Floats, Floats]:
     n = stories * motions.count
     units, relative = np.eye(n), motions.relative(np.eye(n))
     dM, dK = (
-        products(each, each, basis).transpose(2, 0, 1)
-        for each, basis in ((units, motions.mass_basis), (relative, motions.stiffness_basis))
+        slopes(each, each, basis) for each, basis in ((units, motions.mass_basis), (relative, motions.stiffness_basis))
     )
     found = np.concatenate([dM, np.zeros_like(dK)]), np.concatenate([np.zeros_like(dM), dK])
     for each in found:

@@ -1,4 +1,4 @@
-"""How the documentation is built: `python -m sphinx -W -b html docs build/docs`; nothing is fetched."""
+"""How the documentation is built: `python -m sphinx -W -b html docs build/docs`, without a download."""
 
 import sys
 from pathlib import Path

@@ -9,8 +9,8 @@ from tests.studies.size import CAPABILITIES, measured
 ROOT = Path(cvxshear.__file__).parent
 
 ROOMS = (
-    # General tools, then measured and declared quantities with their priors, and the motions of a floor.
-    ("util",), ("version",), ("priors",), ("measurement",), ("motions",),
+    # General tools, then the motions of a floor, and measured and declared quantities with their priors.
+    ("util",), ("version",), ("priors",), ("motions",), ("measurement",),
     # The convex programs of a measurement, and the solvers of such programs.
     ("programs",), ("backends",),
     # The model, the effects that act on it, and the data compared with it.
@@ -161,7 +161,7 @@ def test_names_in_tuples_are_seen():
     assert [name for node in tree.body for name in assigned(node)] == ["A", "B", "C", "D", "E", "F"]
 
 
-BUDGET = {"lines of code": 25_130, "modules": 151, "numeric constants": 356, "lines of imports": 1_950}
+BUDGET = {"lines of code": 25_420, "modules": 151, "numeric constants": 360, "lines of imports": 1_965}
 """Limits of the package's size. A change that needs more raises the limit, as a decision that its review sees."""
 
 

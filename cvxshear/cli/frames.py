@@ -44,7 +44,7 @@ def identify(
     file
         A measurement file (TOML), or 'paper' for the built-in example.
     method
-        efficient (the default), two-stage, one-shot (the default of floors that turn), berman or qi.
+        efficient (the default), two-stage, one-shot, berman or qi. Floors that turn take efficient and one-shot.
     initial_mass
         Where the mass iteration starts, kg, such as 9.5,7.5,5.5; means two-stage by itself.
     tolerance

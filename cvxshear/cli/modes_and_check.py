@@ -20,7 +20,7 @@ from cvxshear.util.errors import CvxshearError, InputError
 from cvxshear.util.writing import check_output, write_file
 
 if TYPE_CHECKING:
-    from cvxshear.records import IdentifiedRecord
+    from cvxshear.records import IdentifiedRecord, ModalResult
     from cvxshear.util.parallel import Progress
     from cvxshear.util.typing import Json
 
@@ -109,6 +109,7 @@ def modes(
     count: int | None = None,
     pick: str | None = None,
     accept_swapped: bool = False,
+    each_run: bool = False,
     jobs: int = 1,
     report: options.ReportOut = None,
     *,
@@ -134,6 +135,8 @@ def modes(
         Take the stable poles nearest to these frequencies, Hz; 'list' prints the poles.
     accept_swapped
         Go on where two channels look swapped.
+    each_run
+        Identify each run by itself, such as each of several earthquakes.
     jobs
         Processes that identify records; -1 takes every core.
     """
@@ -148,6 +151,7 @@ def modes(
     with progress("identifying modes", outputs.quiet) as advance:
         found = identify_modes_many(
             sources,
+            each_run=each_run,
             jobs=jobs,
             progress=advance,
             functions=bool(outputs.figure) or report is not None,
@@ -211,10 +215,18 @@ def tables_of(tests: Sequence[IdentifiedRecord]) -> Iterable[RenderableType]:
     """Render the identified modes of each record for a terminal, and the findings about the records."""
     from cvxshear.io.modes import UNKNOWN_SCALE
     from cvxshear.records.result import scale_unknown
+    from cvxshear.report.from_records import amplitude_section
 
     for test in tests:
         yield from terminal.shown(test.modes)
         yield ""
+    alike: dict[tuple[object, ...], list[ModalResult]] = {}
+    for test in tests:
+        alike.setdefault((test.state, *(test.added_mass or ())), []).append(test.modes)
+    for results in alike.values():
+        if len(results) > 2 and all(result.amplitude for result in results):
+            yield from terminal.rendered(amplitude_section(results))
+            yield ""
     said = any(finding.kind == "scale" for test in tests for finding in test.modes.findings)
     if tests and scale_unknown(tests) and not said:
         yield f"scale: {UNKNOWN_SCALE}"
@@ -245,11 +257,11 @@ def _record(test: IdentifiedRecord) -> Json:
 def _said(files: Sequence[str], found: Sequence[IdentifiedRecord | CvxshearError]) -> Json:
     """Return the JSON of one record, or a list of several records with the failed ones."""
     tests = _kept(found)
-    if len(files) == 1:
+    if len(found) == 1:
         return tests[0].modes.to_dict()
     failed = [
-        {"file": file, "reason": str(error)}
-        for file, error in zip(files, found, strict=True)
+        {"file": next((file for file in files if file in str(error)), files[0]), "reason": str(error)}
+        for error in found
         if isinstance(error, CvxshearError)
     ]
     return {"records": [_record(test) for test in tests], "failed": failed}

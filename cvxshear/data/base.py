@@ -126,14 +126,14 @@ class NoiseFactors:
         return dict(self.factors).get(kind, 1.0)
 
 
-def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:
+def numbered(configuration: Configuration, found: Modes, M: Floats, motions: int = 1) -> Ints:
     """Find the modes of the model that a configuration's mode numbers mean, zero-based, shape (m,).
 
     Numbers count the modes of the frame, without the own mode of a mass that is attached to a floor. Where that mass
     shares its energy among several modes, as one that is tuned to a mode does, each of them may be the one that was
     not measured; the numbers are then those that fit the measured frequencies best.
     """
-    floors = len(configuration.added_mass)
+    floors = motions * len(configuration.added_mass)
     declared = configuration.modes - 1
     if len(M) == floors:
         return declared
@@ -149,11 +149,11 @@ def numbered(configuration: Configuration, found: Modes, M: Floats) -> Ints:
     return np.asarray(frame_modes(found, M, floors)[declared])
 
 
-def paired(configuration: Configuration, found: Modes, observation: Observation, M: Floats) -> Ints:
+def paired(configuration: Configuration, found: Modes, observation: Observation, M: Floats, motions: int = 1) -> Ints:
     """Which mode of the model each measured one is, zero-based.
 
     The declared numbers hold unless a shape speaks against them; modes that changed places are then paired
-    by the assignment of the largest modal assurance criteria among the declared ones.
+    by the assignment of the largest modal assurance criteria among the declared ones; of floors that turn, among all.
 
     Parameters
     ----------
@@ -162,26 +162,34 @@ def paired(configuration: Configuration, found: Modes, observation: Observation,
     observation : Observation
         What the sensors show of the modes.
     M : ndarray, shape (n, n)
+    motions : int, optional
+        Motions of each floor.
     """
-    declared = numbered(configuration, found, M)
-    floors = configuration.measured_floors - 1
-    if len(declared) < 2 or len(floors) < 2 or not configuration.measured.any():
+    declared = numbered(configuration, found, M, motions)
+    entries = configuration.entry_rows
+    if len(declared) < 2 or len(entries) < 2 or not configuration.measured.any():
         return declared
     weights, shapes = configuration.entry_weights, configuration.known_shapes
-    psi = observation.shown(found.shapes[declared], floors)
+    psi = observation.shown(found.shapes[declared], entries)
     modelled, measured = weights * psi, weights * shapes
     own = np.sum(modelled * measured, axis=1) ** 2
     if np.all(own >= PAIRED * np.sum(modelled**2, axis=1) * np.sum(measured**2, axis=1)):
         return declared
+    among, numbers = declared, np.eye(len(declared))
+    if motions > 1:
+        # Sensors along one axis see some modes only, and modes in two directions have close frequencies.
+        among = np.arange(len(found.eigenvalues))
+        psi, numbers = observation.shown(found.shapes, entries), np.eye(len(among))[declared]
     cross = (weights**2 * shapes) @ psi.T
     with np.errstate(divide="ignore", invalid="ignore"):
         criteria = cross**2 / (np.sum(measured**2, axis=1)[:, None] * (weights**2 @ (psi**2).T))
     known = np.sum(weights > 0, axis=1) > 1
-    criteria = np.where(known[:, None] & np.isfinite(criteria), criteria, np.eye(len(declared)))
-    if np.all(np.diag(criteria) >= PAIRED):
+    unseen = np.zeros_like(criteria) if motions > 1 else numbers
+    criteria = np.where(known[:, None], np.where(np.isfinite(criteria), criteria, unseen), numbers)
+    if motions == 1 and np.all(np.diag(criteria) >= PAIRED):
         return declared
     _, columns = linear_sum_assignment(-criteria)
-    return np.asarray(declared[columns])
+    return np.asarray(among[columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +230,8 @@ class Model:
     def paired(self) -> Ints:
         """Which mode of the model each measured one is, zero-based, shape (m,)."""
         assert isinstance(self.state.tested, Configuration)
-        return paired(self.state.tested, self.modes, self.state.observation, self.state.system.M)
+        motions = self.state.experiment.motions.count
+        return paired(self.state.tested, self.modes, self.state.observation, self.state.system.M, motions)
 
     @decorators.cached_property
     def mode_derivatives(self) -> tuple[Floats, Floats]:

@@ -215,7 +215,7 @@ class Shapes(_OfModes):
     def _seen(self, model: Model) -> Floats:
         """Return the modelled shapes as sensors would show them, on the model's scale, shape (used, n)."""
         shapes = model.modes.shapes[model.paired[self.used]]
-        return model.state.observation.shown(shapes, self.tested.measured_floors - 1)
+        return model.state.observation.shown(shapes, self.tested.entry_rows)
 
     def seen(self, model: Model) -> Floats:
         """Return the modelled shapes as sensors would show them, on the measured ones' scale, shape (used, n)."""
@@ -228,7 +228,7 @@ class Shapes(_OfModes):
     @property
     def floors(self) -> Ints:
         """Floor of each entry, mode by mode."""
-        return np.tile(self.tested.measured_floors, int(self.used.sum()))
+        return np.tile(self.tested.entry_floors, int(self.used.sum()))
 
     @property
     def known(self) -> Bools:
@@ -246,8 +246,8 @@ class Shapes(_OfModes):
         slopes = None
         if model.derivatives:
             shapes, moved = model.modes.shapes[model.paired[self.used]], model.mode_derivatives[1][:, self.used]
-            floors = self.tested.measured_floors - 1
-            slopes = model.state.observation.shown_slopes(shapes, moved, model.by, floors)
+            rows = self.tested.entry_rows
+            slopes = model.state.observation.shown_slopes(shapes, moved, model.by, rows)
         normalized = self.tested.mass_normalized
         return Residual(*shape_residual(measured, self._seen(model), weights, slopes, mass_normalized=normalized))
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from cvxshear.effects.base import LocatedEffect
 from cvxshear.effects.state import STAGES, State, summed
-from cvxshear.measurement.experiment import Experiment, Tested
-from cvxshear.model import Observation, ShearSystem, System, mass_matrix, stiffness_matrix, transformation
+from cvxshear.measurement.experiment import Configuration, Experiment, Tested
+from cvxshear.model import FrameSystem, Observation, System, mass_matrix, stiffness_matrix, transformation
 from cvxshear.util.errors import CvxshearError, FaultyEffectError, UnsuitableError
 from cvxshear.util.typing import Floats
 
@@ -27,7 +27,7 @@ def compose(
     tested : Tested
     effects : sequence of LocatedEffect
     theta : ndarray, shape (P,)
-        Floor masses without added mass (N), story stiffnesses (N), then the effects' parameters in order.
+        Parameters of the floors without added mass, of the stories, then of the effects in order.
     derivatives : bool, optional
         If false, and if the model has no effects, return the matrices alone.
 
@@ -35,19 +35,21 @@ def compose(
     -------
     State
     """
-    acting = [item for item in slices(effects, 2 * experiment.stories) if item[0].acts_on(tested)]
+    acting = [item for item in slices(effects, experiment.parameters) if item[0].acts_on(tested)]
     acting.sort(key=lambda item: STAGES.index(item[0].effect.stage))
     n, size = experiment.stories, len(theta)
-    mass, stiffness = theta[:n], theta[n : 2 * n]
+    mass, stiffness = theta[experiment.of_floors], theta[experiment.of_stories]
     if not derivatives and not effects:
         size = 0
-        none = np.zeros((0, n, n))
-        system = System(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), none, none)
+        M, K = _matrices(experiment, tested, mass, stiffness)
+        none = np.zeros((0, *M.shape))
+        system = System(M, K, none, none)
     else:
         if acting:
             _refuse_large(n, size)
-        system = ShearSystem(mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness), size)
-    by_stiffness = np.eye(size, n, -n)
+        system = FrameSystem(experiment.motions, *_matrices(experiment, tested, mass, stiffness), size)
+    by_stiffness = np.eye(size, len(stiffness), -len(mass))
+    rows = tested.sensor_rows if experiment.frame.turns and isinstance(tested, Configuration) else np.eye(n)
     state = State(
         experiment=experiment,
         tested=tested,
@@ -61,7 +63,7 @@ def compose(
         joint_flexibility=np.zeros(n + 1),
         d_joint_flexibility=np.zeros((size, n + 1)),
         system=system,
-        observation=Observation(np.eye(n)),
+        observation=Observation(rows),
     )
     frame = [item for item in acting if STAGES.index(item[0].effect.stage) < STAGES.index("flexibility")]
     for placed, own in frame:
@@ -96,6 +98,16 @@ def _refuse_not_finite(system: System, effects: Sequence[tuple[LocatedEffect, sl
         if not np.isfinite(np.sum(array)):
             names = ", ".join(placed.label for placed, _ in effects)
             raise FaultyEffectError(f"{names}: {name} is not finite after apply()")
+
+
+def _matrices(experiment: Experiment, tested: Tested, mass: Floats, stiffness: Floats) -> tuple[Floats, Floats]:
+    """Assemble M, with the added mass of the test, and K; without rotation by their diagonals alone."""
+    motions = experiment.motions
+    if motions.count == 1:
+        return mass_matrix(mass + tested.added_mass), stiffness_matrix(stiffness)
+    assert isinstance(tested, Configuration)
+    added = motions.loads(tested.added_mass, tested.added_mass_position)
+    return motions.masses(mass) + added, motions.stiffnesses(stiffness)
 
 
 def _refuse_large(stories: int, size: int) -> None:

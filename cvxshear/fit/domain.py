@@ -27,7 +27,7 @@ from cvxshear.effects.composition import slices
 from cvxshear.fit.gaussian import tailed
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.priors import Constraints
-from cvxshear.programs import LeastSquares
+from cvxshear.programs import LeastSquares, MatrixInequality, turning
 from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, exact_frame, statements
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Bools, Floats, Ints
@@ -73,12 +73,45 @@ class Domain:
         Standard deviation of a uniform distribution over a parameter's physical interval; infinite without interval.
     farthest : ndarray, shape (P,), optional
         Largest value of each parameter that a step may reach. Default: no limit.
+    lmi : sequence of MatrixInequality, optional
+        Matrices of floors and stories that turn.
+    held : ndarray, shape (P, k), optional
+        Orthonormal directions along which the parameters, in units of `scale`, stay.
     """
 
     statements: Sequence[NamedConstraints]
     scale: Floats
     interval_std: Floats
     farthest: Floats | None = None
+    lmi: Sequence[MatrixInequality] = ()
+    held: Floats | None = None
+
+    def held_rows(self, U: Floats) -> Floats:
+        """Write rows that hold a step along `held`, each as heavy as all rows U; none without such directions.
+
+        Equalities would have multipliers of rounding alone.
+        """
+        if self.held is None:
+            return np.zeros((0, U.shape[1]))
+        return np.asarray(np.linalg.norm(U * self.scale) * self.held.T / self.scale)
+
+    def around(self, program: LeastSquares, theta: Floats) -> LeastSquares:
+        """Constrain a program in the change of the parameters from theta."""
+        moved = tuple(MatrixInequality(each.name, each.at(theta), each.slopes) for each in self.lmi)
+        return constrained(program, self.statements, theta).replace(lmi=moved)
+
+    def tangent(self, program: LeastSquares, theta: Floats) -> LeastSquares:
+        """Constrain a program to changes along `held` of zero and v' F v >= 0, v the eigenvectors of each matrix F."""
+        parts = []
+        if self.held is not None:
+            rows = self.held.T / self.scale
+            parts.append(NamedConstraints("what the data leave open", Constraints(A=rows, b=rows @ theta)))
+        for each in self.lmi:
+            _, vectors = np.linalg.eigh(each.at(theta))
+            G = -np.einsum("av,jab,bv->vj", vectors, each.slopes, vectors)
+            h = np.einsum("av,ab,bv->v", vectors, each.constant, vectors)
+            parts.append(NamedConstraints(f"{each.name} is positive", Constraints(G=G, h=h)))
+        return constrained(program, [*self.statements, *parts], theta)
 
 
 def spread(
@@ -92,25 +125,49 @@ def spread(
     ]
 
 
-def domain_of(experiment: Experiment, effects: Sequence[LocatedEffect], theta: Floats) -> Domain:
-    """Build the domain of the parameters of a fit with these effects."""
-    n, size = experiment.stories, len(theta)
+def domain_of(
+    experiment: Experiment, effects: Sequence[LocatedEffect], theta: Floats, held: Floats | None = None
+) -> Domain:
+    """Build the domain of the parameters of a fit with these effects.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    effects : sequence of LocatedEffect
+    theta : ndarray, shape (P,)
+        Start.
+    held : ndarray, shape (P, k), optional
+        `Domain.held`.
+    """
+    n, size, frame_size = experiment.stories, len(theta), experiment.parameters
     known = experiment.frame.known_total
-    mass = _least(theta[:n], float(np.median(theta[:n])) if known is None else known / n)
-    stiffness = _least(theta[n : 2 * n], float(np.median(theta[n : 2 * n])))
+    masses, stiffnesses = experiment.levels(theta)
+    typical_mass, typical_stiffness = float(np.median(masses)), float(np.median(stiffnesses))
+    mass = _least(masses, typical_mass if known is None else known / n)
+    stiffness = _least(stiffnesses, typical_stiffness)
     released = any("total_mass" in placed.effect.releases for placed in effects)
     frame = exact_frame(experiment.frame, total_released=released)
     gone = {placed.place.prior for placed in effects if "prior" in placed.effect.releases}
     priors = [prior for words, prior in experiment.stated.items() if words not in gone]
-    parts = spread(
-        statements(priors, "floor_mass", n, frame, least=mass),
-        statements(priors, "story_stiffness", n, least=stiffness),
-        n,
-        size,
-    )
     interval_std, scale = np.full(size, np.inf), np.abs(theta)
-    typical = Scale(float(np.median(theta[:n])), float(np.median(theta[n : 2 * n])), heights_of(experiment))
-    for placed, own in slices(effects, 2 * n):
+    lmi: tuple[MatrixInequality, ...] = ()
+    if experiment.frame.turns:
+        floors = turning.floor_statements(experiment, frame)
+        parts = [NamedConstraints(each.name, embedded(each.constraints, experiment.of_floors, size)) for each in floors]
+        lmi = (
+            *(each.widened(experiment.of_floors, size) for each in turning.positive_floors(experiment, mass)),
+            *(each.widened(experiment.of_stories, size) for each in turning.positive_stories(experiment, stiffness)),
+        )
+        scale[:frame_size] = np.maximum(scale[:frame_size], experiment.units(typical_mass, typical_stiffness))
+    else:
+        parts = spread(
+            statements(priors, "floor_mass", n, frame, least=mass),
+            statements(priors, "story_stiffness", n, least=stiffness),
+            n,
+            size,
+        )
+    typical = Scale(typical_mass, typical_stiffness, heights_of(experiment))
+    for placed, own in slices(effects, frame_size):
         parameters = placed.effect.parameters
         if placed.fixed:
             exact = Constraints(A=np.eye(len(parameters)), b=np.array(placed.fixed))
@@ -124,10 +181,11 @@ def domain_of(experiment: Experiment, effects: Sequence[LocatedEffect], theta: F
         scale[own] = np.maximum(np.abs(theta[own]), np.where(np.isfinite(expected), expected, 0.0))
         parts.append(NamedConstraints(f"bounds of {placed.label}", embedded(bounds, own, size)))
         limits = placed.effect.limits(experiment, placed.place)
-        columns = np.concatenate([np.arange(2 * n), np.arange(own.start, own.stop)])
+        columns = np.concatenate([np.arange(frame_size), np.arange(own.start, own.stop)])
         parts.append(NamedConstraints(f"what {placed.label} can be", embedded(limits, columns, size)))
     scale = np.where(scale == 0, 1.0, scale)
-    return Domain(parts, scale, interval_std, np.where(np.arange(size) < 2 * n, FARTHEST * scale, np.inf))
+    farthest = np.where(np.arange(size) < frame_size, FARTHEST * scale, np.inf)
+    return Domain(parts, scale, interval_std, farthest, lmi, held)
 
 
 def _least(start: Floats, typical: float) -> float:
@@ -270,7 +328,7 @@ class Uncertainty:
         """
         known = _with_intervals(self.J, self.interval_std)
         unit = _units(known, self.least_units)
-        return _split(known * unit, _null_space(self.equalities * unit))[1]
+        return _split(known * unit, null_space(self.equalities * unit))[1]
 
     @property
     def determined(self) -> Bools:
@@ -286,7 +344,7 @@ class Uncertainty:
     def free(self) -> int:
         """Number of free directions that the data determine, those held only by an active bound included."""
         unit = _units(self.J, self.least_units)
-        return len(_split(self.J * unit, _null_space(self.equalities * unit))[0][1])
+        return len(_split(self.J * unit, null_space(self.equalities * unit))[0][1])
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -317,7 +375,7 @@ class Uncertainty:
     def _unit_directions(self, J: Floats, *constraints: Floats) -> Floats:
         """Directions on which the held rows are zero and that J determines, each of unit effect on J's residuals."""
         unit = _units(J, self.least_units)
-        (basis, values), _ = _split(J * unit, _null_space(np.concatenate(constraints) * unit))
+        (basis, values), _ = _split(J * unit, null_space(np.concatenate(constraints) * unit))
         return unit[:, None] * (basis / values)
 
     def covariance(self) -> Floats:
@@ -348,7 +406,11 @@ def uncertainty(J: Floats, theta: Floats, domain: Domain, names: Sequence[str]) 
     names : sequence of str
         Names of the P parameters.
     """
-    here = constrained(LeastSquares(R=J, s=np.zeros(len(J))), domain.statements, theta)
+    if domain.lmi:
+        # Derivatives by the parameters of a motion that no sensor sees are rounding.
+        seen = np.linalg.norm(J, axis=0) * domain.scale
+        J = np.where(seen > len(seen) * np.finfo(float).eps * np.max(seen), J, 0.0)
+    here = domain.tangent(LeastSquares(R=J, s=np.zeros(len(J))), theta)
     G, h = here.inequalities
     unit = _units(_with_intervals(J, domain.interval_std), np.zeros(len(theta)))
     touching = G[h <= ON_BOUND * np.linalg.norm(G * unit, axis=1)]
@@ -375,7 +437,7 @@ def _units(J: Floats, least: Floats) -> Floats:
     return np.where(length > 0, np.maximum(1.0 / np.where(length > 0, length, 1.0), least), 1.0)
 
 
-def _null_space(rows: Floats) -> Floats:
+def null_space(rows: Floats) -> Floats:
     """Orthonormal columns that every row is zero on."""
     if not len(rows):
         return np.eye(rows.shape[1])

@@ -25,7 +25,7 @@ from cvxshear.fit.optimality import (
     optimality,
     sensitivities,
 )  # fmt: skip
-from cvxshear.programs import LeastSquares, constrained
+from cvxshear.programs import LeastSquares
 from cvxshear.programs.constraints import REMAINDER_ROUNDING
 from cvxshear.util import checks, errors
 from cvxshear.util.typing import Floats
@@ -203,8 +203,9 @@ def step_program(at: Residuals, theta: Floats, domain: Domain, damping: float = 
     """
     U, c = at.triangle
     step_weights = damping * sensitivities(U, domain)
-    program = LeastSquares(R=np.concatenate([U, np.diag(step_weights)]), s=np.concatenate([-c, np.zeros(len(theta))]))
-    return constrained(program, domain.statements, theta)
+    rows = [U, np.diag(step_weights), domain.held_rows(U)]
+    sides = [-c, np.zeros(len(theta)), np.zeros(len(rows[2]))]
+    return domain.around(LeastSquares(R=np.concatenate(rows), s=np.concatenate(sides)), theta)
 
 
 def gauss_newton(
@@ -348,7 +349,7 @@ def halved(
 def made_feasible(theta: Floats, domain: Domain, backend: Backend) -> Floats:
     """Find the nearest point, in relative change, that keeps the exact statements."""
     nearest = LeastSquares(R=np.diag(1.0 / domain.scale), s=np.zeros(len(theta)))
-    program = constrained(nearest, domain.statements, theta)
+    program = domain.around(nearest, theta)
     return theta if satisfied(program, domain.scale) else theta + backend.solve(program).x
 
 
@@ -359,4 +360,8 @@ def satisfied(program: LeastSquares, scale: Floats) -> bool:
     return bool(
         np.all(h >= -REMAINDER_ROUNDING * np.linalg.norm(G * scale, axis=1))
         and np.all(np.abs(b) <= REMAINDER_ROUNDING * np.linalg.norm(A * scale, axis=1))
+        and all(
+            np.linalg.eigvalsh(each.constant)[0] >= -REMAINDER_ROUNDING * np.max(np.abs(each.constant))
+            for each in program.lmi
+        )
     )

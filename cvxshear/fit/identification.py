@@ -48,7 +48,7 @@ def identify(
     method : str, optional
         "efficient" (the default): one weighted fit to all configurations, which may be incomplete. "two-stage" (the
         paper's), "one-shot", "berman" and "qi": each configuration by itself, with all modes at all floors and the
-        total mass. Floors that turn take "one-shot" (their default), with as many modes as they have.
+        total mass. Floors that turn take "efficient" and "one-shot", with as many modes as they have.
     backend : str or Backend, optional
         Solver of the programs; `cvxshear.backends.available()` lists them.
     priors : sequence of Prior, optional
@@ -75,8 +75,8 @@ def identify(
     """
     if method is not None:
         checks.choice(method, METHODS, "method")
-    experiment = opened(experiment, turning=method in (None, "one-shot")).with_priors(tuple(priors))
-    method = method or ("one-shot" if experiment.frame.turns else "efficient")
+    method = method or "efficient"
+    experiment = opened(experiment, turning=method in ("efficient", "one-shot")).with_priors(tuple(priors))
     solver = Recorder(backends.get(backend)) if keep_programs else backends.get(backend)
     checks.number(tolerance, "tolerance", above=0.0)
     start = None
@@ -94,7 +94,7 @@ def identify(
             joint=True,
             correlation=estimate.correlation,
             parameter_names=parameter_names(experiment, ()),
-            undetermined=estimate.uncertainty.null_directions,
+            undetermined=estimate.undetermined,
             others=other_frames(estimate, backends.get("auto")),
         )
     else:

@@ -27,6 +27,7 @@ from cvxshear.fit.domain import EffectPrior
 from cvxshear.fit.gaussian import LARGEST_LOG_CHANGE, SizeMarginal, UnknownSize
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
+from cvxshear.programs import turning
 from cvxshear.util import decorators, errors
 from cvxshear.util.typing import Bools, Floats, Ints, Json
 
@@ -94,6 +95,8 @@ class Misfit:
         Priors of the effects and of the frame. Default: none.
     noise_inflation : float, optional
         Factor on all standard deviations of the data, declared ones too, for a residual without explanation.
+    held : ndarray, shape (P, k), optional
+        Directions that a fit holds (`fit.domain.domain_of`).
     """
 
     def __init__(
@@ -104,6 +107,7 @@ class Misfit:
         noise: data.NoiseFactors | None = None,
         expectation: EffectPrior | None = None,
         noise_inflation: float = 1.0,
+        held: Floats | None = None,
     ) -> None:
         self.experiment = experiment
         self.effects = tuple(effects)
@@ -111,6 +115,7 @@ class Misfit:
         self.noise = noise or data.NoiseFactors()
         self.expectation = expectation or EffectPrior()
         self.noise_inflation = noise_inflation
+        self.held = held
         self.data = [
             datum.without(self.leave_out[datum.tested.name]) if datum.tested.name in self.leave_out else datum
             for datum in data.data_of(experiment)
@@ -130,12 +135,19 @@ class Misfit:
             noise or self.noise,
             self.expectation,
             self.noise_inflation if noise_inflation is None else noise_inflation,
+            self.held,
         )
+
+    def holding(self, held: Floats) -> Misfit:
+        """Return the same data with other directions held, or none."""
+        changed = copy.copy(self)
+        changed.held = held if held.size else None
+        return changed
 
     @property
     def parameters(self) -> int:
         """Number P of parameters: floor masses, story stiffnesses and parameters of the effects."""
-        return 2 * self.experiment.stories + sum(len(placed.effect.parameters) for placed in self.effects)
+        return self.experiment.parameters + sum(len(placed.effect.parameters) for placed in self.effects)
 
     @decorators.cached_property
     def unknown(self) -> tuple[UnknownSize, ...]:
@@ -218,8 +230,7 @@ class Misfit:
         NoModesError
             If the model has no modes there: a mass is not positive, or the frame buckles.
         """
-        n = self.experiment.stories
-        if np.any(theta[: 2 * n] <= 0):
+        if np.any(theta[self.experiment.positive] <= 0):
             raise errors.NoModesError("floor masses and story stiffnesses must be positive")
         models = {}
         for each in self.experiment.tested:
@@ -265,7 +276,7 @@ class Misfit:
         An effect that releases a prior does not count.
         """
         plain = Misfit(self.experiment)
-        residuals, at = plain._soft(theta[: 2 * self.experiment.stories])[0], 0
+        residuals, at = plain._soft(theta[: self.experiment.parameters])[0], 0
         found = []
         for words, rows in self.experiment.soft_statements:
             own = residuals[at : at + rows]
@@ -276,14 +287,16 @@ class Misfit:
         return found
 
     def _soft(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Write the soft priors, and a total mass declared with a standard deviation, as data."""
+        """Write the soft priors, and a total mass declared with a standard deviation, as data; last of a plan."""
         n = self.experiment.stories
         residuals, rows = [np.zeros(0)], [np.zeros((0, len(theta)))]
         frame = self.experiment.frame
         if frame.total_mass_std is not None and frame.total_mass is not None:
             unit = 1.0 / (frame.total_mass_std * frame.total_mass)
-            residuals.append(np.array([unit * (theta[:n].sum() - frame.total_mass)]))
-            rows.append(np.concatenate([np.full(n, unit), np.zeros(len(theta) - n)])[None])
+            of_masses = np.zeros(len(theta))
+            of_masses[self.experiment.of_floors][:: len(self.experiment.motions.mass_names)] = unit
+            residuals.append(np.array([of_masses @ theta - unit * frame.total_mass]))
+            rows.append(of_masses[None])
         for prior in self.experiment.priors:
             at = slice(0, n) if prior.quantity == "floor_mass" else slice(n, 2 * n)
             r, J = prior.residual(theta[at])
@@ -291,7 +304,12 @@ class Misfit:
             row[:, at] = J
             residuals.append(r)
             rows.append(row)
-        for placed, own in composition.slices(self.effects, 2 * n):
+        if frame.plan is not None:
+            of_plan = np.zeros((n, len(theta)))
+            of_plan[:, self.experiment.of_floors] = turning.plan_rows(self.experiment)
+            residuals.append(of_plan @ theta)
+            rows.append(of_plan)
+        for placed, own in composition.slices(self.effects, self.experiment.parameters):
             # A test that is only imagined has no priors that could be wrong.
             if placed.place.prior in self._statements and "prior" not in placed.effect.releases:
                 at_prior = 1 + self._statements.index(placed.place.prior)

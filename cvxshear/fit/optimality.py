@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from cvxshear.fit.domain import ON_BOUND, Domain
-from cvxshear.programs import LeastSquares, constrained
+from cvxshear.programs import LeastSquares
 from cvxshear.programs.certificate import Point
 from cvxshear.util import checks, decorators
 from cvxshear.util.errors import NoModesError
@@ -165,7 +165,7 @@ def violation(theta: Floats, at: Residuals, domain: Domain) -> float:
 
     The size of a parameter is its absolute value and the change of it that changes the residuals by one.
     """
-    here = constrained(LeastSquares(np.zeros((0, len(theta))), np.zeros(0)), domain.statements, theta)
+    here = domain.tangent(LeastSquares(np.zeros((0, len(theta))), np.zeros(0)), theta)
     size = np.abs(theta) + _units(theta, at, domain)
     worst = 0.0
     for rows, off in ((here.equalities[0], np.abs(here.equalities[1])), (here.inequalities[0], -here.inequalities[1])):
@@ -203,7 +203,7 @@ def local_conditions(theta: Floats, at: Residuals, domain: Domain, weight: float
     stacked = np.column_stack([np.concatenate([U, damping]), np.concatenate([c, np.zeros(len(theta))])])
     whole = np.asarray(np.linalg.qr(stacked, mode="r"))
     R, gradient = whole[: len(theta), : len(theta)], whole[: len(theta), -1]
-    here = constrained(LeastSquares(U, -c), domain.statements, theta)
+    here = domain.tangent(LeastSquares(U, -c), theta)
     A, _ = here.equalities
     G, slack = here.inequalities
     whitened = linalg.solve_triangular(R, np.concatenate([A, G]).T, trans="T", check_finite=False).T

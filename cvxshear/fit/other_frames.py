@@ -53,7 +53,12 @@ SAME_ROOT = 1e-6
 def may_have_others(estimate: Estimate) -> bool:
     """Whether the data are frequencies alone, or no more than the unknowns, and determine the frame locally."""
     experiment = estimate.experiment
-    if experiment.stories > TALLEST_SEARCHED or experiment.static or estimate.uncertainty.null_directions:
+    if (
+        experiment.frame.turns
+        or experiment.stories > TALLEST_SEARCHED
+        or experiment.static
+        or estimate.uncertainty.null_directions
+    ):
         return False
     return estimate.dof <= 0 or not any(each.measured.any() for each in experiment.configurations)
 
@@ -109,7 +114,8 @@ def other_frames(estimate: Estimate, backend: Backend) -> results.OtherFrames:
         A fit, with effects or without.
     backend : Backend
     """
-    return weighed(estimate, *equivalent_fits(estimate, backend))
+    fits, searched = equivalent_fits(estimate, backend)
+    return weighed(estimate, fits, searched) if fits else results.OtherFrames(searched=searched)
 
 
 def weighed(estimate: Estimate, fits: Sequence[Estimate], searched: str) -> results.OtherFrames:

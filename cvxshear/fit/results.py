@@ -213,7 +213,7 @@ def quality(data: Sequence[Datum], models: Sequence[Model], chi2: float, dof: in
 
 @dataclass(frozen=True, eq=False)
 class Prediction(InJson):
-    """All modes of the model at all floors, in one configuration.
+    """All modes of the model at all floors, or at the sensors of floors that turn, in one configuration.
 
     Parameters
     ----------
@@ -222,15 +222,15 @@ class Prediction(InJson):
         Hz.
     mode_shapes : ndarray, shape (N, N)
         One row a mode, largest entry 1.
+    modes : ndarray of int, shape (m,)
+        Mode of the model that each measured mode is compared with, from 1: the declared one; of floors that turn, that
+        of the largest sum of the MACs.
     """
 
     configuration: str
     frequencies: Floats
     mode_shapes: Floats
-
-    def modes_of(self, configuration: Configuration) -> Ints:
-        """Mode of the model that each measured mode is compared with, from 1, shape (m,)."""
-        return configuration.modes
+    modes: Ints
 
 
 def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:
@@ -238,10 +238,13 @@ def predictions(models: Sequence[Model]) -> tuple[Prediction, ...]:
     found = []
     for model in models:
         if isinstance(model.state.tested, Configuration):
+            test, modes = model.state.tested, model.modes
             # Gains of sensors are not part of the motion; attached masses are not floors.
-            shapes = model.modes.shapes[:, : len(model.state.story_stiffness)]
+            shapes = modes.shapes @ test.sensor_rows.T if test.sensors else modes.shapes[:, : len(test.added_mass)]
             largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
-            found.append(Prediction(model.state.tested.name, model.modes.frequencies, shapes / largest[:, None]))
+            scaled = shapes / np.where(largest != 0, largest, 1.0)[:, None]
+            pairs = model.paired + 1 if test.sensors else test.modes
+            found.append(Prediction(test.name, modes.frequencies, scaled, pairs))
     return tuple(found)
 
 

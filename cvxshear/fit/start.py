@@ -27,14 +27,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from cvxshear import backends
-from cvxshear.fit.domain import Domain, spread
+from cvxshear.fit.domain import Domain, domain_of, spread
 from cvxshear.fit.gauss_newton import Accuracy, gauss_newton
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.optimality import PlainResiduals
 from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.model import Modes, mass_matrix, modes, stiffness_matrix, transformation
 from cvxshear.priors import Constraints
-from cvxshear.programs import LeastSquares
+from cvxshear.programs import LeastSquares, turning
 from cvxshear.programs.constraints import NamedConstraints, constrained, statements
 from cvxshear.util.errors import CvxshearError, InputError, NoModesError, NoSolutionError
 from cvxshear.util.typing import Floats
@@ -42,6 +42,12 @@ from cvxshear.util.typing import Floats
 #: Number of passes over the story equations. With stiffnesses that differ by 1e6, the first pass is wrong by a factor
 #: of thirty, the third to the noise.
 START_PASSES = 6
+
+#: The same of floors that turn: the first pass has the weights of an even frame.
+TURNING_PASSES = 2
+
+#: Relative deviation of an inertia from that of an even floor, at the start.
+INERTIA_STD = 0.05
 
 #: Start of a mass or stiffness for which the equations give a value that is not positive, relative to the mean.
 SMALLEST_START = 0.05
@@ -82,9 +88,12 @@ SMOOTH = SmoothProfiles()
 def starts(experiment: Experiment) -> list[Floats]:
     """List the starting points theta, each of shape (2N,), masses and stiffnesses positive.
 
-    They are the design values of the priors, if these suggest both; the solution of the story equations; and frames of
-    equal masses with uniform stiffness and with the taper that fits the ratios of the frequencies best.
+    Of floors that turn it is the solution of their story equations. Else they are the design values of the priors, if
+    these suggest both; the solution of the story equations; and frames of equal masses with uniform stiffness and with
+    the taper that fits the ratios of the frequencies best.
     """
+    if experiment.frame.turns:
+        return [_turning_start(experiment)]
     even = uniform(experiment)
     points = []
     theta = even
@@ -95,6 +104,33 @@ def starts(experiment: Experiment) -> list[Floats]:
             break
         points.append(theta)
     return [*_nominal(experiment), *points[-1:], even, _tapered(experiment)]
+
+
+def _turning_start(experiment: Experiment) -> Floats:
+    """Solve the story equations of floors that turn, from even floors and stories.
+
+    Raises
+    ------
+    UnsuitableError
+        If no configuration has every reading.
+    """
+    tests = turning.turning_tests(experiment)
+    masses = tests[0].even_masses
+    theta = even = np.concatenate([masses, tests[0].even_stiffnesses(masses)])
+    mass, stiffness = (float(np.mean(each)) for each in experiment.levels(even))
+    domain = domain_of(experiment, (), even)
+    # Rows of decoupled rotations are zero for no inertia at all.
+    inertia = np.zeros((experiment.stories, len(even)))
+    inertia[:, experiment.of_floors] = turning.plan_rows(experiment, INERTIA_STD)
+    ridge = 1e-6 / experiment.units(mass, stiffness)
+    for _ in range(TURNING_PASSES):
+        rows, sides = zip(*(test.story_equations(theta) for test in tests), strict=True)
+        program = LeastSquares(
+            np.concatenate([*rows, inertia, np.diag(ridge)]),
+            np.concatenate([*sides, np.zeros(len(inertia)), ridge * even]),
+        )
+        theta = backends.get("auto").solve(domain.around(program, np.zeros(len(even)))).x
+    return theta
 
 
 def _tapered(experiment: Experiment) -> Floats:
@@ -386,7 +422,9 @@ def nearest_first(misfit: Misfit, own: Floats) -> list[Floats]:
     measured = [(chi2(start), start) for start in starts(misfit.experiment)]
     usable = sorted((item for item in measured if np.isfinite(item[0])), key=lambda item: item[0])
     ordered = [start for _, start in usable]
-    if usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own])):
+    if misfit.experiment.frame.turns or (
+        usable and usable[0][0] <= FAR_OFF * misfit.count(np.concatenate([ordered[0], own]))
+    ):
         return ordered
     try:
         smooth = smooth_start(misfit.experiment, uniform(misfit.experiment))

@@ -9,23 +9,23 @@ them. The values along them are held at even floors and stories, and are not rep
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
-from scipy.optimize import linear_sum_assignment
 
+from cvxshear import backends
 from cvxshear.backends import Backend
-from cvxshear.data import kinds
-from cvxshear.fit.results import IdentifiedFrame, Prediction, Quality, SingleIdentification, priced
-from cvxshear.measurement.experiment import Configuration
-from cvxshear.model import Observation, modes
+from cvxshear.fit.domain import null_space
+from cvxshear.fit.misfit import Misfit
+from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions, priced, quality
+from cvxshear.measurement.experiment import Experiment
 from cvxshear.motions import THREE_MOTIONS, blocks, center, center_slopes, products
-from cvxshear.programs import LeastSquares, Solution
-from cvxshear.programs.turning import Rows, TurningTest
-from cvxshear.util import ranking
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.programs import ActiveConstraint, LeastSquares, Solution
+from cvxshear.programs.turning import Rows, TurningTest, turning_tests
+from cvxshear.util.typing import Floats
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,22 +86,6 @@ ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, eq=False)
-class TurningPrediction(Prediction):
-    """All modes of the model at the sensors, the largest entry 1.
-
-    Parameters
-    ----------
-    modes : ndarray of int, shape (m,)
-        Mode of the model that each measured mode is compared with, from 1: together they have the largest MAC.
-    """
-
-    modes: Ints
-
-    def modes_of(self, configuration: Configuration) -> Ints:
-        return self.modes
-
-
-@dataclass(frozen=True, eq=False)
 class HeldProgram:
     """A solved program, with its response to noise and the directions that it leaves open.
 
@@ -134,7 +118,7 @@ class HeldProgram:
         """
         R, s = program.weighted
         A, _ = program.equalities
-        free = _null_space(A * unit)
+        free = null_space(A * unit)
         signal, noise = (free.T @ (unit[:, None] * each * unit) @ free for each in (R.T @ R, rows.noise))
         # Neither rows nor noise tell of a motion that no sensor sees.
         rounding = len(signal) * np.finfo(float).eps * float(np.trace(signal)) * np.eye(len(signal))
@@ -144,13 +128,9 @@ class HeldProgram:
         heavy = np.linalg.norm(R * unit) * directions.T / unit
         held = program.replace(R=np.concatenate([R, heavy]), s=np.concatenate([s, heavy @ at]), W=None)
         solution = backend.solve(held)
-        fixed = _null_space(np.concatenate([A, directions.T / unit, _active(solution)]) * unit)
+        fixed = null_space(np.concatenate([A, directions.T / unit, _active(solution)]) * unit)
         response = unit[:, None] * (fixed @ np.linalg.pinv(R @ (unit[:, None] * fixed)))
         return HeldProgram(solution, response, unit[:, None] * directions)
-
-
-def _null_space(rows: Floats) -> Floats:
-    return np.asarray(linalg.null_space(rows) if len(rows) else np.eye(rows.shape[1]))
 
 
 def _active(solution: Solution) -> Floats:
@@ -166,41 +146,64 @@ def _active(solution: Solution) -> Floats:
     return np.concatenate(rows)
 
 
-def one_shot_turning(test: TurningTest, backend: Backend) -> SingleIdentification:
-    """Identify floors from the orthogonality of the modes and the total mass, then stories, without iteration.
+@dataclass(frozen=True, eq=False)
+class OneShot:
+    """The one-shot solution of one configuration.
 
     Parameters
     ----------
-    test : TurningTest
-    backend : Backend
+    theta : ndarray, shape (10 N,)
+        Parameters of the floors, then of the stories.
+    spread : ndarray, shape (10 N, d)
+        Their change by one deviation of each datum; its product with its transpose is the covariance.
+    open : ndarray, shape (10 N, k)
+        Directions that the data leave open.
+    active : tuple of ActiveConstraint
     """
-    even, radius = test.even_masses, test.radius
-    mass = float(np.mean(even[::4]))
-    unit = mass * np.column_stack([np.ones_like(radius), radius, radius, radius**2]).ravel()
-    of_floors = HeldProgram.of(test.one_shot_masses(), test.mass_rows(), even, unit, backend)
-    masses = of_floors.solution.x
-    even, level = test.even_stiffnesses(masses), test.even_stiffnesses(masses)[0]
-    one = np.ones_like(radius)
-    unit = level * np.column_stack([one, one, radius**2, one, radius, radius]).ravel()
-    of_stories = HeldProgram.of(test.story_stiffnesses(masses), test.stiffness_rows(masses), even, unit, backend)
-    spread, directions = _propagated(test, of_floors, of_stories)
-    frame = _reported(test, masses, of_stories.solution.x, spread, directions)
-    free = len(spread) - directions.shape[1]
-    free -= test.stories if test.experiment.frame.floor_masses is not None else 1
-    fit, prediction = _fitted(test, masses, of_stories.solution.x, free)
-    active = priced([*of_floors.solution.active, *of_stories.solution.active])
-    return SingleIdentification(test.configuration.name, 1, frame, fit, (prediction,), active=active)
+
+    theta: Floats
+    spread: Floats
+    open: Floats
+    active: tuple[ActiveConstraint, ...]
+
+    @staticmethod
+    def of(test: TurningTest, backend: Backend) -> OneShot:
+        """Identify floors from the orthogonality of the modes and the total mass, then stories, without iteration."""
+        experiment, even = test.experiment, test.even_masses
+        units = experiment.units(1.0, 1.0)
+        unit = float(np.mean(even[::4])) * units[experiment.of_floors]
+        of_floors = HeldProgram.of(test.one_shot_masses(), test.mass_rows(), even, unit, backend)
+        masses = of_floors.solution.x
+        even = test.even_stiffnesses(masses)
+        unit = even[0] * units[experiment.of_stories]
+        of_stories = HeldProgram.of(test.story_stiffnesses(masses), test.stiffness_rows(masses), even, unit, backend)
+        active = priced([*of_floors.solution.active, *of_stories.solution.active])
+        theta = np.concatenate([masses, of_stories.solution.x])
+        return OneShot(theta, *_propagated(test, of_floors, of_stories), active)
+
+
+def one_shot_turning(test: TurningTest, backend: Backend) -> SingleIdentification:
+    """Identify a frame whose floors turn from one configuration, without iteration."""
+    found, experiment = OneShot.of(test, backend), test.experiment
+    frame = reported(experiment, found.theta, found.spread, found.open, test.unseen)
+    declared = dataclasses.replace(experiment.frame, reference=None)
+    misfit = Misfit(dataclasses.replace(experiment, frame=declared, configurations=(test.configuration,)))
+    at = misfit.evaluate(found.theta, derivatives=False)
+    free = len(found.theta) - found.open.shape[1]
+    free -= test.stories if experiment.frame.floor_masses is not None else 1
+    dof, noise_declared = misfit.count(found.theta) - free, test.configuration.noise_declared
+    fit = quality(misfit.data, at.models, at.chi2, dof, declared=noise_declared)
+    return SingleIdentification(test.configuration.name, 1, frame, fit, predictions(at.models), active=found.active)
+
+
+def one_shot_open(experiment: Experiment) -> Floats:
+    """Find the directions that every one-shot solution leaves open: those of the one with the fewest, (10 N, k)."""
+    found = [OneShot.of(test, backends.get("auto")).open for test in turning_tests(experiment)]
+    return min(found, key=lambda each: each.shape[1])
 
 
 def _propagated(test: TurningTest, of_floors: HeldProgram, of_stories: HeldProgram) -> tuple[Floats, Floats]:
-    """Return the change of all parameters by one deviation of each datum, and their open directions.
-
-    Returns
-    -------
-    spread : ndarray, shape (10 N, d)
-        By each reading, soft prior and frequency; its product with its transpose is the covariance.
-    directions : ndarray, shape (10 N, k)
-    """
+    """Return the change of all parameters by each reading, soft prior and frequency, and their open directions."""
     masses, stiffnesses = of_floors.solution.x, of_stories.solution.x
     by_readings = test.mass_rows().slopes(masses + test.added)
     soft = of_floors.response.shape[1] - len(by_readings)
@@ -223,18 +226,31 @@ def _propagated(test: TurningTest, of_floors: HeldProgram, of_stories: HeldProgr
     return spread, np.hstack([from_floors, own_stories])
 
 
-def _reported(
-    test: TurningTest, masses: Floats, stiffnesses: Floats, spread: Floats, directions: Floats
+def reported(
+    experiment: Experiment, theta: Floats, spread: Floats, directions: Floats, unseen: tuple[str, ...]
 ) -> TurningFrame:
-    """Turn parameters to masses, centers, inertias and matrices, with deviations; nan for what is open."""
-    n = test.stories
+    """Turn parameters to masses, centers, inertias and matrices, with deviations; nan for what is open.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    theta : ndarray, shape (10 N,)
+    spread : ndarray, shape (10 N, d)
+        Its product with its transpose is the covariance.
+    directions : ndarray, shape (10 N, k)
+        What the data leave open.
+    unseen : tuple of str
+        Motions that no sensor sees.
+    """
+    n, radius = experiment.stories, experiment.radius[:, None]
+    masses, stiffnesses = theta[experiment.of_floors], theta[experiment.of_stories]
     mass_blocks, story_blocks = (
         blocks(masses, THREE_MOTIONS.mass_basis),
         blocks(stiffnesses, THREE_MOTIONS.stiffness_basis),
     )
     mass_center, inertia = center(mass_blocks)
     stiffness_center, _ = center(story_blocks)
-    entries, radius, none = stiffnesses.reshape(n, 6), test.radius[:, None], np.zeros((n, 1))
+    entries, none = stiffnesses.reshape(n, 6), np.zeros((n, 1))
     level = np.sqrt(np.abs(entries[:, :1] * entries[:, 1:2]))
     values = np.hstack([masses[::4, None], mass_center, inertia[:, None], entries, stiffness_center])
     sizes = np.hstack([
@@ -260,7 +276,7 @@ def _reported(
         known[:, 0], matrices, known_std[:, 0], matrices_std,
         mass_center=known[:, 1:3], inertia=known[:, 3], stiffness_center=known[:, 10:],
         mass_center_std=known_std[:, 1:3], inertia_std=known_std[:, 3], stiffness_center_std=known_std[:, 10:],
-        unseen=test.unseen, undetermined=groups,
+        unseen=unseen, undetermined=groups,
     )  # fmt: skip
 
 
@@ -296,7 +312,7 @@ def open_groups(changes: Floats, std: Floats) -> tuple[tuple[tuple[str, ...], ..
     left_open : ndarray of bool, shape (N, v)
     """
     largest = np.max(np.abs(changes), axis=(0, 1), initial=0.0)
-    part = np.abs(changes) / largest >= np.minimum(np.sqrt(std), 1.0)[:, :, None]
+    part = np.abs(changes) / largest >= np.sqrt(np.clip(std, np.finfo(float).eps, 1.0))[:, :, None]
     groups: list[Floats] = []
     for each in np.moveaxis(part, 2, 0):
         joined = np.any([each, *(other for other in groups if np.any(other & each))], axis=0)
@@ -308,35 +324,3 @@ def open_groups(changes: Floats, std: Floats) -> tuple[tuple[tuple[str, ...], ..
         ),
         np.any(part, axis=2),
     )
-
-
-def _fitted(test: TurningTest, masses: Floats, stiffnesses: Floats, free: int) -> tuple[Quality, TurningPrediction]:
-    """Compare every mode of the identified frame with the measured modes, paired by the largest sum of MACs."""
-    configuration = test.configuration
-    found = modes(THREE_MOTIONS.masses(masses + test.added), THREE_MOTIONS.stiffnesses(stiffnesses))
-    shapes = Observation(test.observation).shown(found.shapes)
-    lengths = np.linalg.norm(shapes, axis=1, keepdims=True)
-    unit = shapes / np.where(lengths > 0, lengths, 1.0)
-    measured = configuration.mode_shapes
-    mac = (measured @ unit.T) ** 2 / np.sum(measured**2, axis=1, keepdims=True)
-    _, paired = linear_sum_assignment(-mac)
-    weights, logs = configuration.entry_weights, np.log(2 * np.pi * configuration.frequencies)
-    residuals = [
-        kinds.frequency_residual(logs, found.eigenvalues[paired], configuration.log_frequency_std)[0],
-        kinds.shape_residual(measured, shapes[paired], weights)[0],
-    ]
-    soft = test.soft_rows @ masses
-    errors = found.frequencies[paired] / configuration.frequencies - 1.0
-    figures = {
-        "max_frequency_error": float(np.max(np.abs(errors))),
-        "rms_frequency_error": float(np.sqrt(np.mean(errors**2))),
-        "min_mac": float(np.min(mac[np.arange(len(paired)), paired])),
-        "max_shape_error": float(np.max(kinds.shape_errors(measured, shapes[paired]))),
-    }
-    chi2 = float(sum(np.sum(each**2) for each in (*residuals, soft)))
-    dof = measured.size + len(soft) - free
-    largest = shapes[np.arange(len(shapes)), ranking.largest(np.abs(shapes))]
-    prediction = TurningPrediction(
-        configuration.name, found.frequencies, shapes / np.where(largest != 0, largest, 1.0)[:, None], paired + 1
-    )
-    return Quality.of(figures, chi2, dof, declared=configuration.noise_declared), prediction

@@ -5,7 +5,8 @@ pyuff (the extra `uff`) returns a file of one data set as a dict rather than a l
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -74,20 +75,72 @@ def columns_of_arrays(read: Mapping[str, Any], where: str) -> Columns:
         parts = {f"{name}_re": array.real, f"{name}_im": array.imag} if array.dtype.kind == "c" else {name: array}
         for part, values in parts.items():
             found.update(_split(part, values))
-    if not found:
+    if all(len(values) == 1 for values in found.values()):
         raise InputError(f"{where} holds no numeric vector or matrix")
-    longest = max(len(values) for values in found.values())
-    kept = {name: values for name, values in found.items() if len(values) == longest}
     # Numbers that no double holds come out infinite, and are refused where they are used.
     with np.errstate(over="ignore", invalid="ignore"):
-        table = np.column_stack([np.asarray(values, dtype=np.float64) for values in kept.values()])
-    return Columns(where, tuple(kept), table, stated_rate=_stated_rate(read))
+        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in found.items()}
+    longest = max(len(values) for values in arrays.values())
+    return _table(where, {name: values for name, values in arrays.items() if len(values) == longest}, arrays)
 
 
-def _stated_rate(read: Mapping[str, Any]) -> tuple[str, float] | None:
+def _table(where: str, columns: Mapping[str, Floats], arrays: Mapping[str, Floats]) -> Columns:
+    """Make a table of vectors of one length, the sampling rate among the single numbers of all arrays."""
+    table = np.column_stack(list(columns.values()))
+    return Columns(where, tuple(columns), table, stated_rate=_stated_rate(arrays), arrays=arrays)
+
+
+def parts_of(columns: Columns, patterns: Sequence[str]) -> Iterator[tuple[str, Columns]]:
+    """Part a file of several records: each text that the `*` in the name of a column can stand for makes one.
+
+    Parameters
+    ----------
+    columns : Columns
+    patterns : sequence of str
+        Names with a `*` (`*.acc[1]`, `base_*`), which stay the names of the parts' columns. Of a structure `*` its
+        other vectors and single numbers, such as `time` or `dt`, keep their names without it.
+
+    Yields
+    ------
+    star : str
+    columns : Columns
+
+    Raises
+    ------
+    InputError
+        If a column is missing, or the columns of a part differ in length.
+    """
+    arrays = columns.arrays or dict(zip(columns.names, columns.values.T, strict=True))
+    stars = set()
+    for pattern in patterns:
+        before, _, after = pattern.partition("*")
+        found = [name for name in arrays if name.startswith(before) and name.endswith(after)]
+        if not found:
+            columns.check(pattern, "channel")
+        stars |= {name[len(before) : len(name) - len(after)] for name in found}
+    # Numbers ascend in names that differ by a number.
+    for star in sorted(filter(None, stars), key=lambda each: (len(each), each)):
+        where, stem = f"{columns.source}, {star}", patterns[0].rpartition(".")[0].replace("*", star) + "."
+        own = {name.removeprefix(stem): values for name, values in arrays.items() if name.startswith(stem)}
+        for name in patterns:
+            if name.replace("*", star) not in arrays:
+                raise InputError(f'{where}: there is no column "{name.replace("*", star)}"')
+            own[name] = arrays[name.replace("*", star)]
+        length = len(own[patterns[0]])
+        different = next((name for name in patterns if len(own[name]) != length), None)
+        if different is not None:
+            raise InputError(
+                f'{where}: "{different}" has {len(own[different])} samples, "{patterns[0]}" has {length}; give columns '
+                "of one length"
+            )
+        part = _table(where, {name: values for name, values in own.items() if len(values) == length}, own)
+        yield star, part if part.stated_rate else replace(part, stated_rate=columns.stated_rate)
+
+
+def _stated_rate(arrays: Mapping[str, Floats]) -> tuple[str, float] | None:
     """Find a single number with the name of a sampling rate or of a time step."""
-    for name, array in _arrays(read, lone=True):
-        number = float(array.real.ravel()[0])
+    for name, array in arrays.items():
+        number = float(array[0]) if len(array) == 1 else 0.0
         if np.isfinite(number) and number > 0:
             if RATE_NAMES.fullmatch(name):
                 return name, number
@@ -96,21 +149,27 @@ def _stated_rate(read: Mapping[str, Any]) -> tuple[str, float] | None:
     return None
 
 
-def _arrays(content: Mapping[str, Any], prefix: str = "", *, lone: bool = False) -> Iterator[tuple[str, Array]]:
-    """Yield the numeric vectors and matrices, or with `lone` the single numbers."""
+def _arrays(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Array]]:
+    """Yield the numbers, numeric vectors and matrices; those of a list, or of the last of three axes, are numbered."""
     for name, value in content.items():
         if name.startswith("__"):
             continue
         if isinstance(value, Mapping):
-            yield from _arrays(value, f"{prefix}{name}.", lone=lone)
+            yield from _arrays(value, f"{prefix}{name}.")
+        elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
+            items = value if isinstance(value, list) else value.ravel()
+            yield from _arrays({f"{name}[{place}]": each for place, each in enumerate(items, 1)}, prefix)
         elif isinstance(value, np.ndarray | int | float | complex):
             array = np.asarray(value)
-            if array.dtype.kind in "fiuc" and array.ndim <= 2 and (array.size == 1 if lone else array.size > 1):
+            if array.dtype.kind in "fiuc" and array.ndim == 3:
+                each = {f"{name}[{place}]": part for place, part in enumerate(np.moveaxis(array, 2, 0), 1)}
+                yield from _arrays(each, prefix)
+            elif array.dtype.kind in "fiuc" and array.ndim <= 2 and array.size:
                 yield prefix + name, array
 
 
 def _split(name: str, array: Array) -> dict[str, Array]:
-    if array.ndim == 1 or 1 in array.shape:
+    if array.ndim < 2 or 1 in array.shape:
         return {name: array.ravel()}
     # Samples outnumber channels; the longer side is time.
     table = array if array.shape[0] >= array.shape[1] else array.T

@@ -13,9 +13,9 @@ import io
 import math
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
@@ -47,6 +47,8 @@ class Columns:
         Unit of each column, from a line of units; empty without such a line.
     stated_rate : tuple of (str, float), optional
         A lone number of the file that gives the sampling rate: its name, and the rate in Hz.
+    arrays : dict, optional
+        Every vector and lone number of a file of arrays by its name, of whatever length.
     """
 
     source: str
@@ -55,6 +57,7 @@ class Columns:
     lines: Ints | None = None
     units: tuple[str, ...] = ()
     stated_rate: tuple[str, float] | None = None
+    arrays: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.values) < FEWEST_ROWS:

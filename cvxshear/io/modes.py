@@ -8,9 +8,10 @@ calibration) and, where there are several files, one `[[run]]` for each; docs/mo
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib import import_module
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from cvxshear.io.record_tables import ChannelDeclaration
 from cvxshear.io.toml import files_of, is_record_file, load, write_measurement
 from cvxshear.measurement.experiment import MOST_STORIES, Experiment
 from cvxshear.records.identify import identify_modes
-from cvxshear.records.motion import DrivenRecord, DrivenRun
+from cvxshear.records.motion import DrivenRecord, DrivenRun, differentiated
 from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.records.result import IdentifiedRecord, ModalResult, merged, scale_unknown
 from cvxshear.util import checks, parallel
@@ -39,7 +40,12 @@ UNKNOWN_SCALE = (
 
 
 def identify_modes_many(
-    files: Iterable[str | Path], *, jobs: int = 1, progress: parallel.Progress | None = None, **options: Any
+    files: Iterable[str | Path],
+    *,
+    each_run: bool = False,
+    jobs: int = 1,
+    progress: parallel.Progress | None = None,
+    **options: Any,
 ) -> list[IdentifiedRecord | CvxshearError]:
     """Run `identify_modes` for many record files; the result of a failed file is its error.
 
@@ -47,6 +53,8 @@ def identify_modes_many(
     ----------
     files : iterable of str or Path
         Record files (TOML).
+    each_run : bool, optional
+        Identify each run by itself, such as each of several earthquakes.
     jobs : int, optional
         Processes; -1 takes every core. Inside `with joblib.parallel_config(backend="dask")` they run on that cluster.
         Its workers must be able to read the files.
@@ -65,7 +73,10 @@ def identify_modes_many(
     TypeError
         If an option is not one of `identify_modes`.
     """
-    return parallel.each(partial(_tested, options=options), [str(file) for file in files], jobs=jobs, progress=progress)
+    records: list[tuple[str, int | None]] = [(str(file), None) for file in files]
+    if each_run:
+        records = [(file, place) for file, _ in records for place in range(len(read_record(file).record.runs))]
+    return parallel.each(partial(_tested, options=options), records, jobs=jobs, progress=progress)
 
 
 def modes_from_file(path: str | Path, *, output: str | Path | None = None, **options: Any) -> tuple[ModalResult, Json]:
@@ -96,7 +107,7 @@ def modes_from_file(path: str | Path, *, output: str | Path | None = None, **opt
     """
     if output is not None:
         check_output(output, endings=(".toml",), keep=files_of(path))
-    test = _tested(str(path), options=options)
+    test = _tested((str(path), None), options=options)
     if isinstance(test, CvxshearError):
         raise test
     if scale_unknown([test]) and not any(finding.kind == "scale" for finding in test.modes.findings):
@@ -153,11 +164,16 @@ def write_merged(path: str | Path, tests: Sequence[IdentifiedRecord]) -> None:
     write_measurement(path, declared, comments)
 
 
-def _tested(file: str, *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:
+def _tested(item: tuple[str, int | None], *, options: Mapping[str, Any]) -> IdentifiedRecord | CvxshearError:
+    file, place = item
     try:
         source = read_record(file)
-        picked = options.get("pick")
-        modes = identify_modes(source.record, **{**options, "pick": source.pick if picked is None else picked})
+        record, picked = source.record, options.get("pick")
+        if place is not None:
+            run: Any = record.runs[place]
+            changes: dict[str, Any] = {"runs": (run,), "name": run.name}
+            record, file = dataclasses.replace(record, **changes), f"{file}, {run.name}"
+        modes = identify_modes(record, **{**options, "pick": source.pick if picked is None else picked})
         if source.notes:
             modes = dataclasses.replace(modes, findings=(*source.notes, *modes.findings))
     except CvxshearError as error:
@@ -259,6 +275,8 @@ class RecordTables:
     channels : list of ChannelDeclaration
     runs : list of dict
     name : str
+    turns : bool
+        Whether the floors turn (frame: motions).
     added_mass : list of float or None
         kg.
     state : str or None
@@ -277,7 +295,11 @@ class RecordTables:
             for key in ("time", "frequency", "axis"):
                 if key in declared:
                     checks.text(declared[key], f"record: {key}")
-            self.channels = record_tables.channels_of(self.table["channel"], declared, path, lines)
+            frame = self.table.get("frame")
+            self.turns = isinstance(frame, Mapping) and frame.get("motions", ["x"]) != ["x"]
+            if self.turns and self.kind == "frf":
+                raise InputError("frame: motions: functions of floors that turn are not read; give time histories")
+            self.channels = record_tables.channels_of(self.table["channel"], declared, path, lines, self.turns)
             self.input = checks.choice(declared.get("input", "none"), INPUTS, "record: input")
             self.name = checks.text(declared.get("name", named_after(path)), "record: name")
             self.runs = record_tables.runs_of(self.table, declared)
@@ -326,9 +348,8 @@ class RecordTables:
             If a file cannot be read, or two were sampled at different rates.
         """
         driver, found, rates = self.driver, [], []
-        for place, run in enumerate(self.runs, 1):
-            columns = self.columns(run)
-            name = str(run.get("name", Path(run["file"]).name))
+        for place, run, star, columns in self._parts(needed):
+            name = " ".join(filter(None, (str(run.get("name", Path(run["file"]).name)), star)))
             floor = 0 if driver is None or self.input != "force" else self.floor(place, driver.floor or None)
             stretches, rate, left_out = record_tables.pieces_of(columns, needed, self.declared, run, self.path)
             rates.append((rate, columns.source))
@@ -339,15 +360,31 @@ class RecordTables:
                 )
             for number, rows in enumerate(stretches, 1):
                 part = columns.rows(rows)
-                excitation = None
+                excitation, noise_from = None, None
                 if driver is not None:
                     excitation = driver.factor * part.column(driver.name, driver.place or self.path.name)
+                    if driver.quantity in ("velocity", "displacement"):
+                        excitation, noise_from = differentiated(excitation, rate, driver.quantity)
                 called = name if len(stretches) == 1 else f"{name}, piece {number}"
                 whole = rows == slice(0, len(columns.values))
                 clock = None if whole else record_tables.since_first(columns, self.declared)
                 span = (None, None) if clock is None else (round(clock[rows.start], 9), round(clock[rows.stop - 1], 9))
-                found.append(Piece(place, name, called, part, excitation, floor, span, left_out if number == 1 else ""))
+                said = left_out if number == 1 else ""
+                found.append(Piece(name, called, part, excitation, floor, span, said, noise_from))
         return found, rates[0][0]
+
+    def _parts(self, needed: Sequence[ChannelDeclaration]) -> Iterator[tuple[int, Mapping[str, Any], str, Columns]]:
+        """Read the file of every run; a `*` in the columns' names makes a run of each name that it can stand for."""
+        names = [name for name in (*(item.name for item in needed), self.declared.get("time", "")) if "*" in name]
+        for place, run in enumerate(self.runs, 1):
+            columns = self.columns(run)
+            if not names:
+                yield place, run, "", columns
+                continue
+            # scipy.io loads slowly.
+            arrays = import_module("cvxshear.io.arrays")
+            for star, part in arrays.parts_of(columns, names):
+                yield place, run, star, part
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,8 +393,6 @@ class Piece:
 
     Parameters
     ----------
-    place : int
-        Of its run, counted from 1.
     run, name : str
         Names of the run, and of the piece where it has several.
     columns : Columns
@@ -369,9 +404,10 @@ class Piece:
         Start and end in its file, s; None where the piece is all of it.
     left_out : str
         What of the run is in no piece, said by its first one.
+    noise_from : float, optional
+        Where the excitation was differentiated: the frequency above which it is noise, Hz.
     """
 
-    place: int
     run: str
     name: str
     columns: Columns
@@ -379,6 +415,7 @@ class Piece:
     floor: int
     span: tuple[float | None, float | None]
     left_out: str
+    noise_from: float | None = None
 
 
 def _common(tables: RecordTables) -> dict[str, Any]:
@@ -390,6 +427,7 @@ def _common(tables: RecordTables) -> dict[str, Any]:
         "band": declared.get("band"),
         "exponential_window": declared.get("exponential_window"),
         "name": tables.name,
+        "turns": tables.turns,
     }
 
 
@@ -401,8 +439,13 @@ def _time_record(tables: RecordTables, notes: list[Finding]) -> TimeRecord:
     pieces, rate = tables.pieces([*responses, *([] if driver is None else [driver])])
     for piece in pieces:
         if piece.left_out:
-            count = sum(each.place == piece.place for each in pieces)
+            count = sum(each.run == piece.run for each in pieces)
             notes.append(Finding("pieces", f"{piece.run}: {piece.left_out}", {"pieces": count}))
+    noise_from = min((piece.noise_from for piece in pieces if piece.noise_from is not None), default=None)
+    if noise_from is not None and driver is not None:
+        said = f"the ground was recorded as a {driver.quantity} and is differentiated up to {noise_from:.3g} Hz"
+        numbers = {"channel": driver.name, "quantity": driver.quantity, "noise_from": noise_from}
+        notes.append(Finding("ground", f"{said}, where it is above its noise; higher modes are not excited", numbers))
     if not responses:
         raise InputError("no channel is on a floor above the ground")
     runs = []
@@ -466,7 +509,7 @@ def read_motion(path: str | Path) -> DrivenRecord:
             pieces, rate = tables.pieces([driver])
             added = None if tables.added_mass is None else np.array(tables.added_mass)
             runs = []
-            for _, stretches in groupby(pieces, key=lambda each: each.place):
+            for _, stretches in groupby(pieces, key=lambda each: each.run):
                 longest = max(stretches, key=lambda each: len(each.columns.values))
                 assert longest.excitation is not None
                 runs.append(DrivenRun(longest.excitation, longest.floor, name=longest.run))

@@ -77,8 +77,10 @@ def placed(path: Path) -> Iterator[None]:
         raise type(error)(message if message.startswith(str(path.parent)) else f"{path}: {message}") from error
 
 
-def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: list[int]) -> list[ChannelDeclaration]:
-    """Read the tables `[[channel]]`."""
+def channels_of(
+    tables: object, declared: Mapping[str, Any], path: Path, lines: list[int], turns: bool = False
+) -> list[ChannelDeclaration]:
+    """Read the tables `[[channel]]`: those along the axis of the record, or of floors that turn all of them."""
     if not isinstance(tables, list) or not tables:
         raise InputError("channel must be a list of tables, one [[channel]] a column")
     found = []
@@ -99,11 +101,14 @@ def channels_of(tables: object, declared: Mapping[str, Any], path: Path, lines: 
         floor = checks.whole(one.get("floor", 0), f"{where}: floor", least=0, most=MOST_STORIES)
         axis = checks.text(one.get("axis", "x"), f"{where}: axis")
         stands = f"line {line} of {path.name}" if line else ""
-        direction = one.get("position"), one.get("direction")
-        found.append(ChannelDeclaration(column, floor, axis, stands, unit, *direction, factor, quantity))
+        along = one.get("direction", 90.0 if turns and axis == "y" else None)
+        stood = one.get("position"), along
+        found.append(ChannelDeclaration(column, floor, axis, stands, unit, *stood, factor, quantity))
         for other in found[:-1]:
             if other.name == column:
                 raise InputError(f'{stands}: channel "{column}" was declared before, in {other.place}')
+    if turns:
+        return found
     axes = {item.axis for item in found if item.quantity != "force"}
     wanted = declared.get("axis")
     if wanted is None and len(axes) > 1:
@@ -156,8 +161,6 @@ def driver_of(channels: list[ChannelDeclaration], kind: str) -> ChannelDeclarati
     if kind == "base":
         if len(ground) != 1:
             raise InputError(f'input = "base" needs one channel on the ground (floor = 0), there are {len(ground)}')
-        if ground[0].quantity != "acceleration":
-            raise InputError(f'channel "{ground[0].name}": the base input must be an acceleration')
         return ground[0]
     if kind == "force":
         if len(forces) != 1:

@@ -272,10 +272,9 @@ def _rests_on(final: Estimate) -> Iterator[str]:
         yield "the stated standard deviations"
         return
     # The noise of the misfit is not used: it has no factor if the fit stopped at the default.
-    factors = dict(final.noise.noise.factors)
-    shown = ", ".join(
-        f"{kind.replace('_', ' ')} {factors[kind]:.2g} times the default" for kind in final.misfit.open_noises
-    )
+    factors, noises = dict(final.noise.noise.factors), final.misfit.noises
+    sizes = {noises[kind].plural: noises[kind].sized(factors[kind]) for kind in final.misfit.open_noises}
+    shown = ", ".join(f"{name} {quantities.significant(size, 2)} {unit}" for name, ((size,), unit) in sizes.items())
     partly = len(final.misfit.open_noises) < len(final.misfit.noises)
     yield f"{'stated and ' if partly else ''}estimated noise ({shown})"
 

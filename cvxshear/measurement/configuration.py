@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -121,6 +121,14 @@ class Sensor(InTable):
         return np.array([along, across, x * across - y * along])
 
     @staticmethod
+    def rows(sensors: Sequence[Sensor], stories: int) -> Floats:
+        """Write the readings of unit motions of all floors, shape (sensors, 3 N)."""
+        found = np.zeros((len(sensors), 3 * stories))
+        for row, sensor in zip(found, sensors, strict=True):
+            row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
+        return found
+
+    @staticmethod
     def each(declared: object, where: str) -> tuple[Sensor, ...]:
         """Read a list of sensors or of their tables.
 
@@ -140,6 +148,27 @@ class Sensor(InTable):
         if len(rows) < len(found):
             raise InputError(f"{where} has two sensors that read the same motion; give each entry of a shape its own")
         return tuple(found)
+
+
+def motion_shares(sensors: Sequence[Sensor], shapes: Floats) -> Floats:
+    """Compute how much of each mode is displacement in x, in y, and rotation.
+
+    Parameters
+    ----------
+    sensors : sequence of Sensor, length r
+    shapes : ndarray, shape (m, r)
+
+    Returns
+    -------
+    ndarray, shape (m, 3)
+        Shares of the sum of squares over the floors, of the motions of least squares at the reference points. A
+        rotation is a displacement at the sensors' root mean square distance from their center.
+    """
+    places = np.array([sensor.position for sensor in sensors])
+    radius = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
+    motions = np.linalg.pinv(Sensor.rows(sensors, max(sensor.floor for sensor in sensors))) @ shapes.T
+    squares = np.sum(motions.reshape(-1, 3, len(shapes)) ** 2, axis=0).T * [1.0, 1.0, radius**2]
+    return np.asarray(squares / np.sum(squares, axis=1, keepdims=True))
 
 
 #: Least count of equal numbers that makes a shape or a test a copy of another: one or two can be equal by rounding.
@@ -535,6 +564,24 @@ class Configuration(InTable):
     def measured(self) -> Bools:
         """Which entries of `mode_shapes` hold a number, shape (m, n)."""
         return np.isfinite(self.mode_shapes)
+
+    @cached_property
+    def entry_floors(self) -> Ints:
+        """Floor of each entry of a shape, shape (n,)."""
+        return np.array([each.floor for each in self.sensors]) if self.sensors else self.measured_floors
+
+    @cached_property
+    def entry_rows(self) -> Ints:
+        """Row of the observation matrix that each entry of a shape shows, shape (n,)."""
+        return np.arange(len(self.sensors)) if self.sensors else self.measured_floors - 1
+
+    @cached_property
+    def sensor_rows(self) -> Floats:
+        """Observation matrix of the sensors of a frame of N floors that turn, shape (n, 3 N)."""
+        C = np.zeros((len(self.sensors), 3 * len(self.added_mass)))
+        for row, sensor in zip(C, self.sensors, strict=True):
+            row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
+        return C
 
     @cached_property
     def known_shapes(self) -> Floats:

@@ -24,12 +24,13 @@ from cvxshear.measurement.declaration import (
     StaticTest,
     named_in,
 )
+from cvxshear.motions import ONE_MOTION, THREE_MOTIONS, Motions
 from cvxshear.priors import Prior, check_prior
-from cvxshear.util import checks
+from cvxshear.util import checks, decorators
 from cvxshear.util.checks import MOST_STORIES
 from cvxshear.util.errors import InputError, NoScaleError, UnsuitableError
 from cvxshear.util.results import Shown, as_table, ask
-from cvxshear.util.typing import Json, T
+from cvxshear.util.typing import Floats, Ints, Json, T
 
 __all__ = [
     "DAMPING_KINDS", "MOST_STORIES", "MOTIONS", "Configuration", "Damping", "ExpectedEffect", "Experiment", "Frame",
@@ -271,6 +272,50 @@ class Experiment(Shown):
         return self.frame.stories
 
     @property
+    def motions(self) -> Motions:
+        """The motions of each floor, with the parameters of floors and stories."""
+        return THREE_MOTIONS if self.frame.turns else ONE_MOTION
+
+    @decorators.cached_property
+    def of_floors(self) -> slice:
+        """Places of the parameters of the floors among those of a fit, the lowest floor first."""
+        return slice(0, self.stories * len(self.motions.mass_names))
+
+    @decorators.cached_property
+    def of_stories(self) -> slice:
+        """Places of the parameters of the stories, which follow those of the floors."""
+        return slice(self.of_floors.stop, self.of_floors.stop + self.stories * len(self.motions.stiffness_names))
+
+    @decorators.cached_property
+    def positive(self) -> Ints:
+        """Places of the parameters of the frame that are positive, ascending."""
+        return np.flatnonzero(np.concatenate([np.tile(each, self.stories) for each in self.motions.positive]))
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters of the frame."""
+        return int(self.of_stories.stop)
+
+    def levels(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return the mass of each floor and the stiffness of each story (mean of x and y), both of shape (N,)."""
+        mass, stiffness = (theta[own].reshape(self.stories, -1) for own in (self.of_floors, self.of_stories))
+        return mass[:, 0], stiffness[:, 0] if stiffness.shape[1] == 1 else np.mean(stiffness[:, :2], axis=1)
+
+    @decorators.cached_property
+    def radius(self) -> Floats:
+        """Radius of gyration of each floor, shape (N,), m: of its plan, else of the places of the sensors."""
+        if self.frame.plan is not None:
+            return np.broadcast_to(np.sqrt(np.sum(self.frame.plan**2, axis=-1) / 12.0), (self.stories,))
+        places = np.array([sensor.position for each in self.configurations for sensor in each.sensors])
+        found = float(np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))) if len(places) else 1.0
+        return np.full(self.stories, found or 1.0)
+
+    def units(self, mass: float, stiffness: float) -> Floats:
+        """Return the size of every parameter of a frame with a typical floor mass and story stiffness."""
+        sizes = zip((mass, stiffness), self.motions.lengths, strict=True)
+        return np.concatenate([(size * self.radius[:, None] ** powers).ravel() for size, powers in sizes])
+
+    @property
     def noise_declared(self) -> bool:
         """Whether every configuration declares both standard deviations; otherwise the weights are only relative."""
         return all(each.noise_declared for each in self.configurations)
@@ -340,7 +385,8 @@ def opened(source: Measurement, *, turning: bool = False) -> Experiment:
     if found.frame.turns and not turning:
         raise UnsuitableError(
             f"the floors of {found.name} turn (frame: motions), and this takes frames with one motion per floor; "
-            "identify with method one-shot, programs.one_shot_masses and programs.story_stiffnesses take such floors"
+            "identify (methods efficient and one-shot), programs.one_shot_masses and programs.story_stiffnesses take "
+            "such floors"
         )
     return found
 

@@ -107,6 +107,12 @@ class MatrixInequality:
         """Compute <dual, F_j> for every unknown, shape (n,)."""
         return np.asarray(np.tensordot(self.slopes, dual, 2))
 
+    def widened(self, own: slice, size: int) -> "MatrixInequality":
+        """Write the same of x among other unknowns, at these places."""
+        slopes = np.zeros((size, *self.constant.shape))
+        slopes[own] = self.slopes
+        return MatrixInequality(self.name, self.constant, slopes)
+
     def holds(self, x: Floats, dual: Floats, objective: float) -> bool:
         """Whether the matrix is singular at the solution, rather than its dual zero.
 

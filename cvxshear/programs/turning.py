@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvxshear.measurement.experiment import MOTIONS, Configuration, Experiment
-from cvxshear.motions import THREE_MOTIONS, products
+from cvxshear.measurement.experiment import MOTIONS, Configuration, Experiment, Frame
+from cvxshear.motions import THREE_MOTIONS, products, unit_derivatives
+from cvxshear.priors import Constraints
 from cvxshear.programs.certificate import MatrixInequality
-from cvxshear.programs.constraints import LEAST_POSITIVE
+from cvxshear.programs.constraints import LEAST_POSITIVE, NamedConstraints, constrained, statements
 from cvxshear.programs.least_squares import LeastSquares
 from cvxshear.util import quantities
 from cvxshear.util.decorators import cached_property
@@ -130,9 +131,7 @@ class TurningTest:
                 mode, sensor = np.argwhere(~configuration.measured)[0] + 1
                 what = f"every reading, and mode {mode} has none of sensor {sensor}"
             raise UnsuitableError(f"{where}: it needs {what}")
-        C = np.zeros((len(configuration.sensors), 3 * experiment.stories))
-        for row, sensor in zip(C, configuration.sensors, strict=True):
-            row[3 * sensor.floor - 3 : 3 * sensor.floor] = sensor.row
+        C = configuration.sensor_rows
         seen = _seen(C, where)
         # The pseudoinverse has rounding in place of the zeros of what no sensor sees.
         inverse = np.where(np.any(C != 0, axis=0)[:, None], np.linalg.pinv(C), 0.0)
@@ -157,16 +156,6 @@ class TurningTest:
         return np.asarray((2 * np.pi * self.configuration.frequencies) ** 2)
 
     @cached_property
-    def radius(self) -> Floats:
-        """Radius of gyration of each floor, shape (N,), m: of its plan, else of the places of the sensors."""
-        plan = self.experiment.frame.plan
-        if plan is not None:
-            return np.broadcast_to(np.sqrt(np.sum(plan**2, axis=-1) / 12.0), (self.stories,))
-        places = np.array([sensor.position for sensor in self.configuration.sensors])
-        found = float(np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1))))
-        return np.full(self.stories, found or 1.0)
-
-    @cached_property
     def added(self) -> Floats:
         """Parameters of the added masses, shape (4 N,)."""
         mass = self.configuration.added_mass
@@ -182,12 +171,12 @@ class TurningTest:
         mass = np.full(self.stories, frame.known_total / self.stories)
         mass = mass if frame.floor_masses is None else frame.floor_masses
         none = np.zeros(self.stories)
-        return np.column_stack([mass, none, none, mass * self.radius**2]).ravel()
+        return np.column_stack([mass, none, none, mass * self.experiment.radius**2]).ravel()
 
     def even_stiffnesses(self, masses: Floats) -> Floats:
         """Parameters of equal symmetric stories for which the Rayleigh quotient of mode 1 is its eigenvalue."""
         one = np.ones(self.stories)
-        entries = np.column_stack([one, one, self.radius**2, *np.zeros((3, self.stories))]).ravel()
+        entries = np.column_stack([one, one, self.experiment.radius**2, *np.zeros((3, self.stories))]).ravel()
         first = self.normalized(masses)[:, 0]
         quotient = float(first @ THREE_MOTIONS.stiffnesses(entries) @ first)
         return np.asarray(entries * self.eigenvalues[0] / quotient)
@@ -225,42 +214,17 @@ class TurningTest:
         spread = np.where(i == j, own[i], of_shapes)
         return Rows(products(drifts, drifts, basis)[i, j], (i, j), by_reading, std, 1.0 / spread)
 
-    @cached_property
-    def soft_rows(self) -> Floats:
-        """Rows of (J - r^2 m) / (plan_std J_even) for each floor with a plan, zero if uniform, shape (0 or N, 4 N)."""
-        frame, floors = self.experiment.frame, np.eye(4 * self.stories).reshape(self.stories, 4, -1)
-        if frame.plan is None:
-            return np.zeros((0, 4 * self.stories))
-        rows = floors[:, 3] - self.radius[:, None] ** 2 * floors[:, 0]
-        return np.asarray(rows / (frame.plan_std * self.even_masses[3::4, None]))
-
     def one_shot_masses(self) -> LeastSquares:
         """Write the masses of the floors that make the modes orthogonal; see `programs.one_shot_masses`."""
-        rows, frame, n = self.mass_rows(), self.experiment.frame, 4 * self.stories
-        floors = np.eye(n).reshape(self.stories, 4, n)
-        mass = floors[:, 0]
-        R, s, W = rows.R, -rows.R @ self.added, rows.weights
-        if frame.floor_masses is not None:
-            A, b, sources = mass, frame.floor_masses, ("floor_masses",) * self.stories
-        else:
-            assert frame.total_mass is not None
-            A, b = np.sum(mass, axis=0, keepdims=True), np.array([frame.total_mass])
-            sources = (f"total_mass = {frame.total_mass:g} kg",)
-        G, within = np.zeros((0, n)), tuple[str, ...]()
-        if frame.plan is not None:
-            a, b_of_plan = np.broadcast_to(frame.plan, (self.stories, 2)).T[:, :, None] / 2.0
-            x, y = floors[:, 1], floors[:, 2]
-            G = np.concatenate([x - a * mass, -x - a * mass, y - b_of_plan * mass, -y - b_of_plan * mass])
-            within = ("the mass center lies within the plan",) * len(G)
-        soft = self.soft_rows
-        R, s = np.concatenate([R, soft]), np.concatenate([s, np.zeros(len(soft))])
-        W = np.concatenate([W, np.ones(len(soft))])
-        least = LEAST_POSITIVE * float(np.mean(self.even_masses[::4]))
-        return LeastSquares(
-            R, s, W, A, b, G, np.zeros(len(G)), names=self.names(THREE_MOTIONS.mass_names),
-            sources={"A": sources, "G": within}, title=f"one-shot masses, {self.configuration.name}",
-            lmi=self._positive(THREE_MOTIONS.mass_basis, "mass matrix of floor", least),
+        rows, soft = self.mass_rows(), plan_rows(self.experiment)
+        program = LeastSquares(
+            np.concatenate([rows.R, soft]), np.concatenate([-rows.R @ self.added, np.zeros(len(soft))]),
+            np.concatenate([rows.weights, np.ones(len(soft))]), names=self.names(THREE_MOTIONS.mass_names),
+            title=f"one-shot masses, {self.configuration.name}",
+            lmi=positive_floors(self.experiment, LEAST_POSITIVE * float(np.mean(self.even_masses[::4]))),
         )  # fmt: skip
+        declared = floor_statements(self.experiment, self.experiment.frame)
+        return constrained(program, declared, np.zeros(program.unknowns))
 
     def story_stiffnesses(self, masses: Floats) -> LeastSquares:
         """Write the stiffnesses of the stories at the parameters of the floors; see `programs.story_stiffnesses`."""
@@ -270,22 +234,110 @@ class TurningTest:
         return LeastSquares(
             rows.R, np.where(i == j, self.eigenvalues[i], 0.0), rows.weights,
             names=self.names(THREE_MOTIONS.stiffness_names), title=f"story stiffnesses, {self.configuration.name}",
-            lmi=self._positive(THREE_MOTIONS.stiffness_basis, "stiffness matrix of story", least),
+            lmi=positive_stories(self.experiment, least),
         )  # fmt: skip
+
+    def story_equations(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Write the balance of every story in every mode, each row over its own deviation at theta.
+
+        Story s carries the inertia forces of the floors above, K_s (phi_s - phi_(s-1)) = lambda sum over l >= s of
+        M_l phi_l, which is linear in the parameters of floors and stories together.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (10 N,)
+
+        Returns
+        -------
+        rows : ndarray, shape (3 N m, 10 N)
+        sides : ndarray, shape (3 N m,)
+            Of the added masses.
+        """
+        above = np.kron(np.triu(np.ones((self.stories, self.stories))), np.eye(3))
+        dM, dK = unit_derivatives(THREE_MOTIONS, self.stories)
+        phi, eigenvalues = self.shapes, self.eigenvalues
+        rows = np.einsum("ab,pbm->map", above, dK @ phi - eigenvalues * (dM @ phi))
+        added = THREE_MOTIONS.masses(self.added)
+        M, K = np.tensordot(theta, dM, 1) + added, np.tensordot(theta, dK, 1)
+        noise = above @ (K - eigenvalues[:, None, None] * M) @ self.inverse * self.std[:, None]
+        lengths = np.linalg.norm(noise, axis=2).ravel()
+        # Rows of a motion that no sensor sees have neither noise nor terms.
+        weights = 1.0 / np.where(lengths > 0, lengths, np.inf)
+        sides = (eigenvalues * (above @ added @ phi)).T
+        return weights[:, None] * rows.reshape(len(weights), -1), weights * sides.ravel()
 
     def names(self, each: tuple[str, ...]) -> tuple[str, ...]:
         """Name the parameters of every floor or story."""
         return tuple(f"{name} {place}" for place in range(1, self.stories + 1) for name in each)
 
-    def _positive(self, basis: Floats, what: str, least: float) -> tuple[MatrixInequality, ...]:
-        """State that each matrix exceeds a multiple of the identity, with rotations times the radius as motions."""
-        found = []
-        for place, radius in enumerate(self.radius):
-            unit = np.array([1.0, 1.0, 1.0 / radius])
-            slopes = np.zeros((self.stories, len(basis), 3, 3))
-            slopes[place] = basis * unit[:, None] * unit
-            found.append(MatrixInequality(f"{what} {place + 1}", -least * np.eye(3), slopes.reshape(-1, 3, 3)))
-        return tuple(found)
+
+def turning_tests(experiment: Experiment) -> list[TurningTest]:
+    """Collect every configuration with what the programs need.
+
+    Raises
+    ------
+    UnsuitableError
+        If there is none; of the first.
+    """
+    tests, refused = [], list[UnsuitableError]()
+    for each in experiment.configurations:
+        try:
+            tests.append(TurningTest.of(experiment, each, "method efficient"))
+        except UnsuitableError as error:
+            refused.append(error)
+    if not tests:
+        raise refused[0]
+    return tests
+
+
+def floor_statements(experiment: Experiment, frame: Frame) -> list[NamedConstraints]:
+    """List the exact statements about the parameters of the floors: declared masses, and mass centers in the plan."""
+    n, q = experiment.stories, len(experiment.motions.mass_names)
+    floors = np.eye(n * q).reshape(n, q, -1)
+    found = []
+    for each in statements((), "floor_mass", n, frame)[1:]:
+        known = each.constraints
+        assert known.A is not None
+        found.append(NamedConstraints(each.name, Constraints(A=known.A @ floors[:, 0], b=known.b)))
+    if frame.plan is not None:
+        half = np.broadcast_to(frame.plan, (n, 2)).T[:, :, None] / 2.0
+        G = np.concatenate([
+            sign * floors[:, 1 + axis] - half[axis] * floors[:, 0] for axis in (0, 1) for sign in (1.0, -1.0)
+        ])  # fmt: skip
+        within = Constraints(G=G, h=np.zeros(len(G)))
+        found.append(NamedConstraints("the mass center lies within the plan", within))
+    return found
+
+
+def plan_rows(experiment: Experiment, std: float | None = None) -> Floats:
+    """Rows of (J - r^2 m) / (std J_even), zero of uniform floors, shape (N, q N); none without a plan or `std`."""
+    frame, n, q = experiment.frame, experiment.stories, len(experiment.motions.mass_names)
+    if frame.plan is None and std is None:
+        return np.zeros((0, n * q))
+    floors, square = np.eye(n * q).reshape(n, q, -1), experiment.radius[:, None] ** 2
+    assert frame.known_total is not None, "the size of an inertia needs the mass"
+    even = np.full(n, frame.known_total / n) if frame.floor_masses is None else frame.floor_masses
+    return np.asarray((floors[:, -1] - square * floors[:, 0]) / ((std or frame.plan_std) * even[:, None] * square))
+
+
+def positive_floors(experiment: Experiment, least: float) -> tuple[MatrixInequality, ...]:
+    """State that the matrix of each floor exceeds the least mass, with rotations times the radius as motions."""
+    return _positive(experiment, experiment.motions.mass_basis, "mass matrix of floor", least)
+
+
+def positive_stories(experiment: Experiment, least: float) -> tuple[MatrixInequality, ...]:
+    """State that the matrix of each story exceeds the least stiffness, as `positive_floors` does."""
+    return _positive(experiment, experiment.motions.stiffness_basis, "stiffness matrix of story", least)
+
+
+def _positive(experiment: Experiment, basis: Floats, what: str, least: float) -> tuple[MatrixInequality, ...]:
+    found = []
+    for place, radius in enumerate(experiment.radius):
+        unit = np.array([1.0, 1.0, 1.0 / radius])
+        slopes = np.zeros((experiment.stories, len(basis), 3, 3))
+        slopes[place] = basis * unit[:, None] * unit
+        found.append(MatrixInequality(f"{what} {place + 1}", -least * np.eye(3), slopes.reshape(-1, 3, 3)))
+    return tuple(found)
 
 
 def _seen(C: Floats, where: str) -> Bools:

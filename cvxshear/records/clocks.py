@@ -2,11 +2,12 @@
 
 Between two channels of a lightly damped frame the phase is nearly 0 or 180 degrees, at the modes and in the band
 between them, and the amplitudes have one ratio at all times. A clock that is late by t turns each component of angular
-frequency w by -w t, and a first-order low-pass of corner c by -arctan(w / c). So the squared cross-spectra of a channel
-with all others have phases near twice that: a straight line over frequency, which in a clock that drifts grows steeper
-with time and where samples are lost changes at one instant, or an arctangent. A gain that steps changes the amplitudes
-at one instant. A channel without motion has no line at all. Each of these is a hypothesis with a likelihood and a
-prior. A fault that is sure is corrected, or its channel left out, the surest first, before the rest is judged again.
+frequency w by -w t, a first-order low-pass of corner c by -arctan(w / c), and a sensor that resonates by the phase of a
+second-order factor. So the squared cross-spectra of a channel with all others have phases near twice that: a straight
+line over frequency, which in a clock that drifts grows steeper with time and where samples are lost changes at one
+instant, or an arctangent. A gain that steps changes the amplitudes at one instant. A channel without motion has no line
+at all. Each of these is a hypothesis with a likelihood and a prior. A fault that is sure is corrected, or its channel
+left out, the surest first, before the rest is judged again.
 
 The phases of the modes tell a delay of less than half a sample more exactly (`offsets`). A damper turns single modes.
 """
@@ -36,6 +37,9 @@ SHORTEST_DELAY = 0.5
 #: Corners of a first-order low-pass, over the sampling rate, a tenth apart: a lower one leaves no mode in the channel,
 #: a higher one takes less than 3 % from any. All are as probable.
 CORNERS = np.geomspace(0.02, 2.0, 47)
+#: Frequencies of a sensor's resonance, over the sampling rate, and its damping ratios: within the band, and lively
+#: enough to be no delay.
+RESONANCES, RESONANT = np.geomspace(0.05, 0.5, 24), np.array([0.05, 0.1, 0.2, 0.4])
 #: s a second; crystals differ by a tenth of that at most.
 FASTEST_DRIFT = 1e-3
 #: Independent phases between a channel and another. Resonances and dampers turn neighboring lines together, so more
@@ -169,33 +173,37 @@ class ChannelRatios:
         return np.asarray(self.pairs.sum(axis=0))
 
     def fault(self) -> ChannelFault:
-        """Find the first fault that is sure: samples lost, a low-pass, a drift, a delay or a step of the gain."""
+        """Find the first fault that is sure: samples lost, a slow sensor, a drift, a delay or a step of the gain."""
         drifting, curved = self._fitted(*self._best_line[1:]), self._curved()
-        # What a low-pass leaves of a line differs from band to band, and the bands are loud at different times.
-        ordered = (curved, drifting) if curved.kind == "low-pass" else (drifting, curved)
+        # What a slow sensor leaves of a line differs from band to band, and the bands are loud at different times.
+        ordered = (drifting, curved) if curved.late else (curved, drifting)
         for told in (self._lost(), *ordered, self._stepped()):
             if told is not None and told.probability >= quantities.SURE:
                 return told
         return ChannelFault("", 0.0, 0.0)
 
     def _curved(self) -> ChannelFault:
-        """Weigh delays and low-passes, each one curve of phase over frequency, against none."""
+        """Weigh delays, low-passes and resonances, each one curve of phase over frequency, against none."""
         each, rate = self.pairs.sum(axis=1), self.segments.rate
         grid, delayed = self._delays(each)
         beyond = np.abs(grid) >= SHORTEST_DELAY / rate
-        lags, corners = grid[beyond], rate * CORNERS
-        slow = (each @ np.exp(2j * np.arctan(np.outer(self.segments.omega, 0.5 / (np.pi * corners))))).real
+        lags, omega = grid[beyond], self.segments.omega[:, None] / (2 * np.pi * rate)
+        at, ratios = (item.ravel() for item in np.meshgrid(RESONANCES, RESONANT))
+        ringing = np.arctan2(2.0 * ratios * omega / at, 1.0 - (omega / at) ** 2)
+        slow = (each @ np.exp(2j * np.hstack([np.arctan(omega / CORNERS), ringing]))).real
         agreement = np.hstack([delayed[:, ~beyond].max(axis=1, keepdims=True), delayed[:, beyond], slow])
         likely = PHASES * _log_likelihood(agreement / np.maximum(np.abs(each).sum(axis=1, keepdims=True), 1e-300)).mean(
             axis=0
         )
-        priors = np.append(1.0 / np.abs(lags) / np.sum(1.0 / np.abs(lags)), np.full(len(corners), 1.0 / len(corners)))
-        logs = np.log(np.append(1.0 - 2 * FAULTY, FAULTY * priors))
+        priors = [1.0 / np.abs(lags) / np.sum(1.0 / np.abs(lags))]
+        priors += [np.full(count, 1.0 / count) for count in (len(CORNERS), len(at))]
+        logs = np.log(np.append(1.0 - 3 * FAULTY, FAULTY * np.concatenate(priors)))
         slows = odds.weigh(likely, logs)[1 + len(lags) :]
         if slows.sum() >= quantities.SURE:
             first = ranking.first_largest(slows)
             evidence = float(likely[1 + len(lags) + first] - likely[0])
-            return ChannelFault("low-pass", float(slows.sum()), evidence, float(corners[first]))
+            kind = "low-pass" if first < len(CORNERS) else "resonance"
+            return ChannelFault(kind, float(slows.sum()), evidence, rate * float(np.append(CORNERS, at)[first]))
         chances = odds.weigh(likely[: 1 + len(lags)], logs[: 1 + len(lags)])
         best = ranking.first_largest(chances[1:])
         evidence = float(likely[1 + best] - likely[0])
@@ -344,7 +352,8 @@ class ChannelFault:
     evidence : float
         Log likelihood of the fault over that of a sound channel.
     size, std : float, optional
-        Seconds of a delay, or by which it changes; seconds a second; a low-pass's corner, Hz; a step's factor.
+        Seconds of a delay, or by which it changes; seconds a second; a low-pass's corner or a resonance, Hz; a step's
+        factor.
     time : float, optional
         When it changes, s.
     late : (float, float), optional
@@ -421,8 +430,8 @@ def _left_out(fault: ChannelFault, name: str, where: str, rate: float) -> Findin
     """Report a channel that cannot be mended; the input stays."""
     numbers = {"channel": name, "out": name != "input", "probability": fault.probability}
     words = {"where": where, "time": fault.time, "left_out": "; left out" if numbers["out"] else ""}
-    if fault.kind == "low-pass":
-        return finding("low-pass", {**numbers, "corner": fault.size}, **words)
+    if fault.kind in ("low-pass", "resonance"):
+        return finding(fault.kind, {**numbers, "corner": fault.size}, **words)
     if fault.kind == "gain step":
         return finding("gain step", {**numbers, "factor": fault.size, "time": fault.time}, **words)
     what = "loses" if fault.size < 0 else "repeats"

@@ -101,6 +101,9 @@ def modal_findings(
     yield from hit_findings(record, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
+    if result.modes[0] == 1 and result.damping_ratios[0] < UNDAMPED:
+        numbers = {"mode": 1, "frequency": float(result.frequencies[0]), "damping": float(result.damping_ratios[0])}
+        yield finding("doubtful mode", numbers)
     yield from _mode_findings(record, result, setting, wanted)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
     for mode, share in zip(result.modes.tolist(), shares, strict=False):
@@ -170,9 +173,13 @@ def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding
             yield finding("resolution/ambient", numbers, needed=FEWEST_PERIODS)
 
 
+#: Damping ratio; the least that frames without cladding have. A machine's tone has less.
+UNDAMPED = 1e-3
+
+
 def reciprocity_findings(full: estimate.Details, setting: estimate.Replication) -> Iterator[Finding]:
     """Pairs of driving points whose transfers differ with the direction (Maxwell and Betti say they do not)."""
-    if full.products is None or setting.base:
+    if full.products is None or not setting.driving_point:
         return
     places = {int(floor): place for place, floor in enumerate(setting.floors)}
     driven = {int(floor): column for column, floor in enumerate(full.driven)}
@@ -217,7 +224,7 @@ def driving_point_findings(full: estimate.Details, setting: estimate.Replication
     every mode. So where the residues of the modes, divided by the declared floor's entries, change sign, another floor
     was hit; candidates are the floors without a change of sign.
     """
-    if full.products is None or setting.base or full.scales is not None:
+    if full.products is None or not setting.driving_point or full.scales is not None:
         return
     for column, floor in enumerate(full.driven.tolist()):
         # phi of the floor that was hit, up to a positive factor in each mode.
@@ -240,9 +247,9 @@ def _mode_findings(
     record: Record, result: ModalResult, setting: estimate.Replication, wanted: int
 ) -> Iterator[Finding]:
     sweep = setting.sweep
-    by_signs = len(record.channels) == record.stories > 1
-    # Fewer than there are stories, by a count or picked by hand, and all of them found.
-    asked = len(sweep.chosen) == wanted < record.stories
+    by_signs = len(record.channels) == record.stories > 1 and not record.turns
+    # Fewer than there are, by a count or picked by hand, and all of them found.
+    asked = len(sweep.chosen) == wanted < record.most_modes
     if by_signs and len(sweep.chosen) < record.stories:
         absent = sorted(set(range(1, record.stories + 1)) - {int(mode) for mode in result.modes})
         yield finding(
@@ -260,7 +267,7 @@ def _mode_findings(
             what = OTHER.format(f"one more than {stories} can have", "the frame has more")
             if asked:
                 what = "not among the modes asked for"
-            elif len(sweep.chosen) < record.stories:
+            elif len(sweep.chosen) < record.most_modes:
                 what = OTHER.format(
                     "not a sway mode that the frame still lacks", "a floor or a sign is not as declared"
                 )

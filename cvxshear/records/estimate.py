@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special
 from scipy.optimize import nnls
 
+from cvxshear.measurement.configuration import Sensor
 from cvxshear.records import frf, picking, pole_sweep
 from cvxshear.records.clocks import Offsets, offsets, rms_phase, undone
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
@@ -23,7 +24,8 @@ def scattering(
     """Modes that do not come back as themselves when a piece of the record is left out, by their members, and why.
 
     Poles that a model finds in noise are stable from order to order as well; their shapes are not from piece to piece.
-    Each mode is judged separately, with its complex shape; other modes and clocks do not matter here.
+    Each mode is judged separately, with its complex shape; other modes and clocks do not matter here. What follows the
+    strength of the motion, as the frequencies of real buildings do, is no scatter.
     """
     doubts: picking.Doubts = {}
     for item in chosen:
@@ -38,7 +40,7 @@ def scattering(
 
         pieces = len(parts.source.groups)
         try:
-            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights)
+            spread, _, lost = jackknife(replicate, parts.source.groups, parts.source.weights, parts.source.energies)
         except InputError:
             lost = pieces
         if 2 * lost > pieces:
@@ -82,6 +84,8 @@ class Replication:
         Decay that an exponential window added, 1/s.
     base : bool
         Whether the input is a base acceleration.
+    turns : bool
+        Whether the floors turn.
     """
 
     parts: picking.Parts
@@ -90,6 +94,12 @@ class Replication:
     quantity: str
     shift: float
     base: bool
+    turns: bool
+
+    @property
+    def driving_point(self) -> bool:
+        """Whether the sensor of a floor shows the motion where the force acts."""
+        return not (self.base or self.turns)
 
     @property
     def source(self) -> pole_sweep.Source:
@@ -150,13 +160,17 @@ def details(
     turned = None if products is None else frf.participations(products, values.shapes)
     right, rate = None if reference is None else reference.clocks.reference, setting.source.sampling_rate
     late = offsets(values.eigenvalues, values.shapes, turned, right, rate, setting.loud)
+    if setting.turns:
+        # Modes in x alone and in y alone link no clocks; the whole band has set them right before.
+        none = 0.0 * late.seconds
+        late = Offsets(none, none, none, late.reference)
     straight = undone(values.eigenvalues, values.shapes, late.seconds)
     shapes = np.array([picking.main_axis(shape) for shape in straight])
     real = np.array([picking.real_shape(shape) for shape in straight])
     places = ranking.largest(np.abs(real if reference is None else reference.real))
     real = real / real[np.arange(len(real)), places][:, None]
     scales = None
-    if products is not None and not setting.base:
+    if products is not None and setting.driving_point:
         found = [
             frf.modal_scale(_turned_back(each, value, late.seconds), shape, setting.floors, driven)
             for each, value, shape in zip(products, values.eigenvalues, real, strict=True)
@@ -354,8 +368,17 @@ def assembled(
         },
         covariance=joint @ covariance @ joint.T,
         uncertainty=uncertainty,
+        sensors=_sensors(record),
         sweep=setting.sweep,
     )
+
+
+def _sensors(record: Record) -> tuple[Sensor, ...]:
+    """Places and directions of the channels, where the floors turn."""
+    if not record.turns:
+        return ()
+    stands = [(each, np.array(each.position, dtype=np.float64)) for each in record.channels]
+    return tuple(Sensor(each.floor, position, each.direction or 0.0) for each, position in stands)
 
 
 def _entry_jacobian(full: Details, size: int) -> Floats:
@@ -392,7 +415,7 @@ def _numbers(shapes: Floats, record: Record, chosen: Sequence[picking.PoleCandid
     numbers = np.array([item.number for item in chosen], dtype=np.int64)
     if numbers.all():
         return numbers
-    if shapes.shape[1] == record.stories > 1:
+    if shapes.shape[1] == record.stories > 1 and not record.turns:
         changes = np.array([picking.sign_changes(shape) for shape in shapes], dtype=np.int64)
         if np.all(np.diff(changes) > 0):
             return changes + 1
@@ -435,7 +458,9 @@ def independent_std(covariance: Floats, shape: Floats) -> Floats:
 Estimate = Callable[[Bools], Floats | None]
 
 
-def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats, Floats, int]:
+def jackknife(
+    estimate: Estimate, groups: Ints, weights: Floats, energies: Floats | None = None
+) -> tuple[Floats, Floats, int]:
     """Find the covariance by leaving out one piece at a time.
 
     Pieces may tell more or less. With p_j the share of a piece's weight in its stratum, the sum of (1 - p_j) times the
@@ -451,6 +476,8 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
         Stratum of each piece.
     weights : array, shape (pieces,)
         How much each piece tells.
+    energies : array, shape (pieces,), optional
+        Mean square motion of each piece. What follows its logarithm is left out of the covariance.
 
     Returns
     -------
@@ -468,7 +495,7 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
     """
     parts, freedoms, lost = [], [], 0
     for group in np.unique(groups):
-        found, rest = [], []
+        found, rest, told = [], [], []
         pieces = np.flatnonzero(groups == group)
         shares = weights[pieces] / weights[pieces].sum()
         for piece, share in zip(pieces, shares, strict=True):
@@ -480,12 +507,15 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
             else:
                 found.append(values)
                 rest.append(1 - share)
+                told.append(piece)
         if len(found) < 2:
             raise InputError(
                 "the modes rest on single pieces of the record: left out one at a time, they are not found again in "
                 "the rest; record longer, or more hits"
             )
         spread = (np.array(found) - np.average(found, axis=0, weights=rest)) * np.sqrt(rest)[:, None]
+        if energies is not None and len(found) > FEW_PIECES:
+            spread = _without_trend(spread, energies[told])
         parts.append(spread.T @ spread * len(pieces) / len(found))
         form = (shares**2 / (1 - shares))[:, None] * (np.diag(1 / shares) - 1)
         freedoms.append(np.trace(form) ** 2 / np.sum(form * form.T) * (len(found) - 1) / (len(pieces) - 1))
@@ -493,6 +523,19 @@ def jackknife(estimate: Estimate, groups: Ints, weights: Floats) -> tuple[Floats
     squares = np.sum(variances**2 / np.array(freedoms)[:, None], axis=0)
     freedom = np.divide(np.diag(total) ** 2, squares, out=np.full(len(total), float(sum(freedoms))), where=squares > 0)
     return total, freedom, lost
+
+
+def _without_trend(spread: Floats, energies: Floats) -> Floats:
+    """Take from the changes that leaving pieces out makes what follows the strength of the motion.
+
+    The whole is nearly the mean of the pieces weighted by their energies, with the shares p. Leaving out piece j whose
+    own value differs by b log(e_j / e) changes it by -p_j / (1 - p_j) b log(e_j / e).
+    """
+    shares, level = energies / energies.sum(), np.log(energies)
+    follows = shares / (1.0 - shares) * (level - shares @ level)
+    follows = follows - follows.mean()
+    trend = np.outer(follows, follows @ spread) / max(float(follows @ follows), 1e-300)
+    return np.asarray((spread - trend) * np.sqrt((len(spread) - 1.0) / (len(spread) - 2.0)))
 
 
 def surrogate(residual: Floats, random: np.random.Generator) -> Floats:

@@ -370,7 +370,7 @@ class Examined:
     Parameters
     ----------
     record : TimeRecord or FrfRecord
-        One channel a floor, none of them dead, clocks within half a sample of each other.
+        One channel a floor, unless the floors turn; none of them dead, clocks within half a sample of each other.
     findings : tuple of Finding
     turning : callable or None
         The share of rotation at a frequency, Hz, where some floor has several sensors.
@@ -403,10 +403,13 @@ def examined(record: Record) -> Examined:
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors))
     steady, of_clocks = clocks.with_right_channels(without_spikes(record, findings))
+    findings += of_clocks
+    if steady.turns:
+        return Examined(steady, tuple(findings))
     steady, of_directions = along(steady)
     share = turning(steady)
     steady, of_floors = one_a_floor(steady)
-    findings += [*of_clocks, *of_directions, *of_floors]
+    findings += [*of_directions, *of_floors]
     if steady.input == "base":
         steady, of_signs = placement.with_the_base(steady)
         findings += of_signs

@@ -161,9 +161,11 @@ def identify_modes(
             except InputError as error:
                 raise type(error)(str(error) + _besides(looked)) from None
             result = _about_unknown_centers(looked, _with_what_was_seen(looked, result))
+            if not isinstance(looked.record, FrfRecord) and method != "era":
+                result = dataclasses.replace(result, amplitude=looked.record.largest)
             if functions:
                 result = dataclasses.replace(
-                    result, functions=prepare.measured_functions(looked.record, FUNCTION_RANGE * result.frequencies[-1])
+                    result, functions=prepare.measured_functions(repaired[0], FUNCTION_RANGE * result.frequencies[-1])
                 )
             return result
     except np.linalg.LinAlgError as error:
@@ -185,7 +187,7 @@ def _attempt(
 ) -> SourceAndSweep:
     """Bring a record into the method's form and sweep the orders; `order` puts the channels in that of their floors."""
     source = prepare.source_of(record, method, blocks=blocks)
-    by_signs = len(record.channels) == record.stories > 1
+    by_signs = None if record.turns else len(record.channels) == record.stories > 1
     choose = picking.ModeChoice(wanted, record.stories, by_signs, picked, order)
     shift = _window_decay(record)
     return source, picking.sweep_orders(source, criteria, choose, band=record.band, shift=shift, turning=turning)
@@ -217,13 +219,15 @@ def _identified(
         sweep = sweep.without(doubts)
     base = not isinstance(record, FrfRecord) and record.input == "base"
     while sweep.chosen:
-        setting = estimate.Replication(parts, sweep, record.floors, record.quantity, _window_decay(record), base)
+        of_record = record.floors, record.quantity, _window_decay(record), base, record.turns
+        setting = estimate.Replication(parts, sweep, *of_record)
         of_leakage = estimate.settle_truncation(record, setting, picking.Values.of(sweep.chosen))
         full = estimate.details(setting, picking.Values.of(sweep.chosen), None)
         spread, how, lost = estimate.covariance(setting, full, seed)
         result = estimate.assembled(record, setting, full, spread, method=method, uncertainty=how)
-        # Once clocks are right, and by surrogates where nothing can be left out.
-        each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), result.frequency_std.tolist(), strict=True)
+        # Once clocks are right, which no frequency depends on, and by surrogates where nothing can be left out.
+        stds = np.zeros(len(sweep.chosen)) if len(source.groups) else result.frequency_std
+        each = zip(sweep.chosen, result.mode_shape_std.max(axis=1).tolist(), stds.tolist(), strict=True)
         doubts = {k: v for item in each for k, v in estimate.doubted(*item, criteria).items()}
         if picked or not doubts:
             break
@@ -240,7 +244,8 @@ def _identified(
     findings += diagnostics.modal_findings(record, result, setting, full, lost, wanted=wanted, turning=turning)
     sizes = {"floors": len(record.channels), "stories": record.stories}
     left = diagnostics.left_out(sweep.candidates, sweep.chosen)
-    findings += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
+    if not record.turns:
+        findings += diagnostics.overlooked_modes(result.frequencies, result.modes, left, **sizes)
     return dataclasses.replace(result, findings=tuple(findings), sweep=sweep)
 
 
@@ -256,7 +261,7 @@ def _repaired(
     """
     found = settled(record, wanted, attempt, highest=highest)
     frequencies, lowest = picking.strongest(found[1], 2)
-    if len(record.channels) < 2 or len(lowest) < 2:
+    if record.turns or len(record.channels) < 2 or len(lowest) < 2:
         return record, found, []
     hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
     findings = placement.findings_of(hypotheses, record.channels, lowest[0])
@@ -278,9 +283,9 @@ def _repaired(
 
 def _wanted(record: Record, count: int | None, picked: tuple[float, ...]) -> int:
     """How many modes would be all."""
-    most = record.stories
+    most = record.most_modes
     if len(picked) > most:
-        raise InputError(f"pick names {len(picked)} modes; a frame of {most} stories has no more than {most}")
+        raise InputError(f"pick names {len(picked)} modes; a frame of {record.stories} stories has no more than {most}")
     return len(picked) or (most if count is None else checks.whole(count, "count", least=1, most=most))
 
 

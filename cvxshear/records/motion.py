@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,10 +11,10 @@ import scipy
 
 from cvxshear.measurement.experiment import MOST_STORIES
 from cvxshear.records.examination import one_a_floor
-from cvxshear.records.record import Record, TimeRecord
+from cvxshear.records.record import RECORDED_QUANTITIES, Record, TimeRecord
 from cvxshear.util import checks
 from cvxshear.util.errors import InputError
-from cvxshear.util.typing import Floats, Ints
+from cvxshear.util.typing import Complexes, Floats, Ints
 
 #: Kinds of input that are measured, so that a response to them can be predicted.
 DRIVEN = ("base", "force")
@@ -197,15 +197,48 @@ def band_limited(samples: Floats) -> Floats:
     ----------
     samples : ndarray, shape (samples,)
     """
+    return _filtered(samples, lambda f, above: 1.0 + above * (np.sinc(f) ** -2 - 1.0))
+
+
+def differentiated(samples: Floats, rate: float, quantity: str) -> tuple[Floats, float]:
+    """Differentiate a recorded motion where it is above its noise, which derivatives would raise beyond all else.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (samples,)
+    rate : float
+        Sampling rate, Hz.
+    quantity : str
+        "velocity" or "displacement".
+
+    Returns
+    -------
+    acceleration : ndarray, shape (samples,)
+    noise_from : float
+        Frequency, Hz, above which the record has more noise than motion.
+    """
+    lines, above = _above_noise(samples)
+    times = RECORDED_QUANTITIES.index(quantity)
+    noise_from = rate * float(lines[above > 0.5].max(initial=0.0))
+    return _filtered(samples - trend(samples), lambda f, share: share * (2j * np.pi * rate * f) ** times), noise_from
+
+
+def _above_noise(samples: Floats) -> tuple[Floats, Floats]:
+    """Frequencies, in cycles a sample, and the share of the power there that is not noise."""
     lines, power = scipy.signal.welch(samples - trend(samples), nperseg=min(SPECTRUM_SAMPLES, len(samples)))
     # The lines of a few samples may end before that; the last one has to do then.
     noise = np.median(power[lines >= min(0.5 * NOISE_FROM, lines[-1])])
-    above = np.clip(1.0 - NOISE_SCATTER * noise / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
+    return lines, np.clip(1.0 - NOISE_SCATTER * noise / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
+
+
+def _filtered(samples: Floats, gain: Callable[[Floats, Floats], Complexes | Floats]) -> Floats:
+    """Multiply the spectrum by a gain, a function of the frequency in cycles a sample and the share above the noise."""
     margin = min(MARGIN_SAMPLES, len(samples) - 1)
     mirrored = np.pad(samples, margin, mode="reflect", reflect_type="odd")
     f = np.fft.rfftfreq(len(mirrored))
-    gain = 1.0 + np.interp(f, lines, above) * (np.sinc(f) ** -2 - 1.0)
-    result: Floats = np.fft.irfft(np.fft.rfft(mirrored) * gain, len(mirrored))
+    lines, above = _above_noise(samples)
+    factor = gain(np.asarray(f), np.interp(f, lines, above))
+    result: Floats = np.fft.irfft(np.fft.rfft(mirrored) * factor, len(mirrored))
     return result[margin : margin + len(samples)]
 
 

@@ -21,8 +21,8 @@ MOSTLY_ROTATION = "mostly rotation"
 #: Of the loudest resonance's energy: fainter ones may be of noise.
 FAINT = 1e-3
 
-#: Relative distance to a louder resonance within which none of a frame's two lowest modes lies: the third is half as
-#: high again as the second.
+#: Relative distance to another resonance within which none of a frame's two lowest modes lies: the third is half as
+#: high again as the second. A frequency that follows the amplitude splits into two with one shape.
 BESIDE = 0.1
 
 #: Fraction of a shape's largest entry. Smaller entries can have either sign, because of noise or a sensor that is
@@ -138,10 +138,11 @@ class ModeChoice:
         Most modes to choose.
     stories : int
         Stories of the frame; the frame has one mode for each story.
-    by_signs : bool
+    by_signs : bool, optional
         Choose for mode r a shape with r - 1 changes of sign, which is what the modes of a shear frame have
         when every floor is measured (its stiffness matrix is a Jacobi matrix: Gantmacher and Krein 1950).
-        Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow.
+        Otherwise the modes of most energy are chosen, and numbered as low as their changes of sign allow; None
+        numbers them 1, 2, ..., for floors that turn.
     picked : tuple of float
         Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
     order : sequence of int, optional
@@ -150,7 +151,7 @@ class ModeChoice:
 
     count: int
     stories: int
-    by_signs: bool
+    by_signs: bool | None
     picked: tuple[float, ...] = ()
     order: Sequence[int] | None = None
 
@@ -163,7 +164,9 @@ class ModeChoice:
             chosen = _by_signs(usable, self.count, self.order)
         else:
             loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
-            chosen = _as_low(sorted(loudest, key=lambda item: item.frequency), self.stories, self.order)
+            chosen = sorted(loudest, key=lambda item: item.frequency)
+            if self.by_signs is not None:
+                chosen = _as_low(chosen, self.stories, self.order)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)
@@ -230,7 +233,7 @@ def _distinct(found: list[PoleCandidate], criteria: pole_sweep.Criteria) -> list
         twins = [
             other
             for other in kept
-            if abs(item.frequency - other.frequency) < 0.05 * other.frequency
+            if abs(item.frequency - other.frequency) < BESIDE * other.frequency
             and mac(item.shape, other.shape) > criteria.shape_agreement
         ]
         if twins and item.physical:

@@ -270,7 +270,7 @@ def _release(responses: Floats) -> int:
 
 
 def _driven(record: TimeRecord, blocks: int) -> pole_sweep.Source:
-    rows = continuous.rows_for(record.stories, len(record.channels))
+    rows = continuous.rows_for(record.most_modes, len(record.channels))
     before = 2 * rows - 1
     pieces = []
     for run, start, stop in _cuts(record, blocks, before, 0):

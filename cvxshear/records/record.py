@@ -60,9 +60,10 @@ class Channel:
     unit : str, optional
         The unit in which the sensor was recorded ("g", "mm/s2"); the record's values have been converted from it.
     position : (float, float), optional
-        Where the sensor sits on its floor, m: along the direction of test, and across it.
+        Where the sensor sits on its floor, m: along the direction of test, and across it. Of floors that turn, x and y
+        from the center of the plan.
     direction : float, optional
-        Degrees from the direction of test to the sensor's axis, counter-clockwise; 0 where not given.
+        Degrees from the direction of test, or from x, to the sensor's axis, counter-clockwise; 0 where not given.
     """
 
     name: str
@@ -172,6 +173,7 @@ class _Recorded(checks.ReadOnlyArrays):
     exponential_window: float | None = None
     name: str = "record"
     runs: tuple[Run, ...] | tuple[FrfRun, ...] = ()
+    turns: bool = False
 
     def _check_common(self) -> None:
         put = object.__setattr__
@@ -186,7 +188,9 @@ class _Recorded(checks.ReadOnlyArrays):
         for channel in self.channels:
             if channel.floor == 0:
                 raise InputError(f'{channel} is on the ground: it can only be the input, with input = "base"')
-            if channel.axis != self.channels[0].axis:
+            if self.turns and channel.position is None:
+                raise InputError(f"{channel} needs a position: the floors turn (frame: motions)")
+            if not self.turns and channel.axis != self.channels[0].axis:
                 raise InputError(
                     f"{channel} points along {channel.axis}, {self.channels[0]} along {self.channels[0].axis}; "
                     "the channels of a record share one axis"
@@ -204,6 +208,11 @@ class _Recorded(checks.ReadOnlyArrays):
             if high <= low:
                 raise InputError(f"record: band = [{low:g}, {high:g}] must be ascending, in Hz")
             put(self, "band", (float(low), float(high)))
+
+    @property
+    def most_modes(self) -> int:
+        """Number of modes of the frame: one a story, or three where the floors turn."""
+        return 3 * self.stories if self.turns else self.stories
 
     @property
     def floors(self) -> Ints:
@@ -229,6 +238,8 @@ class TimeRecord(_Recorded):
         s; time constant of an exponential window that had been applied to the responses.
     name : str, optional
     runs : sequence of Run
+    turns : bool, optional
+        Whether the floors move in x and y and turn; then each channel has a position, and its own direction.
     sampling_rate : float
         Hz.
     input : str
@@ -349,6 +360,11 @@ class TimeRecord(_Recorded):
     def duration(self) -> float:
         """Length of all runs together, s."""
         return sum(run.samples for run in self.runs) / self.sampling_rate
+
+    @property
+    def largest(self) -> float:
+        """Largest motion of a channel about its mean, in the unit of the responses."""
+        return max(float(np.abs(run.responses - run.responses.mean(axis=0)).max()) for run in self.runs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
+from cvxshear.measurement.configuration import Sensor, motion_shares
+from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.records import picking
 from cvxshear.records.data_frames import matrix_of
 from cvxshear.records.prepare import Functions
@@ -80,10 +83,14 @@ class ModalResult(Shown):
     uncertainty : str
         How the standard deviations were got.
     findings : tuple of Finding
+    sensors : tuple of Sensor, optional
+        Place and direction of the sensor of each entry, where the floors turn.
     sweep : Sweep, optional
         For the stabilization diagram.
     functions : Functions, optional
         What the record shows over frequency, for the figures.
+    amplitude : float, optional
+        Largest motion of a floor in a continuous record, in the unit of its responses (m/s2, m/s or m).
     """
 
     name: str
@@ -106,14 +113,29 @@ class ModalResult(Shown):
     covariance: Floats
     uncertainty: str
     findings: tuple[Finding, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
     sweep: picking.Sweep | None = None
     functions: Functions | None = None
+    amplitude: float | None = None
 
     json_keys = (
         "name method stories floors modes frequencies frequency_std=written_frequency_std damping_ratios "
         "damping_std=written_damping_std mode_shapes mode_shape_std entry_std=written_entry_std mass_normalized "
-        "phase_collinearity lost_phase clock_offsets=named_offsets uncertainty findings"
+        "phase_collinearity lost_phase clock_offsets=named_offsets amplitude uncertainty findings sensors "
+        "motion_shares"
     )
+
+    @property
+    def motion_shares(self) -> Floats | None:
+        """Shares of x, y and rotation in each mode, shape (m, 3), see `motion_shares`; None without `sensors`."""
+        return motion_shares(self.sensors, self.mode_shapes) if self.sensors else None
+
+    @property
+    def entries(self) -> list[str]:
+        """Name of each entry of a shape: its floor, or of floors that turn its sensor."""
+        if self.sensors:
+            return [f"sensor {place}" for place in range(1, len(self.sensors) + 1)]
+        return [f"floor {floor}" for floor in self.floors.tolist()]
 
     @property
     def named_offsets(self) -> dict[str, dict[str, float]]:
@@ -182,7 +204,8 @@ class ModalResult(Shown):
         -------
         pandas.DataFrame
             `frequency_Hz` and its standard deviation `frequency_std_Hz`, `damping_ratio` and `damping_ratio_std` as
-            fractions of critical, `floor_1`, ... in the scale of `mode_shapes`; indexed by `mode`.
+            fractions of critical, `floor_1`, ... in the scale of `mode_shapes`; of floors that turn `sensor_1`, ...,
+            after `share_x`, `share_y` and `share_rotation`. Indexed by `mode`.
 
         Raises
         ------
@@ -196,9 +219,13 @@ class ModalResult(Shown):
             "damping_ratio": self.damping_ratios.tolist(),
             "damping_ratio_std": self.written_damping_std.tolist(),
         }
+        if self.motion_shares is not None:
+            columns |= {
+                f"share_{name}": each for name, each in zip(MOTIONS, self.motion_shares.T.tolist(), strict=True)
+            }
         columns |= {
-            f"floor_{floor}": entries.tolist()
-            for floor, entries in zip(self.floors.tolist(), self.mode_shapes.T, strict=True)
+            name.replace(" ", "_"): entries.tolist()
+            for name, entries in zip(self.entries, self.mode_shapes.T, strict=True)
         }
         return data_frame(columns).set_index("mode")
 
@@ -209,8 +236,14 @@ class ModalResult(Shown):
             result["state"] = state
         if added_mass is not None:
             result["added_mass"] = [float(mass) for mass in added_mass]
+        if self.amplitude is not None:
+            result["amplitude"] = self.amplitude
         result |= {
-            "measured_floors": self.floors.tolist(),
+            **(
+                {"sensors": [sensor.to_dict() for sensor in self.sensors]}
+                if self.sensors
+                else {"measured_floors": self.floors.tolist()}
+            ),
             "modes": self.modes.tolist(),
             "other_modes": [
                 {"modes": item.numbers["modes"], "probability": item.numbers["probability"]}
@@ -341,6 +374,38 @@ def scale_unknown(tests: Sequence[IdentifiedRecord]) -> bool:
     stories = max(test.modes.stories for test in tests)
     added = [np.zeros(stories) if test.added_mass is None else np.asarray(test.added_mass) for test in tests]
     return all(np.array_equal(mass, added[0]) for mass in added)
+
+
+def over_amplitude(results: Sequence[ModalResult]) -> dict[int, tuple[Floats, Floats, Floats]]:
+    """Frequencies and damping of each mode at the amplitudes of several records, and how the frequencies follow them.
+
+    Parameters
+    ----------
+    results : sequence of ModalResult
+
+    Returns
+    -------
+    dict
+        Mode number to frequencies, Hz, and damping ratios, shape (records,), nan where a record lacks the mode; and to
+        the relative change of frequency for a tenfold amplitude with its standard deviation, by a straight line
+        through the logarithms, nan for fewer than three records. There are as many modes as floors with sensors, whose
+        numbers are sure.
+    """
+    amplitudes = np.log10([np.nan if each.amplitude is None else each.amplitude for each in results])
+    found = {}
+    for mode in range(1, 1 + min(len(each.floors) for each in results)):
+        values = np.full((2, len(results)), np.nan)
+        for place, each in enumerate(results):
+            here = each.modes == mode
+            if here.any():
+                values[:, place] = each.frequencies[here][0], each.damping_ratios[here][0]
+        slope = np.full(2, np.nan)
+        told = np.isfinite(values[0] + amplitudes)
+        if np.count_nonzero(told) > 2 and np.ptp(amplitudes[told]) > 0:
+            line = scipy.stats.linregress(amplitudes[told], np.log(values[0, told]))
+            slope = np.array([np.expm1(line.slope), line.stderr])
+        found[mode] = values[0], values[1], slope
+    return found
 
 
 #: Keys of a prior that say what it speaks of; the others are what it says.

@@ -282,11 +282,11 @@ def compared_errors(held_out: str) -> Iterator[tuple[str, str, Writer]]:
 
 def before_after(result: LoopResult) -> blocks.Section:
     """Compare the first and the final model of the loop."""
-    first = quantities.capital(result.before.action)
-    same = "" if len(result.steps) > 1 else " Nothing was added, so that both are the same."
-    which = f"{first} beside the final model, in the same noise.{same}"
-    noise = blocks.Facts(tuple(headline.noise_facts(result)))
+    which = f"{quantities.capital(result.before.action)} beside the final model, in the same noise."
     title = "The shear model and the model with effects"
+    if len(result.steps) == 1:
+        which, title = "Nothing was added.", "The shear model and the measurement"
+    noise = blocks.Facts(tuple(headline.noise_facts(result)))
     return blocks.section("before-after", title, which, errors_table(result), noise)
 
 
@@ -301,29 +301,29 @@ def errors_table(result: LoopResult) -> blocks.Table:
     columns = [blocks.Column("error", labels, words=True, name="error", values=labels)]
     for name, side, cells in zip(headline.MODELS, (before, after), zip(*texts, strict=True), strict=True):
         values = tuple(side[key] for key, _, _ in known)
-        columns.append(blocks.Column(name, cells, name=name.replace(" ", "_"), values=values))
+        # A model without effects is shown once.
+        shown = name if name == headline.MODELS[0] or len(result.steps) > 1 else ""
+        columns.append(blocks.Column(shown, cells, name=name.replace(" ", "_"), values=values))
     return blocks.Table("errors", "Errors of the model against the measurement", tuple(columns))
 
 
 def residual_section(result: LoopResult) -> blocks.Section:
     """Tabulate the residual of every part of the measurement, one table for each kind of data."""
-    before, after = by_part(result.before.estimate), by_part(result.estimate)
-    pairs = list(zip(before, after, strict=True))
-    kinds = dict.fromkeys(item.noise for item in after)
-    tables = (_residuals(kind, [pair for pair in pairs if pair[1].noise == kind]) for kind in kinds)
+    models = (result.before, result.after) if len(result.steps) > 1 else (result.after,)
+    parts = list(zip(*(by_part(each.estimate) for each in models), strict=True))
+    kinds = dict.fromkeys(part[0].noise for part in parts)
+    tables = (_residuals(kind, [part for part in parts if part[0].noise == kind]) for kind in kinds)
     return blocks.section("residual", "Where the residual sits", *tables, below=True)
 
 
-def _residuals(kind: str, pairs: list[tuple[Deviation, Deviation]]) -> blocks.Table:
-    signed = all(item.entries == 1 for pair in pairs for item in pair)
-    errors = quantities.percents([item.error for pair in pairs for item in pair], sign=signed)
-    rows = (
-        (after.configuration, after.place, *errors[2 * at : 2 * at + 2], *(_std(item) for item in (before, after)))
-        for at, (before, after) in enumerate(pairs)
-    )
+def _residuals(kind: str, parts: list[tuple[Deviation, ...]]) -> blocks.Table:
+    signed = all(item.entries == 1 for part in parts for item in part)
+    errors = iter(quantities.percents([item.error for part in parts for item in part], sign=signed))
+    rows = ((part[0].configuration, part[0].place, *(next(errors) for _ in part), *map(_std, part)) for part in parts)
+    models = headline.MODELS[: len(parts[0])]
     name = quantities.capital(kind.replace("_", " "))
     title = f"{name}: model less measurement, in percent and in standard deviations (std)"
-    head = ("configuration", "part", *headline.MODELS, *(f"std, {model}" for model in headline.MODELS))
+    head = ("configuration", "part", *models, *(f"std, {model}" for model in models))
     return blocks.table_of_rows(f"residual-{kind.replace('_', '-')}", title, head, rows, words=(0, 1))
 
 
@@ -333,12 +333,10 @@ def _std(item: Deviation) -> str:
 
 def not_considered(result: LoopResult) -> blocks.Section:
     """List the effects that the data cannot tell, and what would tell them."""
-    texts = tuple(
-        f"{quantities.capital(name.replace('_', ' '))} was not looked for: that needs {lacking.replace('_', ' ')}."
-        for name, lacking in result.not_considered.items()
-    )
-    points = [blocks.Points("not-looked-for", texts)] if texts else []
-    return blocks.section("not-considered", "What was not looked for", *points, below=True, appendix=True)
+    cells = {"effect": result.not_considered, "needs": result.not_considered.values()}
+    texts = {head: [each.replace("_", " ") for each in names] for head, names in cells.items()}
+    tables = [blocks.table("not-looked-for", "", texts, words=(0, 1))] if result.not_considered else []
+    return blocks.section("not-considered", "What was not looked for", *tables, below=True, appendix=True)
 
 
 def _next(result: LoopResult, units: quantities.Units) -> str:
@@ -379,7 +377,11 @@ def _reference(result: LoopResult) -> str:
 def _besides(result: LoopResult) -> str:
     """Name the candidates that remain possible beside a certain verdict; empty if no candidate remains."""
     added = {item.placed for item in result.effects}
-    left = [item for item in result.candidates if item.placed not in added and item.probability > headline.DOUBT]
+    left = [
+        item
+        for item in result.candidates
+        if item.placed not in added and not item.confounded_with and item.probability > headline.DOUBT
+    ]
     if not left:
         return ""
     named = headline.some([f"{item.placed.label} ({quantities.chance(item.probability)})" for item in left], "or")

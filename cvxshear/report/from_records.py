@@ -4,9 +4,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.records import ModalResult
+from cvxshear.records.result import over_amplitude
 from cvxshear.report import blocks
 from cvxshear.screening import FileFinding, Screening
+from cvxshear.util import quantities
 from cvxshear.util.errors import InputError
 from cvxshear.util.quantities import capital, counted, listed, numbered, percent, with_std, with_stds
 
@@ -26,9 +29,9 @@ def method_in_words(result: ModalResult) -> str:
 @blocks.describe.register
 def _modes(result: ModalResult) -> blocks.Document:
     how = f"{capital(method_in_words(result))}; standard deviations: {result.uncertainty_in_words}."
-    findings = (blocks.Sentence(f"{each.kind}: {each.message}", "warning") for each in result.findings)
+    findings = (blocks.Sentence(f"{capital(each.kind)}: {each.message}", "warning") for each in result.findings)
     shapes = _shapes(result).folded(blocks.PAGE_COLUMNS)
-    sections = (blocks.section("modes", "Modes", how, _table(result), *shapes, *findings),)
+    sections = (blocks.section("modes", "Modes", how, *findings, _table(result), *shapes),)
     return blocks.Document(result.name, f"{result.name}: {_modes_headline(result)}", sections, (modes_data(result),))
 
 
@@ -40,13 +43,16 @@ def _line(result: ModalResult) -> str:
 
 
 def _modes_headline(result: ModalResult) -> str:
-    return f"{counted(len(result.frequencies), 'mode')} at {numbered('floor', result.floors.tolist())}"
+    floors = np.unique(result.floors).tolist()
+    return f"{counted(len(result.frequencies), 'mode')} at {numbered('floor', floors)}"
 
 
 def _table(result: ModalResult) -> blocks.Table:
     frequencies = zip(result.frequencies.tolist(), result.written_frequency_std.tolist(), strict=True)
     damping = zip(result.damping_ratios.tolist(), result.written_damping_std.tolist(), strict=True)
-    title = "Modes ± standard deviation. MPC: phase collinearity, 1 where all floors move in step; lost phase: 0° then"
+    title = "Modes ± standard deviation; where all floors move in step, MPC is 1 and the lost phase 0°"
+    shares = result.motion_shares
+    moved = {} if shares is None else dict(zip(MOTIONS, (100 * shares.T).tolist(), strict=True))
     return blocks.table("identified-modes", title, {
         "mode": [str(mode) for mode in result.modes],
         "frequency, Hz": [with_std(value, value * std, factor=1.0) for value, std in frequencies],
@@ -54,6 +60,7 @@ def _table(result: ModalResult) -> blocks.Table:
         "damping, %": [with_std(value, std, factor=0.01) if value else "–" for value, std in damping],
         "MPC": [f"{value:.4f}" for value in result.phase_collinearity.tolist()],
         "lost phase": [f"{value:.1f}°" for value in result.lost_phase],
+        **{f"{name}, %": [f"{share:.0f}" for share in each] for name, each in moved.items()},
     })  # fmt: skip
 
 
@@ -69,13 +76,35 @@ def modes_data(result: ModalResult) -> blocks.Table:
         ("frequency", "Hz"): result.frequencies,
         ("frequency std", "Hz"): result.frequencies * result.frequency_std,
         ("damping ratio", ""): result.damping_ratios,
-        **{(f"floor {floor}", unit): shapes[:, at] for at, floor in enumerate(result.floors)},
-        **{(f"floor {floor} std", unit): stds[:, at] for at, floor in enumerate(result.floors)},
+        **{(name, unit): shapes[:, at] for at, name in enumerate(result.entries)},
+        **{(f"{name} std", unit): stds[:, at] for at, name in enumerate(result.entries)},
     }
     columns = (
         blocks.exact(name, each, unit=unit) for (name, unit), each in values.items() if np.any(np.isfinite(each))
     )
     return blocks.Table(result.name, "Modes", tuple(columns))
+
+
+def amplitude_section(results: Sequence[ModalResult]) -> blocks.Section:
+    """Tabulate frequencies and damping of several records of one frame over the amplitude of its motion.
+
+    Parameters
+    ----------
+    results : sequence of ModalResult
+        Each with its amplitude.
+    """
+    results = sorted(results, key=lambda each: each.amplitude or 0.0)
+    cells = {"record": [result.name for result in results]}
+    cells["largest motion (SI)"] = quantities.significants([result.amplitude or 0.0 for result in results], 3)
+    trends = []
+    for mode, (frequencies, damping, (change, std)) in over_amplitude(results).items():
+        for head, values in ((f"mode {mode}, Hz", frequencies), (f"damping {mode}, %", 100 * damping)):
+            cells[head] = ["–" if np.isnan(value) else f"{value:#.4g}" for value in values.tolist()]
+        if np.isfinite(change):
+            trends.append(f"mode {mode} by {with_std(100 * change, 100 * std, factor=1.0)} %")
+    said = f"A tenfold motion changes the frequency of {listed(trends)}." if trends else ""
+    table = blocks.table("amplitude", "Modes over the amplitude of the motion", cells)
+    return blocks.section("amplitude", "", *table.folded(blocks.PAGE_COLUMNS), *filter(None, [said]))
 
 
 def poles_table(result: ModalResult) -> blocks.Table:
@@ -110,6 +139,9 @@ def _shapes(result: ModalResult) -> blocks.Table:
     shapes, stds = result.mode_shapes.tolist(), (result.written_entry_std * largest).tolist()
     scale = "1/√kg" if result.mass_normalized else "the largest entry is 1"
     columns = {"floor": [str(floor) for floor in result.floors]}
+    if result.sensors:
+        places = [(each.floor, *each.position, each.direction) for each in result.sensors]
+        columns = {"sensor": [f"floor {floor}, {x:g}, {y:g} m, {angle:g}°" for floor, x, y, angle in places]}
     columns |= {f"mode {mode}": with_stds(*pair) for mode, *pair in zip(result.modes, shapes, stds, strict=True)}
     return blocks.table("identified-shapes", f"Mode shapes ± standard deviation ({scale})", columns, top_first=True)
 

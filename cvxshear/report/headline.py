@@ -258,10 +258,12 @@ def evidence_in_words(result: LoopResult) -> str:
     kind = plural_of(next(iter(share_of_kind)))
     if _only_accuracy(result):
         return f"The evidence lies in the residuals of the {kind}, which scatter more than was declared."
-    said = [f"{plural_of(each)} ({percent(part, 0)})" for each, part in share_of_kind.items() if round(100 * part)]
+    said = [
+        f"{percent(part, 0)} lie in the {plural_of(each)}" for each, part in share_of_kind.items() if round(100 * part)
+    ]
     if len(said) == 1:
         return f"The evidence lies in the {kind}."
-    return f"The evidence lies in the {listed(said)} of the fall in chi-square."
+    return f"Of the fall in chi-square, {listed(said)}."
 
 
 def _only_accuracy(result: LoopResult) -> bool:

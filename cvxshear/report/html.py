@@ -61,7 +61,7 @@ def page(template: str, result: Json | list[Json], **contents: Any) -> str:
 
 
 def drawings(*results: Any) -> dict[str, Json]:
-    """Draw all figures that apply to these results, then their animations, by name.
+    """Draw the animations of these results, then all figures that apply, by name.
 
     Parameters
     ----------
@@ -77,7 +77,8 @@ def drawings(*results: Any) -> dict[str, Json]:
     # Imported here, because a notebook shows tables without matplotlib.
     from cvxshear.report.figures import animations, style  # noqa: PLC0415
 
-    drawn = {
+    moving = {each["name"]: each for each in animations(*results)}
+    return moving | {
         entry.name: {
             "name": entry.name,
             "title": entry.title,
@@ -90,7 +91,6 @@ def drawings(*results: Any) -> dict[str, Json]:
         }
         for entry in style.applicable(*results)
     }
-    return drawn | {each["name"]: each for each in animations(*results)}
 
 
 def versions() -> Iterator[tuple[str, str]]:
@@ -122,6 +122,8 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
     """
     if comparison is None:
         comparison = compare_backends(result.experiment, repeats=1)
+    # Without effects the picture of the verdict is the identified frame.
+    figure = {name: each for name, each in drawings(result).items() if result.effects or name != "frame"}
     return page(
         "report.html",
         result.to_dict(),
@@ -129,7 +131,7 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
         heading=result.experiment.report,
         headline=capital(headline(result)),
         verdict=verdict_of(result),
-        figure=drawings(result),
+        figure=figure,
         backends=describe(comparison)["worst"],
         left_out=comparison.left_out,
         command=command,

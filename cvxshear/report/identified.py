@@ -223,9 +223,7 @@ def frequencies_table(experiment: Experiment, predictions: Iterable[results.Pred
     rows = []
     for item in predictions:
         configuration = next(each for each in experiment.configurations if each.name == item.configuration)
-        for mode, measured in zip(
-            item.modes_of(configuration).tolist(), configuration.frequencies.tolist(), strict=True
-        ):
+        for mode, measured in zip(item.modes.tolist(), configuration.frequencies.tolist(), strict=True):
             modelled = float(item.frequencies[mode - 1])
             rows.append((configuration.name, mode, measured, modelled, modelled / measured - 1))
     names, modes, measured, model, errors = zip(*rows, strict=True)
@@ -304,9 +302,9 @@ def generous_noise(fit: results.Quality) -> Iterator[str]:
         return
     size = quantities.significant(math.sqrt(fit.dof / max(fit.chi2, 1e-9)), 2)
     yield (
-        f"the residual is {size} times smaller than the stated standard deviations let expect ({_chi_square(fit)}): "
-        "these are too large, and so are those of masses and stiffnesses. Deviations that 'modes' writes also hold "
-        "errors that all data share"
+        f"the residual is {size} times smaller than the stated standard deviations ({_chi_square(fit)}): either they "
+        "are too large, and so are those of masses and stiffnesses, or they include errors that all data share, such "
+        "as the calibration of a sensor; those that 'modes' writes do"
     )
 
 

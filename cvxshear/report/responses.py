@@ -1,7 +1,7 @@
 """Describe predicted and reconstructed responses, and write their time series."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO, StringIO
 from pathlib import Path
 
@@ -153,7 +153,7 @@ def peaks(found: Peaks) -> Iterator[blocks.Sentence | blocks.Table]:
     yield blocks.table("prediction-peaks", "peaks ± standard deviation", columns, top_first=True)
     if "overturning_moment" in values:
         moment, deviation = (float(each["overturning_moment"][0]) for each in (values, std))
-        yield blocks.Sentence(f"overturning moment at the base: {quantities.with_std(moment, deviation, 'N m')}")
+        yield blocks.Sentence(f"Overturning moment at the base: {quantities.with_std(moment, deviation, 'N m')}")
 
 
 def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.Table]:
@@ -186,7 +186,7 @@ def _peak_parts(result: RecordPrediction) -> Iterator[blocks.Sentence | blocks.T
 
 @blocks.describe.register
 def _reconstruction(result: Reconstruction) -> blocks.Document:
-    warnings, frame = (blocks.Sentence(each, "warning") for each in result.warnings), result.frame
+    warnings, frame = (blocks.Sentence(each, "warning") for each in _sentences(result.warnings)), result.frame
     motion = (*_sensor_drifts(result), stories(result), *peaks(result.peaks))
     checks = [blocks.section("checks", "Each sensor from the others", left_out(result))] if result.checks else []
     sections = (
@@ -195,7 +195,7 @@ def _reconstruction(result: Reconstruction) -> blocks.Document:
         blocks.section("motion", "What the stories did", *motion),
         blocks.section("frame", "The frame in this record", *_frame_parts(result)),
         blocks.section("evidence", "Sensors", sensors(result)),
-        blocks.section("remarks", "What to bear in mind", blocks.Points("remarks", result.remarks)),
+        blocks.section("remarks", "What to bear in mind", blocks.Points("remarks", _sentences(result.remarks))),
     )
     more = [
         blocks.exact("story_factor", frame.factors, frame.factors_std),
@@ -207,6 +207,10 @@ def _reconstruction(result: Reconstruction) -> blocks.Document:
         more += [blocks.exact(f"probability_beyond_{name}", each) for name, each in chances]
     title, headline = result.fitted.experiment.name, quantities.capital("; ".join(_findings(result)))
     return blocks.Document(title, headline, sections, tuple(_peak_data(result.peaks, *more)))
+
+
+def _sentences(texts: Iterable[str]) -> tuple[str, ...]:
+    return tuple(f"{quantities.capital(each)}." for each in texts)
 
 
 def _reconstructed(result: Reconstruction) -> str:
@@ -354,15 +358,15 @@ def _frame_parts(result: Reconstruction) -> Iterator[blocks.Sentence | blocks.Ta
     stds = [own * each[shown] for own, each in zip(values, result.frame.modal_std, strict=True)]
     yield blocks.table("reconstructed-modes", "modes of the frame ± standard deviation", {
         "mode": [str(mode) for mode in range(1, shown.stop + 1)],
-        "identified, Hz": map(quantities.significant, before.modes.frequencies[shown].tolist()),
+        "identified, Hz": quantities.significants(before.modes.frequencies[shown].tolist(), 5),
         "in this record, Hz": _written(values[0], stds[0], 1.0),
         "damping identified": map(quantities.percent, before.ratios[shown].tolist()),
         "damping in this record, %": _written(values[1], stds[1], 0.01),
     })  # fmt: skip
     noise = result.frame.errors.noise_at(result.frame.p)
     yield blocks.Sentence(
-        f"story forces that the model misses: {quantities.percent(noise.force, 1)} of the rms story force; "
-        f"{result.kind} damping, backend {result.backend}"
+        f"The model misses {quantities.percent(noise.force, 1)} of the rms story force. Damping is {result.kind}; "
+        f"backend {result.backend}."
     )
 
 

@@ -44,18 +44,24 @@ def _history_headline(result: History) -> str:
 
 
 def _changes(result: History) -> Iterator[blocks.Block | str]:
-    """Tabulate the changes with their rivals, and state the noise that they stand out from."""
+    """Tabulate the changes with their rivals, and state the noise."""
     if result.loop.provisional:
         yield blocks.Sentence("A significant residual is left, so that every change is provisional.", "warning")
     if result.changes:
+        units = {"temperature": "% per °C", "amplitude": "% per factor of ten"}
+        sizes = [(each.size, each.std, units.get(each.kind, "%")) for each in result.changes]
         cells = {
-            "change": [each.text for each in result.changes],
+            "kind": [each.kind for each in result.changes],
+            "story": [str(each.story or "all") for each in result.changes],
+            "from": [each.test or "" for each in result.changes],
+            "change of stiffness": [quantities.with_std(*each, factor=0.01) for each in sizes],
             "probability": [quantities.chance(each.probability) for each in result.changes],
             "or from": [", ".join(each.other_tests) for each in result.changes],
             "or in its place": [", ".join(each.rivals) for each in result.changes],
         }
         told = {head: texts for head, texts in cells.items() if any(texts)}
-        yield blocks.table("changes-table", "", told, words=(0, 2, 3))
+        words = tuple(place for place, head in enumerate(told) if head not in ("change of stiffness", "probability"))
+        yield blocks.table("changes-table", "", told, words=words)
     yield f"It rests on {result.loop.rests_on[0]}; masses are the same in all tests."
     yield from (f"{quantities.capital(each)}." for each in result.loop.information)
 
@@ -88,13 +94,12 @@ def history_data(result: History) -> blocks.Table:
             blocks.Column(f"story {story}, {unit}", texts, name=f"story_stiffness_{story}", values=values, std=stds,
                           unit="N/m")
         )  # fmt: skip
-    return blocks.Table("history", "Measured modes, and the stiffnesses of each test alone", tuple(columns), brief=True)
+    return blocks.Table("history", "Measured modes, and the stiffnesses of each test alone", tuple(columns))
 
 
 @blocks.describe.register
 def _plan(result: Plan) -> blocks.Document:
-    design = result.model.design
-    noise = f"{design.name}: {design.stories} stories; expected noise: {result.model.noise.words}"
+    design, noise = result.model.design, f"Expected noise: {result.model.noise.words}."
     sections = [
         blocks.section("choice", "", typical(result), *other_frames(result), sure(result), noise),
         blocks.section("tests", "The tests", expected_modes(result), added_masses(result), *grid(result)),
@@ -161,9 +166,9 @@ def other_frames(result: Plan) -> list[blocks.Block]:
 
 def sure(result: Plan) -> str:
     """State the objective and the largest possible distance of the choice from the optimum."""
-    said = f"{result.measure} ({result.criterion}): {quantities.percent(result.objective)} relative"
-    if result.objective >= UNKNOWN_STD:
-        said = f"{result.measure} ({result.criterion}): open, {quantities.percent(UNKNOWN_STD, 0)} relative or more"
+    unknown = f"open, {quantities.percent(UNKNOWN_STD, 0)} or more"
+    value = unknown if result.objective >= UNKNOWN_STD else quantities.percent(result.objective)
+    said = f"{quantities.capital(result.measure)} (criterion {result.criterion}): {value}"
     if len(result.sensors) == result.model.design.stories:
         return said
     if result.floors_arbitrary:
@@ -185,8 +190,8 @@ def grid(result: Plan) -> list[str]:
     if result.of_grid.arbitrary:
         return ["Every choice of added masses gives the same within 1 %: the masses named are arbitrary."]
     return [
-        "With these sensors, masses of the limit or half of it on one floor, on all floors or on either half reach "
-        f"{_value(result.of_grid.bound)} at best."
+        "With these sensors, no tests with the largest added mass or half of it, on one floor, all floors or either "
+        f"half of them, get below {_value(result.of_grid.bound)}."
     ]
 
 
@@ -194,7 +199,7 @@ def expected_modes(result: Plan) -> blocks.Table:
     """Tabulate the modes of the first test."""
     return blocks.table("expected-modes", f"expected modes ({result.names[0]})", {
         "mode": [str(each["mode"]) for each in result.expected_modes],
-        "frequency, Hz": [quantities.significant(each["frequency"]) for each in result.expected_modes],
+        "frequency, Hz": quantities.significants([each["frequency"] for each in result.expected_modes]),
     })  # fmt: skip
 
 

@@ -35,7 +35,7 @@ RecordingSource = str | Path | TimeRecord | DrivenRecord
 #: Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights.
 SAID = (
     "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
-    "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "gain step",
+    "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "resonance", "gain step",
 )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ def draw(app: Sphinx) -> None:
 
 
 class Gallery(SphinxDirective):
-    """Figures of an example; of all of them where none is named."""
+    """Figures of an example, or of all examples."""
 
     required_arguments = 1
     optional_arguments = 99

@@ -16,6 +16,7 @@ import cvxshear
 from cvxshear import backends
 from cvxshear.backends.base import Tolerances
 from cvxshear.cli import app
+from cvxshear.io.modes import identify_modes_many
 from cvxshear.planning import Declared
 from cvxshear.records import identify_modes
 from tests.frames import EXAMPLES
@@ -234,7 +235,7 @@ FUNCTIONS = {
     "plan": [cvxshear.plan, Declared],
     "predict": [cvxshear.predict],
     "reconstruct": [cvxshear.reconstruct],
-    "modes": [identify_modes],
+    "modes": [identify_modes, identify_modes_many],
 }
 """Commands and their equivalent Python functions with the objects that these take."""
 

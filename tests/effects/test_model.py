@@ -5,8 +5,8 @@ import pytest
 from scipy import linalg
 
 from cvxshear.model import (
+    FrameSystem,
     Observation,
-    ShearSystem,
     attached_share,
     frame_modes,
     mass_matrix,
@@ -16,6 +16,7 @@ from cvxshear.model import (
     stiffness_matrix,
     transformation,
 )
+from cvxshear.motions import ONE_MOTION
 from cvxshear.util.errors import NoModesError
 
 MASS, STIFFNESS = np.array([4.0, 3.0, 2.0]), np.array([900.0, 700.0, 400.0])
@@ -119,7 +120,7 @@ def test_rank_one_derivatives_and_added_terms_are_those_of_the_whole_matrices(wh
     """Two further parameters have no effect on the matrices, or are a mass and a spring; then one is added to both."""
     plain, rng = shear_system(MASS, STIFFNESS), np.random.default_rng(0)
     dM, dK = (np.concatenate([each, np.zeros((2, 3, 3))]) for each in (plain.dM, plain.dK))
-    found = ShearSystem(plain.M, plain.K, 8)
+    found = FrameSystem(ONE_MOTION, plain.M, plain.K, 8)
     if added:
         units = rng.standard_normal((3, 3, 3))
         found = found.plus("M", np.array([0.5]), units[:1], slice(6, 7))

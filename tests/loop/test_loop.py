@@ -392,8 +392,7 @@ def test_a_noise_that_comes_out_as_the_default_is_still_what_the_verdict_rests_o
     closure = close_loop(given)
     assert closure.after.estimate.misfit.noise.factors == ()
     factors = [closure.noise.noise.of(kind) for kind in ("frequency", "mode_shape")]
-    frequency, shape = (f"{factor:.2g}" for factor in factors)
+    frequency, shape = f"{0.2 * factors[0]:.2g}", f"{factors[1]:.2g}".removesuffix(".0")
     assert factors == pytest.approx([1.0, 1.0], abs=0.05)
-    assert closure.rests_on[0] == (
-        f"estimated noise (frequency {frequency} times the default, mode shape {shape} times the default)"
-    )
+    # The defaults are 0.2 % of a frequency and 1 % of a shape's largest entry.
+    assert closure.rests_on[0] == f"estimated noise (frequencies {frequency} %, mode shapes {shape} %)"

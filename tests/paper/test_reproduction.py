@@ -55,13 +55,17 @@ def test_the_terminal_shows_every_section_with_brackets_and_signs(reproduction):
 
 
 def test_the_documentation_has_the_tables_that_the_command_prints(reproduction):
-    """The random samples are excluded: their last digits depend on numpy's version."""
+    """The last digits of random samples depend on numpy's version; Tables 4 and 5 are the input.
+
+    The pages leave out the most frequent agreement.
+    """
     documented = DOCS.read_text(encoding="utf-8")
     for section in reproduction.sections:
-        if section.title.startswith(("Table 3", "Fig. 6")):
+        if section.title.startswith(("Table 3", "Fig. 6", "Tables 4 and 5")):
             continue
         table = printed_beside_recomputed(section)
-        lines = [f"| {' | '.join(cells)} |" for cells in (table.head, *(row for row in table.rows))]
+        rows = ((*cells[:-1], cells[-1].removesuffix(TO_THE_DIGIT)) for cells in table.rows)
+        lines = [f"| {' | '.join(cells)} |" for cells in (table.head, *rows)]
         for line in (f"## {section.title}", *lines, *section.notes):
             assert line in documented
     assert reproduction.summary in documented

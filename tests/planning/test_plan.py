@@ -252,7 +252,10 @@ def test_a_choice_that_changes_nothing_is_said_to_be_arbitrary(file, capsys):
 
 
 def test_the_command_prints_what_no_test_of_the_grid_can_beat(file, run):
-    assert "masses of the limit or half of it" in run("plan", file, "--modes", "2", "--added-mass", "10")[1]
+    assert (
+        "no tests with the largest added mass or half of it"
+        in run("plan", file, "--modes", "2", "--added-mass", "10")[1]
+    )
 
 
 @pytest.mark.parametrize("fresh", [False, True])

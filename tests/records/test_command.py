@@ -1,12 +1,16 @@
 """Test the command line on a record: writing modes to a measurement file, and the loop on the record itself."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+from scipy import io, signal
 
 import cvxshear
 from cvxshear.cli import main
+from cvxshear.records import Channel, Run, TimeRecord, identify_modes
+from cvxshear.records.simulate import KnownFrame, base_record
 from tests.frames import chain, modes_of
 
 MASS = np.array([10.0, 7.5, 5.0])
@@ -38,7 +42,7 @@ def record(tmp_path):
     return path
 
 
-def run(capsys, *arguments):
+def run_command(capsys, *arguments):
     with pytest.raises(SystemExit) as stopped:
         main(list(arguments))
     return stopped.value.code, capsys.readouterr()
@@ -46,7 +50,7 @@ def run(capsys, *arguments):
 
 def test_modes_are_printed_and_written(record, tmp_path, capsys):
     out = tmp_path / "test.toml"
-    status, shown = run(capsys, "modes", str(record), "-o", str(out))
+    status, shown = run_command(capsys, "modes", str(record), "-o", str(out))
     assert status == 0, shown.err
     assert "3 modes at floors 1, 2, 3" in shown.out
     frequencies, _ = modes_of(MASS, STIFFNESS)
@@ -54,7 +58,7 @@ def test_modes_are_printed_and_written(record, tmp_path, capsys):
 
 
 def test_the_loop_takes_a_record(record, capsys):
-    status, shown = run(capsys, "loop", str(record), "--effects", "ground_spring", "--json", "-")
+    status, shown = run_command(capsys, "loop", str(record), "--effects", "ground_spring", "--json", "-")
     assert status == 0, shown.err
     result = json.loads(shown.out)
     assert len(result["modes"]["frequencies"]) == 3
@@ -63,7 +67,7 @@ def test_the_loop_takes_a_record(record, capsys):
 
 def test_a_record_with_a_mistake_is_status_two(record, tmp_path, capsys):
     record.write_text(record.read_text().replace('"floor2"', '"flor2"'))
-    status, shown = run(capsys, "modes", str(record), "-o", str(tmp_path / "never.toml"))
+    status, shown = run_command(capsys, "modes", str(record), "-o", str(tmp_path / "never.toml"))
     assert status == 2
     assert "flor2" in shown.err
     assert not (tmp_path / "never.toml").exists()
@@ -71,23 +75,63 @@ def test_a_record_with_a_mistake_is_status_two(record, tmp_path, capsys):
 
 def test_check_asks_about_a_sensor_that_its_file_has_the_wrong_way(record, capsys):
     record.write_text(record.read_text().replace("floor = 2\n", "floor = 2\nsign = -1\n"))
-    status, shown = run(capsys, "check", str(record), "--strict")
+    status, shown = run_command(capsys, "check", str(record), "--strict")
     assert status == 3
     assert "RECORD: sign" in shown.out
-    assert json.loads(run(capsys, "check", str(record), "--json", "-")[1].out)["doubtful"]
+    assert json.loads(run_command(capsys, "check", str(record), "--json", "-")[1].out)["doubtful"]
     # A problem that `modes` repairs does not block the command.
-    assert run(capsys, "modes", str(record))[0] == 0
+    assert run_command(capsys, "modes", str(record))[0] == 0
 
 
 def test_check_takes_a_record_and_says_what_its_diagnostics_say(record, capsys):
-    status, shown = run(capsys, "check", str(record), "--json", "-")
+    status, shown = run_command(capsys, "check", str(record), "--json", "-")
     assert status == 0, shown.err
     result = json.loads(shown.out)
     assert result["findings"] == []
     assert not result["refused"]
     exchanged = record.read_text().replace("floor = 1", "floor = 9").replace("floor = 2", "floor = 1")
     record.write_text(exchanged.replace("floor = 9", "floor = 2"))
-    status, shown = run(capsys, "check", str(record))
+    status, shown = run_command(capsys, "check", str(record))
     assert status == 2
     assert "RECORD: swapped channels" in shown.out
     assert "MISTAKE: swapped_sensors" in shown.out
+
+
+def test_each_run_by_itself_ends_in_a_table_over_the_amplitude(tmp_path, capsys):
+    """Frames of 2 Hz times A^-0.04, each driven by noise of strength A, simulated exactly."""
+    arrays = {}
+    for number, strength in enumerate((0.1, 0.4, 2.0), 1):
+        frame = KnownFrame([1000.0], [1000.0 * (4 * np.pi) ** 2 * strength**-0.08], 0.02)
+        (run,) = base_record(frame, number, noise=0.01, duration=300.0).runs
+        arrays[f"eq{number}"] = {"acc": strength * np.column_stack([run.excitation, run.responses])}
+    io.savemat(tmp_path / "quakes.mat", {**arrays, "fs": 20.0})
+    path = tmp_path / "record.toml"
+    channel = '[[channel]]\ncolumn = "*.acc[{}]"\nfloor = {}\n'
+    both = channel.format(1, 0) + channel.format(2, 1)
+    path.write_text(f'[record]\ninput = "base"\nfile = "quakes.mat"\n{both}')
+    out, figure = tmp_path / "modes.toml", tmp_path / "amplitude.svg"
+    arguments = ("modes", str(path), "--each-run", "-o", str(out), "--figure", f"amplitude:{figure}")
+    status, shown = run_command(capsys, *arguments)
+    assert status == 0, shown.err
+    assert "Modes over the amplitude of the motion" in shown.out
+    tests = cvxshear.load(out).configurations
+    amplitudes = np.array([test.amplitude for test in tests])
+    change = float(re.search(r"mode 1 by (\S+) ± \S+ %", " ".join(shown.out.split())).group(1))
+    exact = np.polyfit(np.log10(amplitudes), -0.04 * np.log([0.1, 0.4, 2.0]), 1)[0]
+    assert change == pytest.approx(100 * np.expm1(exact), abs=0.3)
+    np.testing.assert_allclose(
+        [test.frequencies[0] for test in tests], 2 * np.array([0.1, 0.4, 2.0]) ** -0.04, rtol=3e-3
+    )
+    assert np.all(np.diff(amplitudes) > 0)
+    assert figure.exists()
+
+
+def test_a_tone_is_doubted_as_the_first_mode():
+    random = np.random.default_rng(3)
+    base = signal.sosfilt(signal.butter(4, 5.0, fs=100.0, output="sos"), random.standard_normal(6000))
+    tone = 0.1 * np.sin(2 * np.pi * 21.6 * np.arange(6000) / 100.0)
+    run = Run(np.outer(tone, [0.7, 1.0]) + 0.05 * random.standard_normal((6000, 2)), base)
+    record = TimeRecord((Channel("floor 2", 2), Channel("roof", 6)), runs=(run,), sampling_rate=100.0, input="base")
+    found = identify_modes(record)
+    np.testing.assert_allclose(found.frequencies[0], 21.6, rtol=1e-3)
+    assert any(each.numbers.get("damping", 1.0) < 1e-3 for each in found.findings if each.kind == "doubtful mode")

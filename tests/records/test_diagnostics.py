@@ -224,7 +224,7 @@ def test_a_transfer_near_a_node_tells_nothing_of_calibrations():
     """Floor 2 hardly moves in mode 2: crosstalk of 0.1 % changes its transfers by a tenth there."""
     real = np.array([[0.6, 1.0], [1.0, 0.01]])
     products = np.einsum("ri,rj->rij", real, real).astype(complex)
-    setting = SimpleNamespace(base=False, floors=np.array([1, 2]))
+    setting = SimpleNamespace(driving_point=True, floors=np.array([1, 2]))
     full = SimpleNamespace(products=products, real=real, driven=np.array([1, 2]))
     products[1, 0, 1] += 0.001
     assert not list(reciprocity_findings(full, setting))

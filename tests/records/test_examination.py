@@ -33,9 +33,20 @@ def test_a_sound_record_comes_back_as_it_went_in(kind):
         np.testing.assert_array_equal(before.responses, after.responses)
 
 
-NEEDS_TIME = ("without samples", "gain step")
-"""Faults at one instant, which decays of a minute are too short to show."""
-FAULTS = ["delay", "drift", "dead", "stuck", "saturated", "spikes", "without samples", "low-pass", "gain step"]
+NEEDS_TIME = ("without samples", "gain step", "resonance")
+"""Faults that decays of a minute are too short to show."""
+FAULTS = [
+    "delay",
+    "drift",
+    "dead",
+    "stuck",
+    "saturated",
+    "spikes",
+    "without samples",
+    "low-pass",
+    "resonance",
+    "gain step",
+]
 
 
 @pytest.mark.parametrize(
@@ -44,7 +55,9 @@ FAULTS = ["delay", "drift", "dead", "stuck", "saturated", "spikes", "without sam
 )
 def test_a_fault_of_one_channel_is_named(kind, fault):
     """The check runs before the identification; delays and drifts are right within a tenth of a sample."""
-    least, most = {"delay": (0.05, 2.0), "drift": (100.0, 500.0), "low-pass": (0.0, 5.0)}.get(fault, (-1.0, 2.0))
+    least, most = {"delay": (0.05, 2.0), "drift": (100.0, 500.0), "low-pass": (0.0, 5.0), "resonance": (0.0, 99.0)}.get(
+        fault, (-1.0, 2.0)
+    )
     case = next(case for seed in range(60, 90) if least < abs((case := case_of(seed, kind, fault)).size) <= most)
     found = [item for item in examined(case.record).findings if item.numbers.get("channel") in case.channels]
     assert {item.kind for item in found} & set(NAMED_BY[fault])
@@ -55,7 +68,7 @@ def test_a_fault_of_one_channel_is_named(kind, fault):
         # Three releases have short motions. The stated deviation of the drift gives the tolerance.
         within = 3e6 * first.numbers["drift_std"] if kind == "free_decay" else 5.0
         assert 1e6 * first.numbers["drift"] == pytest.approx(case.size, abs=within)
-    if fault == "low-pass":
+    if fault in ("low-pass", "resonance"):
         assert first.numbers["corner"] == pytest.approx(case.size, rel=0.15)
     if fault == "gain step":
         assert np.log(first.numbers["factor"]) == pytest.approx(np.log(case.size), rel=0.2)

@@ -104,12 +104,81 @@ def test_every_array_of_a_mat_file_is_what_scipy_wrote_there(tmp_path, values):
         expected = {
             "whole": held["whole"], "large[1]": held["large"][:, 0], "large[2]": held["large"][:, 1],
             "single": held["single"], "logical": held["logical"], "complex_re": values[:, 2],
-            "complex_im": values[:, 1], "run.inner.b": values[:, 1],
+            "complex_im": values[:, 1], "cells[1]": values[:, 0], "run.inner.b": values[:, 1],
             **{f"run.a[{place + 1}]": column for place, column in enumerate(values[:, 2:].T)},
         }  # fmt: skip
         assert set(ours.names) == set(expected)
         for name, column in expected.items():
             np.testing.assert_array_equal(ours.values[:, ours.names.index(name)], column)
+
+
+EARTHQUAKE = """
+[[channel]]
+column = "{0}"
+floor = 0
+
+[[channel]]
+column = "{1}"
+floor = 1
+"""
+
+
+@pytest.mark.parametrize(
+    ("ground", "roof"), [("*.acc[1]", "*.acc[2]"), ("quake[*].g", "quake[*].r"), ("g_*", "r_*"), ("a[*][1]", "a[*][2]")]
+)
+def test_earthquakes_in_one_file_are_runs(tmp_path, ground, roof):
+    random = np.random.default_rng(6)
+    lengths = [300, 260, 280] if "a[" not in ground else [300] * 3
+    motions = [random.standard_normal((length, 2)) for length in lengths]
+    if ground == "*.acc[1]":
+        tables = {f"eq{number}": {"acc": each, "dt": 0.02} for number, each in enumerate(motions, 9)}
+    elif ground == "g_*":
+        tables = {f"{name}_{number}": each[:, place] for number, each in enumerate(motions) for place, name in
+                  enumerate("gr")} | {"fs": 50.0}  # fmt: skip
+    elif ground == "quake[*].g":
+        tables = {"quake": [{"g": each[:, 0], "r": each[:, 1]} for each in motions], "fs": 50.0}
+    else:
+        tables = {"a": np.stack(motions, axis=2), "fs": 50.0}
+    io.savemat(tmp_path / "quakes.mat", tables)
+    path = tmp_path / "record.toml"
+    path.write_text(f'[record]\ninput = "base"\nfile = "quakes.mat"\n{EARTHQUAKE.format(ground, roof)}')
+    record = read_record(path).record
+    assert record.sampling_rate == pytest.approx(50.0)
+    assert len({run.name for run in record.runs}) == 3
+    for run, each in zip(record.runs, motions, strict=True):
+        np.testing.assert_allclose(np.column_stack([run.excitation, run.responses]), each)
+
+
+def test_an_earthquake_without_a_channel_is_named(tmp_path):
+    io.savemat(tmp_path / "quakes.mat", {"eq1": {"g": np.ones(300), "r": np.ones(300)}, "eq2": {"g": np.ones(300)}})
+    path = tmp_path / "record.toml"
+    text = f'[record]\ninput = "base"\nfile = "quakes.mat"\nsampling_rate = 50\n{EARTHQUAKE.format("*.g", "*.r")}'
+    path.write_text(text)
+    with pytest.raises(InputError, match=r'quakes.mat, eq2: there is no column "eq2.r"'):
+        read_record(path)
+    path.write_text(text.replace("*.g", "shake*.g"))
+    with pytest.raises(InputError, match=r'has no column "shake\*.g"'):
+        read_record(path)
+
+
+@pytest.mark.parametrize(("unit", "times"), [("mm/s", 1), ("mm", 2)])
+def test_a_ground_that_moves_is_differentiated(tmp_path, unit, times):
+    time = np.arange(4000) / 100.0
+    phases, w = np.array([0.3, 1.1, 2.0]), 2 * np.pi * np.array([0.8, 2.1, 5.3])
+    size = np.array([0.5, 1.0, 2.0])
+    moved = size / (1j * w) ** times * np.exp(1j * (np.outer(time, w) + phases))
+    noise = 1e-3 * np.random.default_rng(7).standard_normal(len(time))
+    roof = (size * np.exp(1j * (np.outer(time, w) + phases))).sum(axis=1).real
+    csv(tmp_path / "record.csv", ["g", "r"], np.column_stack([1000 * moved.sum(axis=1).real + noise, roof]))
+    path = tmp_path / "record.toml"
+    channels = EARTHQUAKE.format("g", "r").replace("floor = 0", f'floor = 0\nunit = "{unit}"')
+    path.write_text(f'[record]\ninput = "base"\nfile = "record.csv"\nsampling_rate = 100\n{channels}')
+    found = read_record(path)
+    inner = slice(100, -100)
+    np.testing.assert_allclose(found.record.runs[0].excitation[inner], roof[inner], atol=0.05)
+    (note,) = found.notes
+    assert note.kind == "ground"
+    assert 5.3 < note.numbers["noise_from"] < 30.0
 
 
 def test_mat_version_7(tmp_path, values):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,19 @@ def test_half_spectra_of_an_ambient_record_are_made_of_its_modes():
     within = band_of(seen.frequencies, result.frequencies)
     left = synthesized(result)[within] - seen.values[within]
     assert np.linalg.norm(left) < 0.15 * np.linalg.norm(seen.values[within])
+
+
+def test_the_functions_have_the_sign_that_was_set_right():
+    """A reversed sensor is turned round: the modes then make its function too, and the others'."""
+    record = ambient_record(PAPER_FRAME, 0, noise=0.01, duration=600.0)
+    reversed_ = [dataclasses.replace(run, responses=run.responses * [1.0, -1.0, 1.0]) for run in record.runs]
+    results = [
+        identify_modes(each, functions=True) for each in (record, dataclasses.replace(record, runs=tuple(reversed_)))
+    ]
+    assert [finding.kind for finding in results[1].findings] == ["sign"]
+    sound, turned = (np.nan_to_num(synthesized(each)) for each in results)
+    np.testing.assert_allclose(turned, sound, rtol=0, atol=1e-3 * np.abs(sound).max())
+    np.testing.assert_allclose(results[1].functions.values, results[0].functions.values, rtol=1e-6)
 
 
 def test_a_force_without_a_frame_has_a_constant_function():

@@ -121,10 +121,12 @@ def test_what_a_plan_leaves_open_is_called_so():
     assert cannot.objective > 1.0
     assert can.objective < 1.0
     said = [sentence.text for sentence in parts(cannot, Sentence)]
-    assert any("standard deviation of the worst combination (E): open, 100 % relative or more" in each for each in said)
+    assert any(
+        "Standard deviation of the worst combination (criterion E): open, 100 % or more" in each for each in said
+    )
     assert {cell for row in table(cannot, "counts").rows for cell in row[2:]} == {"open"}
     said = [sentence.text for sentence in parts(can, Sentence)]
-    assert any(f"(E): {100 * can.objective:.2f} % relative" in each for each in said)
+    assert any(f"(criterion E): {100 * can.objective:.2f} %" in each for each in said)
     assert "open" not in {cell for row in table(can, "counts").rows[1:] for cell in row[2:]}
 
 

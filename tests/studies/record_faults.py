@@ -32,6 +32,7 @@ NAMED_BY = {
     "spikes": ("spikes",),
     "without samples": ("lost samples",),
     "low-pass": ("low-pass",),
+    "resonance": ("resonance", "low-pass"),
     "gain step": ("gain step",),
     "dropout": ("stuck channel", "dead channel", "spikes"),
 }
@@ -53,7 +54,7 @@ class Case:
     channels : tuple of str
         Faulty channels.
     size : float
-        s for a delay, ppm for a drift, Hz for a low-pass, a factor for a step of the gain, else 0.
+        s for a delay, ppm for a drift, Hz for a low-pass or a resonance, a factor for a step of the gain, else 0.
     """
 
     record: TimeRecord
@@ -126,7 +127,9 @@ def only(record: TimeRecord, columns: np.ndarray) -> TimeRecord:
 def case_of(seed: int, kind: str, fault: str) -> Case:
     """Return a sound record with one fault added."""
     record = sound_record(seed, kind)
-    random = np.random.default_rng([seed, 7, sorted([*NAMED_BY, "sound"]).index(fault)])
+    # The number of each fault stays as faults are added.
+    numbered = [*sorted(set(NAMED_BY) - {"resonance"} | {"sound"}), "resonance"]
+    random = np.random.default_rng([seed, 7, numbered.index(fault)])
     if fault == "sound":
         return Case(record, fault)
     place = int(random.integers(len(record.channels)))
@@ -144,9 +147,12 @@ def case_of(seed: int, kind: str, fault: str) -> Case:
     elif fault == "low-pass":
         # From an eighth of the highest frequency to twice that.
         size = record.sampling_rate * float(np.exp(random.uniform(np.log(0.05), np.log(0.8))))
+    elif fault == "resonance":
+        size = record.sampling_rate * float(np.exp(random.uniform(np.log(0.08), np.log(0.4))))
     elif fault == "gain step":
         size = float(random.uniform(1.1, 1.5)) ** random.choice([-1.0, 1.0])
     started, instant = [0], random.uniform(0.2, 0.8) * record.duration
+    damped = random.uniform(0.1, 0.4) if fault == "resonance" else 0.0
 
     def change(values: np.ndarray, levels: np.ndarray) -> np.ndarray:
         column, rate = values[:, place].copy(), record.sampling_rate
@@ -174,10 +180,11 @@ def case_of(seed: int, kind: str, fault: str) -> Case:
         elif fault == "without samples":
             first, lost = int(random.uniform(0.2, 0.8) * len(column)), int(np.exp(random.uniform(0.0, np.log(100.0))))
             column[first:-lost] = column[first + lost :]
-        elif fault == "low-pass":
+        elif fault in ("low-pass", "resonance"):
             spectrum = np.fft.rfft(column, 2 * len(column))
-            lines = np.fft.rfftfreq(2 * len(column), 1.0 / rate)
-            column = np.fft.irfft(spectrum / (1.0 + 1j * lines / size))[: len(column)]
+            lines = np.fft.rfftfreq(2 * len(column), 1.0 / rate) / size
+            divisor = 1.0 + 1j * lines if fault == "low-pass" else 1.0 - lines**2 + 2j * damped * lines
+            column = np.fft.irfft(spectrum / divisor)[: len(column)]
         elif fault == "gain step":
             column = np.where(time > instant, size, 1.0) * column
         elif fault == "dropout":

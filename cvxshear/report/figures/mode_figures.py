@@ -19,7 +19,7 @@ from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.records import ModalResult
 from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.records.prepare import Functions
-from cvxshear.records.result import band_of, synthesized
+from cvxshear.records.result import band_of, over_amplitude, synthesized
 from cvxshear.report.figures import style
 from cvxshear.report.figures.drawn_frame import elevations
 from cvxshear.report.figures.style import figure
@@ -136,8 +136,8 @@ SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc"
 def shapes(result: LoopResult) -> Figure:
     """Every measured mode with its error bars, the final model's as a displaced frame, and the first model's as a line.
 
-    Each measured mode: dots with error bars are measured, the dashed line is the shear model, the solid line is the
-    final model.
+    Dots with error bars are measured, the solid line is the final model. Where effects were added, the dashed line is
+    the shear model.
 
     Each configuration and measured mode has one panel.
     """
@@ -148,7 +148,7 @@ def shapes(result: LoopResult) -> Figure:
     groups = style.panels_by_group(figure, counts, columns, sharex=True, sharey=True)
     drawn = [(axes, place) for group in groups for place, axes in enumerate(group)]
     for (axes, place), first, last in zip(drawn, before, after, strict=True):
-        _shape_panel(axes, z, first, last)
+        _shape_panel(axes, z, first if len(result.steps) > 1 else None, last)
         if place % columns == 0:
             axes.set_ylabel(label)
     figure.supxlabel("sway (largest measured entry = 1)", fontsize=8.5)
@@ -157,11 +157,12 @@ def shapes(result: LoopResult) -> Figure:
     return figure
 
 
-def _shape_panel(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> None:
+def _shape_panel(axes: Axes, z: Floats, before: ModeShape | None, after: ModeShape) -> None:
     base = np.concatenate([[0.0], z])
     axes.axvline(0, color="#C8C8C8", lw=0.5)
     axes.plot(np.concatenate([[0.0], after.modelled]), base, color=style.AFTER, lw=1.6)
-    axes.plot(np.concatenate([[0.0], before.modelled]), base, **SHEAR)
+    if before is not None:
+        axes.plot(np.concatenate([[0.0], before.modelled]), base, **SHEAR)
     style.error_bars(axes, after.measured, z[after.floors - 1], after.std, zorder=5)
     axes.axhline(0, color=style.GREY, lw=0.8)
     axes.set(xlim=(-1.45, 1.45), xticks=[-1, 0, 1], ylim=(0, 1.07 * float(z[-1])))
@@ -171,10 +172,9 @@ def _shape_panel(axes: Axes, z: Floats, before: ModeShape, after: ModeShape) -> 
 
 
 def _legend(*, changed: bool) -> list[Line2D]:
-    first = "shear model" if changed else "the same model"
     return [
         Line2D([], [], color=style.MEASURED, marker="o", ms=3.0, lw=0.9, label="measured ± one std"),
-        Line2D([], [], label=first, **SHEAR),
+        *([Line2D([], [], label="shear model", **SHEAR)] if changed else []),
         Line2D([], [], color=style.AFTER, lw=1.6, label="with effects" if changed else "shear model"),
     ]
 
@@ -330,6 +330,43 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
         axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
 
 
+@figure(
+    "amplitude",
+    ModalResult,
+    title="Modes over the amplitude of the motion",
+    applies=lambda *results: len(results) > 2 and all(result.amplitude for result in results),
+    needs="three continuous records or more",
+)
+def modes_over_amplitude(*results: ModalResult) -> Figure:
+    """Draw frequency and damping of each mode over the largest motion in each record.
+
+    Frequencies relative to their median over the records, and damping ratios. Each dot is a record.
+
+    Parameters
+    ----------
+    *results : ModalResult
+
+    Returns
+    -------
+    Figure
+    """
+    figure = style.new_figure(style.PAGE_WIDTH, 4.0)
+    above, below = style.panels(figure, 2, 1, sharex=True)
+    at = [result.amplitude or 0.0 for result in results]
+    modes = list(over_amplitude(results).items())[: len(style.MARKERS) - 1]
+    for (mode, (frequencies, damping, _)), look in zip(modes, style.looks(len(modes)), strict=True):
+        dots = {"color": look["color"], "marker": look["marker"], "ls": "none", "ms": 3.5}
+        middle = float(np.nanmedian(frequencies))
+        above.plot(at, 100 * (frequencies / middle - 1.0), label=f"mode {mode}: {middle:#.4g} Hz", **dots)
+        below.plot(at, 100 * damping, **dots)
+    above.set_ylabel("frequency,\nchange in %")
+    below.set(ylabel="damping, %", xlabel="largest motion (SI)", xscale="log")
+    below.xaxis.set_major_formatter(LogFormatter())
+    below.xaxis.set_minor_formatter(LogFormatter())
+    style.legend(figure, above, 3)
+    return figure
+
+
 #: Axis labels of the ratio of each response to a force.
 FUNCTIONS = {
     "acceleration": "accelerance, (m/s²)/N",
@@ -426,7 +463,14 @@ def _named(seen: Functions) -> str:
     return FUNCTIONS[seen.quantity]
 
 
-@figure("shapes", ModalResult, title="Mode shapes", alternative="Mode shapes; the numbers are in the table above.")
+@figure(
+    "shapes",
+    ModalResult,
+    title="Mode shapes",
+    alternative="Mode shapes; the numbers are in the table above.",
+    applies=lambda *results: not any(result.sensors for result in results),
+    needs="one motion a floor",
+)
 def modal_shapes(*results: ModalResult) -> Figure:
     """Draw the shapes of identified modes, one panel a record and mode, with one standard deviation on either side.
 

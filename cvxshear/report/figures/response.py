@@ -277,6 +277,8 @@ def _swaying(result: LoopResult) -> Iterator[Json]:
 def _swaying_records(*results: ModalResult) -> Iterator[Json]:
     """Move the measured modes, each as the first record that has it shows it."""
     first = results[0]
+    if any(each.sensors for each in results):
+        return
     found = {
         mode: (frequency, shape)
         for each in reversed(results)

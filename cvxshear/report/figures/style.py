@@ -192,7 +192,8 @@ def even_columns(most: int, fitting: int) -> int:
 
 def shape_figure(counts: Sequence[int], stories: int) -> tuple[int, Figure]:
     """Make a figure for groups of mode-shape panels; return the number of columns and the figure."""
-    columns = even_columns(max(counts), MOST_PANELS)
+    # A panel of a shape is narrow: one more fits into a row.
+    columns = even_columns(max(counts), MOST_PANELS + 1)
     rows = sum(-(-count // columns) for count in counts)
     # A panel has its title of three lines, and a line for each story.
     return columns, new_figure(PAGE_WIDTH, LINE * (rows * (float(np.clip(stories, 9, 17)) + 3.5) + 5))
