@@ -55,7 +55,7 @@ def identify(
 
     files_of = outputs.prepared(cvxshear.Identification)
     experiment, start = cvxshear.load(file), numbers(initial_mass, "--initial-mass")
-    doubts = () if experiment.frame.turns else screening.refuse_mistakes(experiment)
+    doubts = screening.refuse_mistakes(experiment)
     method = method or (None if start is None else "two-stage")
     result = cvxshear.identify(experiment, method=method, backend=backend, initial_mass=start, tolerance=tolerance)
     said = {**result.to_dict(), "warnings": as_json(doubts)}

@@ -19,7 +19,8 @@ from cvxshear.util.typing import Bools, Floats, Json
 #: Findings of `check` that refuse a file unless they are accepted; docs/howto/check-a-file.md says what each means.
 MISTAKES = (
     "sensor_sign", "swapped_sensors", "floors_from_top", "transposed", "mode_order", "missing_mode", "mode_number",
-    "entry_sign", "sensor_floors", "sensor_unit", "drifts", "periods", "frequency_unit", "signs",
+    "entry_sign", "sensor_floors", "sensor_unit", "sensor_direction", "sensor_position", "drifts", "periods",
+    "frequency_unit", "signs",
 )  # fmt: skip
 
 #: Mistakes in which modes of the frame the measured ones are.

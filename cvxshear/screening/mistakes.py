@@ -13,19 +13,23 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import comb
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from cvxshear.measurement import reading as readings
-from cvxshear.measurement.experiment import Configuration
+from cvxshear.measurement.configuration import Sensor
+from cvxshear.measurement.experiment import Configuration, Experiment
 from cvxshear.measurement.reading import MeasuredModes
 from cvxshear.model import Modes
+from cvxshear.motions import THREE_MOTIONS
+from cvxshear.programs.turning import TurningTest
 from cvxshear.screening import nearest_frame
 from cvxshear.screening.doubts import FileFinding, in_words
 from cvxshear.screening.nearest_frame import NearestFrame, ShearFrames
-from cvxshear.util import odds, quantities, ranking
+from cvxshear.util import errors, odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
 
 #: Factors between units of sensors: m and mm, m/s2 and g.
@@ -70,9 +74,39 @@ class Change:
         return float(np.log(nearest_frame.MISTAKEN / self.choices))
 
     @property
-    def plausible(self) -> bool:
-        """Whether a shear frame explains the data."""
-        return self.frame.misfit < nearest_frame.PLAUSIBLE * self.frames.count
+    def log_evidence(self) -> float:
+        """Logarithm of the evidence of the changed data, up to a constant."""
+        return self.frame.log_evidence
+
+    @property
+    def plausible_to(self) -> float:
+        """Misfit up to which a shear frame explains the data."""
+        return nearest_frame.PLAUSIBLE * self.frames.count
+
+
+@dataclass(frozen=True, eq=False)
+class SensorChange:
+    """A hypothesis on floors that turn: another place or direction of a sensor, or two sensors exchanged.
+
+    Parameters
+    ----------
+    key, choices, gaps
+        As in `Change`.
+    log_evidence : float
+    """
+
+    key: str
+    choices: int
+    gaps: Mapping[str, object]
+    log_evidence: float
+
+    @property
+    def log_prior(self) -> float:
+        """Logarithm of the prior odds against the data as given."""
+        return float(np.log(nearest_frame.MISTAKEN / self.choices))
+
+
+AnyChange = TypeVar("AnyChange", Change, SensorChange)
 
 
 def needs_no_search(frames: ShearFrames, given: NearestFrame) -> bool:
@@ -81,11 +115,18 @@ def needs_no_search(frames: ShearFrames, given: NearestFrame) -> bool:
     return bool(given.misfit + lost < 2 * np.log(quantities.SURE / (1 - quantities.SURE) / nearest_frame.MISTAKEN))
 
 
-def named(given: NearestFrame, tried: Sequence[Change]) -> list[Change]:
-    """Return the changes that together are certain, the most probable first; none if the data may stand as given."""
+def named(given: float, tried: Sequence[AnyChange]) -> list[AnyChange]:
+    """Return the changes that together are certain, the most probable first; none if the data may stand as given.
+
+    Parameters
+    ----------
+    given : float
+        Logarithm of the evidence of the data as given.
+    tried : sequence of Change or of SensorChange
+    """
     if not tried:
         return []
-    evidence = [given.log_evidence, *(each.frame.log_evidence for each in tried)]
+    evidence = [given, *(each.log_evidence for each in tried)]
     probability = odds.weigh(evidence, [0.0, *(each.log_prior for each in tried)])
     if probability[0] > 1 - quantities.SURE:
         return []
@@ -140,12 +181,14 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     for place in np.unique(np.argsort(misfits, axis=0, kind="stable")[: nearest_frame.SHORTLIST]):
         change = replace(changes[place], reading=replace(changes[place].reading, part=1.0))
         begin = references[np.argmin(misfits[place])]
-        rough.append(replace(change, frame=change.frames.nearest([begin])))
+        rough.append(replace(change, frame=change.frames.nearest([begin], change.plausible_to)))
     # A change that mends a mistake brings the data near to a frame, and nearer than as given, at the usual tolerance.
     usual = frames.nearest([given.theta]).log_evidence
-    nearer = [each for each in rough if each.plausible and each.frame.log_evidence > usual]
+    nearer = [each for each in rough if each.frame.misfit < each.plausible_to and each.frame.log_evidence > usual]
     best = ranking.ranked(nearer, lambda item: item.frame.log_evidence + item.log_prior)[: nearest_frame.SHORTLIST]
-    return given, named(given, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best])
+    return given, named(
+        given.log_evidence, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best]
+    )
 
 
 #: A kind of mistake: the changes of a reading that would mend it, some by frames of about the right proportions.
@@ -309,3 +352,109 @@ KINDS: tuple[Kind, ...] = (
     transposed, floors_from_top, periods, drifts, other_floors, other_units, sensor_signs, exchanged_sensors,
     other_numbers, other_orders, entry_signs,
 )  # fmt: skip
+
+
+def of_sensors(experiment: Experiment, configuration: Configuration) -> list[FileFinding]:
+    """Find the sensor of floors that turn whose place or direction is wrong, if there is one.
+
+    The data with each set of sensors have three misfits: of the readings and rigid floors, of orthogonal modes and a
+    mass matrix, and of the story stiffnesses. The scale of each is the noise, or larger where the model errs.
+    """
+    least = float(np.log(quantities.SURE / (1 - quantities.SURE) / nearest_frame.MISTAKEN))
+    try:
+        given = _misfits(experiment, configuration)
+    except errors.UnsuitableError:
+        return []
+    if experiment.stories > nearest_frame.TALLEST_FITTED or (given and sum(_excess(*each) for each in given) < least):
+        return []
+    found = []
+    for key, gaps, sensors in (hypotheses := [*_other_sensors(configuration.sensors)]):
+        choices = sum(key == other for other, _, _ in hypotheses)
+        try:
+            misfits = _misfits(experiment, replace(configuration, sensors=sensors))
+        except errors.CvxshearError:
+            # Such sensors would read one motion twice, or not tell the motions of a floor apart.
+            continue
+        if misfits:
+            found.append(SensorChange(key, choices, gaps, _log_evidence(misfits)))
+    explaining = named(_log_evidence(given), found)
+    words = [in_words(item.key, **item.gaps) for item in explaining]
+    evidence = "the modes of rigid floors would not be orthogonal and read like this"
+    return [FileFinding.of_changes(configuration.name, words, evidence, refuses=True)] if words else []
+
+
+def _other_sensors(sensors: Sequence[Sensor]) -> Iterator[tuple[str, Mapping[str, object], tuple[Sensor, ...]]]:
+    """Turn a sensor by right angles, mirror its place or exchange its x and y, or exchange two sensors."""
+
+    def named_as(place: int) -> str:
+        (x, y), floor = sensors[place].position, sensors[place].floor
+        return f"sensor {place + 1} (floor {floor}, x = {x:g} m, y = {y:g} m, {sensors[place].direction:g} degrees)"
+
+    for place, sensor in enumerate(sensors):
+        rows = [sensor.row]
+        x, y = sensor.position.tolist()
+        others = [("sensor_direction", replace(sensor, direction=sensor.direction + by)) for by in (180.0, 90.0, -90.0)]
+        others += [
+            ("sensor_position", replace(sensor, position=np.array(at))) for at in ((-x, y), (x, -y), (-x, -y), (y, x))
+        ]
+        for key, other in others:
+            if not any(np.allclose(other.row, row) for row in rows):
+                rows.append(other.row)
+                (x_there, y_there), direction = other.position, other.direction
+                gaps = {"sensor": named_as(place), "direction": direction % 360.0, "x": x_there, "y": y_there}
+                yield key, gaps, (*sensors[:place], other, *sensors[place + 1 :])
+    for low, high in itertools.combinations(range(len(sensors)), 2):
+        order = _exchanged(len(sensors), low, high)
+        gaps = {"sensors": f"{named_as(low)} and {named_as(high)}"}
+        yield "swapped_sensors/places", gaps, tuple(sensors[place] for place in order)
+
+
+#: A misfit in standard deviations, its degrees of freedom, and the sum of the logarithms of the weights.
+_Misfit = tuple[float, int, float]
+
+
+def _misfits(experiment: Experiment, configuration: Configuration) -> list[_Misfit]:
+    """Fit floors, then masses near even ones, then stories; nothing if no positive masses fit."""
+    test = TurningTest.of(experiment, configuration, "check")
+    misfit, freedom = 0.0, 0
+    for reading, std in zip(configuration.mode_shapes / configuration.entry_std, configuration.entry_std, strict=True):
+        rows = test.observation / std[:, None]
+        motion, _, rank, _ = np.linalg.lstsq(rows, reading, rcond=None)
+        misfit, freedom = misfit + float(np.sum((rows @ motion - reading) ** 2)), freedom + len(reading) - int(rank)
+    program, even = test.one_shot_masses(), test.even_masses
+    known = np.zeros((0, len(even))) if program.A is None else program.A
+    rows, aim = program.weighted
+    # Parameters are as large as those of even floors, which decide what the modes leave open.
+    size = np.ravel(even[::4, None] * experiment.radius[:, None] ** [0.0, 1.0, 1.0, 2.0])
+    free = linalg.null_space(known * size)
+    both = np.vstack([rows * size, np.eye(len(even))]) @ free
+    change = free @ np.linalg.lstsq(both, np.concatenate([aim - rows @ even, 0.0 * even]), rcond=None)[0]
+    masses = even + size * change
+    M = THREE_MOTIONS.masses(masses + test.added)
+    if linalg.eigvalsh(M)[0] <= 0:
+        return []
+    of_masses = float(np.sum((rows @ masses - aim) ** 2)), len(aim) - free.shape[1]
+    program, weights = test.story_stiffnesses(masses), test.stiffness_rows(masses).weights
+    rows, aim = program.weighted
+    stiffnesses, _, rank, _ = np.linalg.lstsq(rows, aim, rcond=None)
+    of_stories = float(np.sum((rows @ stiffnesses - aim) ** 2)), len(aim) - int(rank)
+    return [
+        (misfit, freedom, 0.0),
+        (*of_masses, float(np.sum(np.log(test.mass_rows().weights)))),
+        (*of_stories, float(np.sum(np.log(weights)))),
+    ]
+
+
+def _excess(misfit: float, freedom: int, _: float) -> float:
+    """Logarithm of the likelihood that a larger scale of the noise, the most likely one, gains."""
+    return 0.5 * freedom * float(np.log(max(misfit / freedom, 1.0))) if freedom > 0 else 0.0
+
+
+def _log_evidence(misfits: Sequence[_Misfit]) -> float:
+    """Add the likelihoods at the most likely scales; -inf without masses."""
+    if not misfits:
+        return -np.inf
+    return sum(
+        weights - _excess(misfit, freedom, 0.0) - 0.5 * min(misfit, max(freedom, 0))
+        for misfit, freedom, weights in misfits
+    )

@@ -49,7 +49,7 @@ class Screening(results.Shown):
     @staticmethod
     def of(experiment: Measurement, record: Iterable[RecordFinding] = ()) -> Screening:
         """Find what looks wrong in an experiment, and what was said of the records that it comes from."""
-        experiment = opened(experiment)
+        experiment = opened(experiment, turning=True)
         return Screening(experiment.name, tuple(experiment.frame.accept), screen(experiment), tuple(record))
 
     @property
@@ -76,7 +76,10 @@ def screen(experiment: Measurement) -> tuple[doubts.FileFinding, ...]:
     tuple of FileFinding
         Mistakes first, then warnings; without those that `[frame] accept` lists.
     """
-    experiment = opened(experiment)
+    experiment = opened(experiment, turning=True)
+    if experiment.frame.turns:
+        turning = [item for each in experiment.configurations for item in mistakes.of_sensors(experiment, each)]
+        return tuple(item for item in turning if not item.accepted(experiment.frame.accept))
     found = [
         *doubts.frequency_units(experiment),
         *(item for each in experiment.configurations for item in mistakes.mistakes(each)),
@@ -103,7 +106,7 @@ def refuse_mistakes(experiment: Measurement, weighed: Collection[str] = ()) -> t
     InputError
         The file has a mistake. The message names it, the change, and how to accept it.
     """
-    experiment = opened(experiment)
+    experiment = opened(experiment, turning=True)
     found = tuple(
         dataclasses.replace(item, refuses=False) if item.name in NUMBERS and item.configuration in weighed else item
         for item in screen(experiment)
