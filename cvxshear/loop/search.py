@@ -314,12 +314,8 @@ class Search:
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
-<<<<<<< HEAD
         causes = in_place_of_classes(model, linear, self.fitter)
-        self._record(self.fitter.models([each for each in causes if not self._tried(self.fitter.set_of(each))]))
-=======
-        self._fit([each for each in named_entries(model, self.fitter) if not self._tried(self.fitter.set_of(each))])
->>>>>>> main
+        self._fit([each for each in causes if not self._tried(self.fitter.set_of(each))])
 
     def _hopeless(self, effects: Set) -> bool:
         """Whether a set holds an open class that was tried in vain.
