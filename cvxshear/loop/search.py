@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
 import numpy as np
 
 from cvxshear.effects import LocatedEffect, open_class
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy
+from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy, Race
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
@@ -174,7 +174,7 @@ class Search:
             self._done.add(("motions", self.base.effects))
             motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
             alone = [(self.fitter.proposal(base, (*base.effects, motion)), motion) for motion in motions]
-            self._record(self.fitter.models(_from_starts(alone, base)))
+            self._fit(_from_starts(alone, base))
         found = self.fitter.models(_from_starts(with_companions(self.fitter, model), base))
         self.other_optima += found
         self._record(found)
@@ -197,7 +197,7 @@ class Search:
             plain = self._proposal(self.base.estimate, effects)
             start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
             proposals.append(dataclasses.replace(plain, starts=(start,)))
-        return self._record(self.fitter.models(_best_starts(proposals)))
+        return self._fit(_best_starts(proposals))
 
     def visit_exchanges(self) -> bool:
         """Visit the best set with each of its effects at every other place; return whether a better set was found.
@@ -211,8 +211,7 @@ class Search:
             for other in self.candidates(best)
             if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
         ]
-        proposals = [self._proposal(best.estimate, effects) for effects in sets if not self._tried(effects)]
-        self._record(self.fitter.models(proposals))
+        self._fit([self._proposal(best.estimate, effects) for effects in sets if not self._tried(effects)])
         return self.best is not best
 
     def _proposal(self, start: Estimate, effects: Set) -> FitProposal:
@@ -238,7 +237,7 @@ class Search:
                     continue
                 if not self._tried(effects) and effects not in proposals:
                     proposals[effects] = self._proposal(model.estimate, effects)
-        self._record(self.fitter.models(list(proposals.values())))
+        self._fit(list(proposals.values()))
 
     def visit_twins(self) -> None:
         """Visit, for each of the best sets, the sets in which a twin replaces an effect."""
@@ -315,8 +314,7 @@ class Search:
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
-        named = [each for each in named_entries(model, self.fitter) if not self._tried(self.fitter.set_of(each))]
-        self._record(self.fitter.models(named))
+        self._fit([each for each in named_entries(model, self.fitter) if not self._tried(self.fitter.set_of(each))])
 
     def _hopeless(self, effects: Set) -> bool:
         """Whether a set holds an open class that was tried in vain.
@@ -340,7 +338,28 @@ class Search:
             motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
             predicted = [] if motions else [linear.predicted(new)]
             proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
-        self._record(self.fitter.models(proposals, accuracy))
+        self._fit(proposals, accuracy)
+
+    def _fit(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> bool:
+        """Fit sets, those without an open class first; return whether any fit was kept.
+
+        If a set of causes explains the data, the others need not be fitted to the end if they stay far behind it.
+        """
+        kept = False
+        for proposal in sorted(proposals, key=lambda each: holds_open(each.effects)):
+            enough = np.inf if self._unsatisfied or proposal.misfit.open_noises else self._near_enough
+            by = dataclasses.replace(accuracy, race=Race(enough))
+            kept |= self._record(self.fitter.models([proposal], by))
+        return kept
+
+    @property
+    def _near_enough(self) -> float:
+        """Objective above which a set is less probable than `REPORTED`, relative to the best set.
+
+        Effects cost at least as much evidence, by the range of their values, as the shear model without them.
+        """
+        base = self.base
+        return base.estimate.fit.at.objective + 2.0 * (base.score - self.best.score + WITHIN)
 
     def _record(self, models: Iterable[ModelClass]) -> bool:
         """Keep the better fit of each set; return whether any fit was kept."""
@@ -546,6 +565,6 @@ def groups(effects: Set, *, open_too: bool) -> list[Set]:
     return [group for group in dict.fromkeys((*found, *classes)) if len(group) > 1 or group in classes]
 
 
-def holds_open(effects: Set) -> bool:
+def holds_open(effects: Collection[LocatedEffect]) -> bool:
     """Whether an open class is among these effects."""
     return any(placed.effect.kind == OPEN for placed in effects)

@@ -537,6 +537,29 @@ def test_an_entry_of_an_open_class_is_the_cause_that_it_names():
     assert causes == 12
 
 
+def test_gains_of_all_sensors_are_those_of_the_floors_with_sensors():
+    mass, stiffness, (gains,) = (
+        [10.0, 8.0, 6.0],
+        [2e4, 1.5e4, 1e4],
+        (e for e in open_classes() if e.name == "other_gains"),
+    )
+    for floors, lacking in (([1, 3], ""), ([3], "shapes at two floors or more")):
+        table = configuration(mass, stiffness, name="a")
+        table["mode_shapes"] = np.array(table["mode_shapes"])[:, np.array(floors) - 1].tolist()
+        of = Experiment.from_dict(declared(mass, stiffness, table | {"measured_floors": floors}))
+        assert gains.lacks(of) == lacking
+    of = Experiment.from_dict(
+        declared(mass, stiffness, configuration(mass, stiffness, name="a") | {"measured_floors": [1, 2, 3]})
+    )
+    state = compose(
+        of,
+        of.configurations[0],
+        [LocatedEffect(gains.bound(of), Place())],
+        np.array([*mass, *stiffness, 0.1, 0.2, -0.3]),
+    )
+    np.testing.assert_allclose(state.gain, [1.1, 1.2, 0.7])
+
+
 @pytest.mark.parametrize(("std", "looked_for"), [(0.0019, True), (0.002, False)])
 def test_frequencies_are_suspects_where_better_than_the_default_was_stated(std, looked_for):
     (effect,) = (each for each in open_classes() if each.name == "other_frequencies")
