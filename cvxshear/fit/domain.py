@@ -155,8 +155,14 @@ def domain_of(
         floors = turning.floor_statements(experiment, frame)
         parts = [NamedConstraints(each.name, embedded(each.constraints, experiment.of_floors, size)) for each in floors]
         lmi = (
-            *(each.widened(experiment.of_floors, size) for each in turning.positive_floors(experiment, mass)),
-            *(each.widened(experiment.of_stories, size) for each in turning.positive_stories(experiment, stiffness)),
+            *(
+                each.widened(experiment.of_floors, size)
+                for each in turning.positive_floors(experiment, LEAST_POSITIVE * mass)
+            ),
+            *(
+                each.widened(experiment.of_stories, size)
+                for each in turning.positive_stories(experiment, LEAST_POSITIVE * stiffness)
+            ),
         )
         scale[:frame_size] = np.maximum(scale[:frame_size], experiment.units(typical_mass, typical_stiffness))
     else:

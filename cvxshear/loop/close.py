@@ -180,18 +180,14 @@ class Searches:
         theta = self.start.theta
         if numbering.changes:
             theta = nearest_start(Misfit(numbering.experiment, self.assumed))
-        return self._search(numbering, theta, gauss_newton.ROUGH if numbering.changes else gauss_newton.FULL)
+        return self._search(numbering, theta)
 
-    def _search(self, numbering: hypotheses.Numbering, theta: Floats, accuracy: gauss_newton.Accuracy) -> Search:
+    def _search(self, numbering: hypotheses.Numbering, theta: Floats) -> Search:
+        # Far from the data a full fit may follow an endless curved valley; effects are searched for from there, too.
         fitter = Fitter(numbering, self.backend, self.looked_for, self.assumed, self.expectation)
         noise = self.start.misfit.noise
         misfit = Misfit(numbering.experiment, self.assumed, None, noise, self.expectation, self.noise_inflation)
-        try:
-            found = fitter.fit(misfit, theta, accuracy)
-        except errors.NoSolutionError:
-            # Far from the data a fit may follow an endless curved valley; effects are searched for from there, too.
-            found = fitter.fit(misfit, theta, gauss_newton.ROUGH)
-        return Search(fitter, found)
+        return Search(fitter, fitter.fit(misfit, theta, gauss_newton.ROUGH))
 
     def _possible(self, numberings: Iterable[hypotheses.Numbering]) -> Iterator[Search]:
         """Begin a search under each numbering for which a frame satisfies the declarations."""
@@ -220,7 +216,7 @@ class Searches:
         frame = theta[: 2 * numbering.experiment.stories]
         frame[:] = hypotheses.dual_frame(frame)
         try:
-            other = self._search(numbering, theta, gauss_newton.FULL)
+            other = self._search(numbering, theta)
         except errors.CvxshearError:
             # The declarations exclude the dual.
             return None

@@ -387,7 +387,6 @@ def dual_set(
         All effects that are looked for.
     stories : int
     """
-    by_place = {(placed.effect.name, placed.place): placed for placed in known}
-    found = [placed.effect.dual(placed.place, stories) for placed in effects]
-    duals = [by_place.get(each) if each is not None else None for each in found]
-    return frozenset(each for each in duals if each is not None) if None not in duals else None
+    by_place: dict[object, LocatedEffect] = {(placed.effect.name, placed.place): placed for placed in known}
+    duals = [placed.effect.dual(placed.place, stories) for placed in effects]
+    return frozenset(by_place[dual] for dual in duals) if all(dual in by_place for dual in duals) else None

@@ -1,7 +1,7 @@
 """Search among sets of effects, the best first: expansion, grouping and exchange. No set is visited twice.
 
 A set is expanded by the effects that the linearised model at its fit promises, each alone and all in sequence; the
-large entries of an open class are tried as causes in its place. The best set and the best set without an open class
+causes that best replace an open class are tried in its place. The best set and the best set without an open class
 come first: they lose superfluous effects and are expanded. Then one cause replaces a group of effects of the best set:
 all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
 and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from cvxshear.effects import LocatedEffect, open_class
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy
+from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy, Race
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
@@ -174,7 +174,7 @@ class Search:
             self._done.add(("motions", self.base.effects))
             motions = [item.placed for item in self.fitter.hypotheses if item.placed.effect.adds_motion]
             alone = [(self.fitter.proposal(base, (*base.effects, motion)), motion) for motion in motions]
-            self._record(self.fitter.models(_from_starts(alone, base)))
+            self._fit(_from_starts(alone, base))
         found = self.fitter.models(_from_starts(with_companions(self.fitter, model), base))
         self.other_optima += found
         self._record(found)
@@ -197,7 +197,7 @@ class Search:
             plain = self._proposal(self.base.estimate, effects)
             start = np.concatenate([frame, plain.starts[-1][len(frame) :]])
             proposals.append(dataclasses.replace(plain, starts=(start,)))
-        return self._record(self.fitter.models(_best_starts(proposals)))
+        return self._fit(_best_starts(proposals))
 
     def visit_exchanges(self) -> bool:
         """Visit the best set with each of its effects at every other place; return whether a better set was found.
@@ -211,8 +211,7 @@ class Search:
             for other in self.candidates(best)
             if (other.effect.name, other.place.state) == (placed.effect.name, placed.place.state)
         ]
-        proposals = [self._proposal(best.estimate, effects) for effects in sets if not self._tried(effects)]
-        self._record(self.fitter.models(proposals))
+        self._fit([self._proposal(best.estimate, effects) for effects in sets if not self._tried(effects)])
         return self.best is not best
 
     def _proposal(self, start: Estimate, effects: Set) -> FitProposal:
@@ -238,7 +237,7 @@ class Search:
                     continue
                 if not self._tried(effects) and effects not in proposals:
                     proposals[effects] = self._proposal(model.estimate, effects)
-        self._record(self.fitter.models(list(proposals.values())))
+        self._fit(list(proposals.values()))
 
     def visit_twins(self) -> None:
         """Visit, for each of the best sets, the sets in which a twin replaces an effect."""
@@ -315,8 +314,8 @@ class Search:
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
-        named = [each for each in named_entries(model, self.fitter) if not self._tried(self.fitter.set_of(each))]
-        self._record(self.fitter.models(named))
+        causes = in_place_of_classes(model, linear, self.fitter)
+        self._fit([each for each in causes if not self._tried(self.fitter.set_of(each))])
 
     def _hopeless(self, effects: Set) -> bool:
         """Whether a set holds an open class that was tried in vain.
@@ -340,7 +339,28 @@ class Search:
             motions = [placed for placed in effects if placed.effect.adds_motion and placed not in base.effects]
             predicted = [] if motions else [linear.predicted(new)]
             proposals.append(self.fitter.proposal(base, (*base.effects, *new, *motions), predicted))
-        self._record(self.fitter.models(proposals, accuracy))
+        self._fit(proposals, accuracy)
+
+    def _fit(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> bool:
+        """Fit sets, those without an open class first; return whether any fit was kept.
+
+        If a set of causes explains the data, the others need not be fitted to the end if they stay far behind it.
+        """
+        kept = False
+        for proposal in sorted(proposals, key=lambda each: holds_open(each.effects)):
+            enough = np.inf if self._unsatisfied or proposal.misfit.open_noises else self._near_enough
+            by = dataclasses.replace(accuracy, race=Race(enough))
+            kept |= self._record(self.fitter.models([proposal], by))
+        return kept
+
+    @property
+    def _near_enough(self) -> float:
+        """Objective above which a set is less probable than `REPORTED`, relative to the best set.
+
+        Effects cost at least as much evidence, by the range of their values, as the shear model without them.
+        """
+        base = self.base
+        return base.estimate.fit.at.objective + 2.0 * (base.score - self.best.score + WITHIN)
 
     def _record(self, models: Iterable[ModelClass]) -> bool:
         """Keep the better fit of each set; return whether any fit was kept."""
@@ -359,11 +379,9 @@ class Search:
         """Visit sets in which other effects replace a group: all effects of a state, all of one name, or all.
 
         If every floor of a state is heavier, or every story softer, one cause replaces many effects. Removal of one
-        effect at a time never finds this cause. If no simple set explains the data, causes that explain only together
-        (flexible joints, and braces that prevent joint rotation) also replace an open class: with the class in the set
-        neither cause gains anything.
+        effect at a time never finds this cause.
         """
-        for group in groups(model.effects, open_too=self._unsatisfied):
+        for group in groups(model.effects):
             for rest in self._without(model, [model.effects - group]):
                 self._expand(rest, group, behind=0.0)
 
@@ -444,34 +462,18 @@ def promising(
     return [*(model.effects | {placed} for placed in single), several]
 
 
-def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
-    """Propose sets in which causes of the catalogue replace an open class: the causes of its significant entries.
+def in_place_of_classes(model: ModelClass, linear: Linearised, fitter: Fitter) -> list[FitProposal]:
+    """Propose sets in which causes of the catalogue replace an open class.
 
-    Derivatives at null hardly show several simultaneous large changes; the fitted class provides their sizes.
+    Derivatives at null hardly show large changes; the fitted class provides their sizes.
     """
-    estimate, experiment = model.estimate, fitter.experiment
-    known = {(item.placed.effect.name, item.placed.place): item.placed for item in fitter.hypotheses}
     proposals = []
     for placed in model.effects:
-        if not isinstance(placed.effect, open_class.OpenClass):
-            continue
-        own = estimate.own(placed)
-        values = estimate.theta[own]
-        standing = placed.effect.conspicuous(values, estimate.std[own])
-        causes = {
-            known[at]: float(values[i])
-            for i in standing
-            if (at := placed.effect.cause_at(i, placed.place, experiment)) in known
-        }
-        if not causes:
-            continue
-        rest = [each for each in estimate.effects if each is not placed]
-        new = [cause for cause in causes if cause not in rest]
-        proposal = fitter.proposal(estimate, (*rest, *new))
-        bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
-        sizes = np.clip([causes[each] for each in new], *np.reshape(bounds, (-1, 2)).T)
-        start = np.concatenate([proposal.starts[-1][: len(proposal.starts[-1]) - len(new)], sizes])
-        proposals.append(dataclasses.replace(proposal, starts=(start,)))
+        if placed.effect.kind == OPEN and placed.effect.parameters:
+            odds = fitter.log_priors(linear.candidates, model.effects - {placed})
+            causes, start = linear.in_place_of(placed, odds)
+            rest = [each for each in model.estimate.effects if each is not placed]
+            proposals.append(dataclasses.replace(fitter.proposal(model.estimate, (*rest, *causes)), starts=(start,)))
     return proposals
 
 
@@ -532,20 +534,18 @@ def _best_starts(proposals: Sequence[FitProposal]) -> list[FitProposal]:
     return [proposals[i] for i in ranking.order(-np.array(left))[:MOST_STARTS] if np.isfinite(left[i])]
 
 
-def groups(effects: Set, *, open_too: bool) -> list[Set]:
-    """List groups of at least two effects: by state, by name, and all; if wanted, also each open class alone."""
+def groups(effects: Set) -> list[Set]:
+    """List groups of at least two effects: by state, by name, and all."""
     by_state, by_name = defaultdict[str | None, set[LocatedEffect]](set), defaultdict[str, set[LocatedEffect]](set)
     # Sets have no order of their own: sorted, so that every run gives the same result.
-    ordered = sorted(effects, key=lambda placed: placed.label)
-    for placed in ordered:
+    for placed in sorted(effects, key=lambda placed: placed.label):
         by_name[placed.effect.name].add(placed)
         if placed.place.state is not None:
             by_state[placed.place.state].add(placed)
     found = [frozenset(group) for group in (*by_state.values(), *by_name.values(), effects)]
-    classes = [frozenset([placed]) for placed in ordered if open_too and placed.effect.kind == OPEN]
-    return [group for group in dict.fromkeys((*found, *classes)) if len(group) > 1 or group in classes]
+    return [group for group in dict.fromkeys(found) if len(group) > 1]
 
 
-def holds_open(effects: Set) -> bool:
+def holds_open(effects: Collection[LocatedEffect]) -> bool:
     """Whether an open class is among these effects."""
     return any(placed.effect.kind == OPEN for placed in effects)

@@ -114,15 +114,25 @@ def test_derivatives_of_modes_are_their_difference_quotients(which):
         )
 
 
-@pytest.mark.parametrize("which", [slice(None), slice(2, 5), slice(6, 8)])
-def test_rank_one_derivatives_are_those_of_the_whole_matrices(which):
-    """Two further parameters have no effect on the matrices."""
-    whole = shear_system(MASS, STIFFNESS)
-    dM, dK = (np.concatenate([each, np.zeros((2, 3, 3))])[which] for each in (whole.dM, whole.dK))
-    found = FrameSystem(ONE_MOTION, whole.M, whole.K, 8).by(which)
+@pytest.mark.parametrize("which", [slice(None), slice(2, 5), slice(6, 8), slice(7, None)])
+@pytest.mark.parametrize("added", [False, True])
+def test_rank_one_derivatives_and_added_terms_are_those_of_the_whole_matrices(which, added):
+    """Two further parameters have no effect on the matrices, or are a mass and a spring; then one is added to both."""
+    plain, rng = shear_system(MASS, STIFFNESS), np.random.default_rng(0)
+    dM, dK = (np.concatenate([each, np.zeros((2, 3, 3))]) for each in (plain.dM, plain.dK))
+    found = FrameSystem(ONE_MOTION, plain.M, plain.K, 8)
+    if added:
+        units = rng.standard_normal((3, 3, 3))
+        found = found.plus("M", np.array([0.5]), units[:1], slice(6, 7))
+        found = found.plus("K", np.array([0.5, 2.0]), units[1:], slice(6, 8))
+        dM[6] += units[0]
+        dK[6:] += units[1:]
+        np.testing.assert_allclose(found.M, plain.M + 0.5 * units[0])
+        np.testing.assert_allclose(found.K, plain.K + 0.5 * units[1] + 2.0 * units[2])
+        assert [name for name, _ in found.arrays()] == ["M", "K", "dM", "dK"]
+    found, dM, dK = found.by(which), dM[which], dK[which]
     np.testing.assert_array_equal(found.dM, dM)
     np.testing.assert_array_equal(found.dK, dK)
-    rng = np.random.default_rng(0)
     phi, phi_j, u = rng.standard_normal((3, 3)), rng.standard_normal((3, 2)), rng.standard_normal(3)
     by_stiffness, by_mass = found.modal_products(phi, phi_j)
     np.testing.assert_allclose(by_stiffness, phi.T @ dK @ phi_j, atol=1e-12)

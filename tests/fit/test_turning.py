@@ -132,6 +132,21 @@ def test_errors_of_the_efficient_method_are_those_of_the_bound(noise):
     assert np.mean(np.abs(scores) < 1.96) > 0.9
 
 
+def test_a_story_that_hardly_resists_rotation_is_found():
+    """Nearly all of the stiffness of story 2 is at one place, so its matrix is singular but for a ten-thousandth."""
+    frame = random_frame(2, 1)
+    a = frame.plan[0]
+    frame.columns[1] = np.array([[0.3 * a, 0.0, 2e7, 3e7, 0.0], [-0.3 * a, 0.0, 1e3, 2e4, 0.0]])
+    found = identified(frame, "efficient")
+    assert np.linalg.eigvalsh(found.frame.story_stiffness[1] / [1, 1, a] / [[1], [1], [a]])[0] < 1e-3 * 2e7
+    np.testing.assert_allclose(found.frame.story_stiffness[1], frame.story(1), rtol=1e-7, atol=1e-3)
+    assert found.parts[0].active == ()
+    noisy = identified(frame, "efficient", noise=0.002, seed=1, std=0.002)
+    assert noisy.fit.p_value > 1e-3
+    error = np.diag(noisy.frame.story_stiffness[1] - frame.story(1))
+    assert np.all(np.abs(error) < 4 * np.diag(noisy.frame.story_stiffness_std[1]))
+
+
 def test_states_and_known_masses_are_fitted_together():
     """Two tests of one frame: a known mass off the center tells the scale of the inertias of a symmetric frame."""
     frame = random_frame(2, 31, symmetric=True)

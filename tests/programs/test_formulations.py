@@ -243,9 +243,26 @@ def test_masses_that_make_no_sense_are_refused(three, masses, message):
         programs.mass_correction(three, masses)
 
 
-def test_incomplete_data_are_refused_with_the_method_that_takes_them():
-    with pytest.raises(UnsuitableError, match=r"one_shot_masses cannot use configuration .* use method efficient"):
-        programs.one_shot_masses("e-defense")
+@pytest.mark.parametrize(
+    ("modes", "floors", "lost", "message"),
+    [
+        ([1, 3], [1, 2, 3], [], "it needs all 3 modes, mode 2 is missing"),
+        ([1], [1, 2, 3], [], "it needs all 3 modes, modes 2, 3 are missing"),
+        ([1, 2, 3], [1, 3], [], "it needs every floor, floor 2 is unmeasured"),
+        ([1, 2, 3], [1, 2, 3], [1, 2], "mode 2 has no value at floor 3"),
+    ],
+)
+def test_incomplete_data_are_refused_with_the_method_that_takes_them(three, modes, floors, lost, message):
+    shapes = three.configurations[0].mode_shapes.copy()
+    if lost:
+        shapes[tuple(lost)] = np.nan
+    given = {
+        "name": "a", "modes": modes, "measured_floors": floors,
+        "frequencies": three.configurations[0].frequencies[np.array(modes) - 1].tolist(),
+        "mode_shapes": shapes[np.ix_(np.array(modes) - 1, np.array(floors) - 1)].tolist(),
+    }  # fmt: skip
+    with pytest.raises(UnsuitableError, match=rf'one_shot_masses cannot use configuration "a": {message}; use method'):
+        programs.one_shot_masses({"frame": {"stories": 3, "total_mass": 23.0}, "configuration": [given]})
 
 
 def test_the_notebook_runs():

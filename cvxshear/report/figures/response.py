@@ -262,7 +262,18 @@ PICTURES = 20
 
 @singledispatch
 def animations(*results: Any) -> Iterator[Json]:
-    """Yield the animations of results of one type, with the keys of `html.drawings`; most types have none."""
+    """Yield the animations of results of one type as a page shows them: SVG without a script.
+
+    Parameters
+    ----------
+    *results : LoopResult, Reconstruction or ModalResult
+        Other results have no animation.
+
+    Yields
+    ------
+    dict
+        `name`, `title`, `caption`, `alternative` and `section` as of a figure; `svg`, the drawing; `moves`, true.
+    """
     yield from ()
 
 
