@@ -32,6 +32,7 @@ def identify(
     backend: options.BackendName = "auto",
     initial_mass: str | None = None,
     tolerance: float = 1e-6,
+    report: options.ReportOut = None,
     *,
     outputs: options.ResultOptions,
 ) -> None:
@@ -64,6 +65,7 @@ def identify(
         outputs.out,
         lambda: [*doubts_of(doubts), *terminal.shown(result)],
         *files_of(result),
+        *([] if report is None else [partial(_write_page, report, result)]),
         title=experiment.report.title or experiment.name,
     )
 
@@ -211,7 +213,7 @@ class Motion:
         return {name: getattr(self, name) for name in shared}
 
 
-def _write_page(path: str, result: RecordPrediction | Reconstruction | History) -> None:
+def _write_page(path: str, result: cvxshear.Identification | RecordPrediction | Reconstruction | History) -> None:
     from cvxshear.report.html import render_described
 
     write_file(path, render_described(result, as_typed()))

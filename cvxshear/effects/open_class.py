@@ -71,10 +71,6 @@ class OpenClass(Effect):
     never_negative: ClassVar[str] = ""
     """Cause of a single entry that cannot be negative; a negative entry has another cause."""
 
-    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place] | None:
-        """Return name and place of the catalogue's effect that equals one entry alone, or None."""
-        return None
-
     def conspicuous(self, values: Floats, std: Floats, most: int = 3) -> list[int]:
         """List the significant entries, the most significant first and not more than a sentence can name."""
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -116,10 +112,6 @@ class OtherStiffness(OpenClass):
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(named_pair(i, j), "N/m") for i, j in pairs(experiment.stories, ground=True)]
-
-    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
-        i, j = pairs(experiment.stories, ground=True)[entry]
-        return ("spring", Place(floor=i, to=j)) if i else ("ground_spring", Place(floor=j))
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         stories = len(state.floor_mass)
@@ -203,9 +195,6 @@ class OtherChanges(OpenClass):
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(f"story {i}", "", lower=-0.99) for i in range(1, experiment.stories + 1)]
 
-    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
-        return "story_change", Place(story=entry + 1, state=place.state)
-
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         for at, change in enumerate(values):
             state = with_changed_story(state, at, float(change), own.start + at)
@@ -232,9 +221,6 @@ class OtherLoads(OpenClass):
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(f"floor {i}", "kg") for i in range(1, experiment.stories + 1)]
-
-    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
-        return "added_mass", Place(floor=entry + 1, state=place.state)
 
     def limits(self, experiment: Experiment, place: Place) -> Constraints:
         n = experiment.stories
@@ -272,9 +258,6 @@ class OtherGains(OpenClass):
 
     def entries(self, experiment: Experiment) -> Sequence[Parameter]:
         return [Parameter(f"floor {floor}", "", lower=-0.9, upper=9.0) for floor in _floors(experiment)]
-
-    def cause_at(self, entry: int, place: Place, experiment: Experiment) -> tuple[str, Place]:
-        return "sensor_gain", Place(floor=_floors(experiment)[entry])
 
     def lacks(self, experiment: Experiment) -> str:
         return "" if len(_floors(experiment)) > 1 else "shapes at two floors or more"

@@ -14,12 +14,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from cvxshear.effects import LocatedEffect, composition
 from cvxshear.fit import domain, gaussian
 from cvxshear.fit.efficient import Estimate
 from cvxshear.loop.fitter import free_basis
+from cvxshear.loop.hypotheses import OPEN
 from cvxshear.util import decorators, ranking
 from cvxshear.util.typing import Floats
 
@@ -208,6 +209,54 @@ class Linearised:
                 at = [int(np.flatnonzero(columns == i)[0]) for i in range(own.start, own.stop)]
                 theta[: 2 * self.base.experiment.stories] += self._shift(each) @ (values - null)[at]
         return np.concatenate([theta, values])
+
+    def in_place_of(self, placed: LocatedEffect, log_priors: Floats) -> tuple[list[LocatedEffect], Floats]:
+        """Find the causes of one parameter each that replace an effect of the fit, the most promising first.
+
+        The fit holds the effect at its size, so the derivatives are those of a frame that explains the data: no change
+        is too large for them, as long as the matrices are linear in it.
+
+        Parameters
+        ----------
+        placed : LocatedEffect
+        log_priors : ndarray, shape (n,)
+            Logarithm of the prior odds of each candidate.
+
+        Returns
+        -------
+        causes : list of LocatedEffect
+            Added in sequence while the evidence of the linearised model grows.
+        theta : ndarray, shape (P - p + k,)
+            Minimum of the linearised model: parameters of the fit without the effect, then of the causes.
+        """
+        base, single = self.base, self._singles
+        own, J = base.own(placed), base.fit.at.J
+        free = self._free @ linalg.null_space(self._free[own])
+        reached, triangle = np.linalg.qr(J @ free)
+        residual = base.fit.at.r - J[:, own] @ (base.theta[own] - [item.null for item in placed.effect.parameters])
+        columns = self._columns[:, single.columns]
+        beyond, left = (each - reached @ (reached.T @ each) for each in (columns, residual))
+        rounding = EXACT**2 * np.sum(columns**2, axis=0)
+        odds = np.where([self.candidates[at].effect.kind == OPEN for at in single.at], -np.inf, log_priors[single.at])
+        taken: list[int] = []
+        while len(taken) < len(odds):
+            h = np.sum(beyond**2, axis=0)
+            gains = np.where(h > rounding, single.gains(-(beyond.T @ left), h) + odds, -np.inf)
+            best = ranking.first_largest(gains)
+            if not gains[best] > 0.0:
+                break
+            taken.append(best)
+            odds[best] = -np.inf
+            unit = beyond[:, best] / np.sqrt(h[best])
+            beyond, left = (each - np.multiply.outer(unit, unit @ each) for each in (beyond, left))
+        basis = np.hstack([reached, columns[:, taken]])
+        change = -np.linalg.lstsq(basis, residual, rcond=None)[0]
+        sizes = np.clip(change[len(free.T) :], single.lower[taken], single.upper[taken])
+        moved = np.linalg.solve(triangle, reached.T @ (residual + columns[:, taken] @ sizes))
+        causes = [self.candidates[at] for at in single.at[taken]]
+        nulls = np.array([cause.effect.parameters[0].null for cause in causes])
+        theta = np.delete(base.theta - free @ moved, np.arange(own.start, own.stop))
+        return causes, np.concatenate([theta, nulls + sizes])
 
     def decrease(self, placed: LocatedEffect) -> float:
         """Return the decrease of chi-square with an effect within its bounds, without a prior on the effect."""

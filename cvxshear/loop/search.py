@@ -1,7 +1,7 @@
 """Search among sets of effects, the best first: expansion, grouping and exchange. No set is visited twice.
 
 A set is expanded by the effects that the linearised model at its fit promises, each alone and all in sequence; the
-large entries of an open class are tried as causes in its place. The best set and the best set without an open class
+causes that best replace an open class are tried in its place. The best set and the best set without an open class
 come first: they lose superfluous effects and are expanded. Then one cause replaces a group of effects of the best set:
 all of one state, all of one name, or all. Then the other good sets have their turn, and each loses one effect at a time
 and is expanded again, so that another effect takes its place. The derivatives by an effect that adds a motion carry no
@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from cvxshear.effects import LocatedEffect, open_class
+from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
 from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy, Race
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
@@ -314,7 +314,8 @@ class Search:
         further = promising(model, linear, self.fitter, behind, barred)
         new = [each for each in further if not self._tried(each) and not self._hopeless(each)]
         self._visit(model.estimate, linear, new)
-        self._fit([each for each in named_entries(model, self.fitter) if not self._tried(self.fitter.set_of(each))])
+        causes = in_place_of_classes(model, linear, self.fitter)
+        self._fit([each for each in causes if not self._tried(self.fitter.set_of(each))])
 
     def _hopeless(self, effects: Set) -> bool:
         """Whether a set holds an open class that was tried in vain.
@@ -378,11 +379,9 @@ class Search:
         """Visit sets in which other effects replace a group: all effects of a state, all of one name, or all.
 
         If every floor of a state is heavier, or every story softer, one cause replaces many effects. Removal of one
-        effect at a time never finds this cause. If no simple set explains the data, causes that explain only together
-        (flexible joints, and braces that prevent joint rotation) also replace an open class: with the class in the set
-        neither cause gains anything.
+        effect at a time never finds this cause.
         """
-        for group in groups(model.effects, open_too=self._unsatisfied):
+        for group in groups(model.effects):
             for rest in self._without(model, [model.effects - group]):
                 self._expand(rest, group, behind=0.0)
 
@@ -463,34 +462,18 @@ def promising(
     return [*(model.effects | {placed} for placed in single), several]
 
 
-def named_entries(model: ModelClass, fitter: Fitter) -> list[FitProposal]:
-    """Propose sets in which causes of the catalogue replace an open class: the causes of its significant entries.
+def in_place_of_classes(model: ModelClass, linear: Linearised, fitter: Fitter) -> list[FitProposal]:
+    """Propose sets in which causes of the catalogue replace an open class.
 
-    Derivatives at null hardly show several simultaneous large changes; the fitted class provides their sizes.
+    Derivatives at null hardly show large changes; the fitted class provides their sizes.
     """
-    estimate, experiment = model.estimate, fitter.experiment
-    known = {(item.placed.effect.name, item.placed.place): item.placed for item in fitter.hypotheses}
     proposals = []
     for placed in model.effects:
-        if not isinstance(placed.effect, open_class.OpenClass):
-            continue
-        own = estimate.own(placed)
-        values = estimate.theta[own]
-        standing = placed.effect.conspicuous(values, estimate.std[own])
-        causes = {
-            known[at]: float(values[i])
-            for i in standing
-            if (at := placed.effect.cause_at(i, placed.place, experiment)) in known
-        }
-        if not causes:
-            continue
-        rest = [each for each in estimate.effects if each is not placed]
-        new = [cause for cause in causes if cause not in rest]
-        proposal = fitter.proposal(estimate, (*rest, *new))
-        bounds = [(item.lower, item.upper) for each in new for item in each.effect.parameters]
-        sizes = np.clip([causes[each] for each in new], *np.reshape(bounds, (-1, 2)).T)
-        start = np.concatenate([proposal.starts[-1][: len(proposal.starts[-1]) - len(new)], sizes])
-        proposals.append(dataclasses.replace(proposal, starts=(start,)))
+        if placed.effect.kind == OPEN and placed.effect.parameters:
+            odds = fitter.log_priors(linear.candidates, model.effects - {placed})
+            causes, start = linear.in_place_of(placed, odds)
+            rest = [each for each in model.estimate.effects if each is not placed]
+            proposals.append(dataclasses.replace(fitter.proposal(model.estimate, (*rest, *causes)), starts=(start,)))
     return proposals
 
 
@@ -551,18 +534,16 @@ def _best_starts(proposals: Sequence[FitProposal]) -> list[FitProposal]:
     return [proposals[i] for i in ranking.order(-np.array(left))[:MOST_STARTS] if np.isfinite(left[i])]
 
 
-def groups(effects: Set, *, open_too: bool) -> list[Set]:
-    """List groups of at least two effects: by state, by name, and all; if wanted, also each open class alone."""
+def groups(effects: Set) -> list[Set]:
+    """List groups of at least two effects: by state, by name, and all."""
     by_state, by_name = defaultdict[str | None, set[LocatedEffect]](set), defaultdict[str, set[LocatedEffect]](set)
     # Sets have no order of their own: sorted, so that every run gives the same result.
-    ordered = sorted(effects, key=lambda placed: placed.label)
-    for placed in ordered:
+    for placed in sorted(effects, key=lambda placed: placed.label):
         by_name[placed.effect.name].add(placed)
         if placed.place.state is not None:
             by_state[placed.place.state].add(placed)
     found = [frozenset(group) for group in (*by_state.values(), *by_name.values(), effects)]
-    classes = [frozenset([placed]) for placed in ordered if open_too and placed.effect.kind == OPEN]
-    return [group for group in dict.fromkeys((*found, *classes)) if len(group) > 1 or group in classes]
+    return [group for group in dict.fromkeys(found) if len(group) > 1]
 
 
 def holds_open(effects: Collection[LocatedEffect]) -> bool:

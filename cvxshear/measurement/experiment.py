@@ -278,12 +278,12 @@ class Experiment(Shown):
 
     @decorators.cached_property
     def of_floors(self) -> slice:
-        """Places of the parameters of the floors among those of a fit, the lowest floor first."""
+        """Slice of theta with the parameters of the floors, the lowest floor first."""
         return slice(0, self.stories * len(self.motions.mass_names))
 
     @decorators.cached_property
     def of_stories(self) -> slice:
-        """Places of the parameters of the stories, which follow those of the floors."""
+        """Slice of theta with the parameters of the stories, the lowest story first."""
         return slice(self.of_floors.stop, self.of_floors.stop + self.stories * len(self.motions.stiffness_names))
 
     @decorators.cached_property

@@ -277,7 +277,7 @@ def turning_tests(experiment: Experiment) -> list[TurningTest]:
     Raises
     ------
     UnsuitableError
-        If there is none; of the first.
+        If no configuration has it; the message is about the first.
     """
     tests, refused = [], list[UnsuitableError]()
     for each in experiment.configurations:

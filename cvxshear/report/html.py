@@ -141,6 +141,7 @@ def render(result: LoopResult, command: str, comparison: Comparison | None = Non
 
 #: Headings of the pages by the type of their result.
 HEADINGS = {
+    "Identification": "Identified frame",
     "RecordPrediction": "Predicted response",
     "Reconstruction": "Reconstructed response",
     "History": "History of a frame",
@@ -149,7 +150,7 @@ HEADINGS = {
 
 
 def render_described(result: object, command: str) -> str:
-    """Write the page of a prediction, reconstruction, history or plan as HTML: its description and its figures."""
+    """Write the page of an identification, prediction, reconstruction, history or plan as HTML, with its figures."""
     heading = HEADINGS[type(result).__name__]
     found = as_json(result)
     return page(

@@ -5,6 +5,7 @@ import datetime
 import re
 import tomllib
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -494,9 +495,19 @@ def test_the_reference_names_every_key():
         assert f"| `{kind}` |" in PAGE
 
 
-def test_the_priors_class_of_the_reference_runs(monkeypatch):
+def test_a_prior_of_ones_own_is_named_in_a_dict(monkeypatch):
     monkeypatch.setattr(Prior, "kinds", dict(Prior.kinds))
-    (code,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
-    exec(compile(code, "measurement-file.md", "exec"), {"__name__": "measurement_file"})
+
+    @dataclasses.dataclass(frozen=True, eq=False)
+    class Smooth(Prior):
+        kind: ClassVar[str] = "smooth"
+        quantity: str
+        width: float
+
+        def residual(self, x):
+            J = np.diff(np.eye(len(x)), axis=0) / self.width
+            return J @ x, J
+
     prior = Prior.from_dict({"kind": "smooth", "quantity": "floor_mass", "width": 2.0})
+    assert isinstance(prior, Smooth)
     assert_allclose(prior.residual(np.array([10.0, 7.5, 5.0]))[0], [-1.25, -1.25])

@@ -132,4 +132,5 @@ def test_the_same_mode_of_two_configurations_faces_one_way():
 
 def test_the_first_figure_of_a_record_is_its_stabilization_diagram():
     """A file without a named kind gets this figure; a report has the others in this order."""
-    assert list(figures.figures_of(ModalResult)) == ["stabilization", "amplitude", "functions", "shapes"]
+    expected = ["stabilization", "amplitude", "functions", "shapes", "plan_shapes"]
+    assert list(figures.figures_of(ModalResult)) == expected

@@ -8,20 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Ellipse, Rectangle
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.effects.open_class import STANDS_OUT, named_pair, pairs
 from cvxshear.fit.results import Identification, IdentifiedFrame
+from cvxshear.fit.turning_floors import TurningFrame
 from cvxshear.loop import LoopResult
 from cvxshear.loop.results import AddedEffect
+from cvxshear.measurement.configuration import Sensor, motion_shares
+from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning import Plan, predicted
 from cvxshear.report.figures import style
 from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.report.headline import NAMED, verdict_of
 from cvxshear.report.identified import in_one_unit
-from cvxshear.util.quantities import AUTOMATIC, chance, counted
+from cvxshear.util.quantities import AUTOMATIC, SURE, chance, counted, percent
 from cvxshear.util.typing import Floats
 
 #: Thickness of the heaviest floor as a fraction of the smallest story height.
@@ -370,3 +373,118 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
     for i, (level, shown) in enumerate(zip(z, style.spread(z, gap, 0.0, top), strict=True)):
         _leader(axes, (at.right + 0.02, level), (at.right + LABEL_DISTANCE - 0.01, shown))
         axes.text(at.right + LABEL_DISTANCE, shown, f"floor {i + 1}:  {masses[i]} {mass_unit}", ha="left", va="center")
+
+
+# Floors that turn, seen from above.
+
+#: Semi-axes of the ellipse with the probability `SURE`, in standard deviations of its coordinates.
+ELLIPSE = float(np.sqrt(-2.0 * np.log(1.0 - SURE)))
+
+
+@figure(
+    "plans",
+    Identification,
+    title="The floors from above",
+    alternative="Plans of the floors with their centers of mass and stiffness; the numbers are in the table above.",
+    section="frame",
+    applies=lambda result: result.experiment.frame.turns,
+    needs="floors that turn",
+)
+def plans(result: Identification) -> Figure:
+    """Draw each floor from above with its mass center and the center of stiffness of the story below.
+
+    Dots: mass centers; diamonds: centers of stiffness of the story below; ellipses of 95 %, from the deviations of x
+    and y. Black: sensors and their directions. A center that the data leave open is not drawn.
+    """
+    frame, sensors = result.parts[0].frame, result.experiment.configurations[0].sensors
+    assert isinstance(frame, TurningFrame)
+    outline = _outline(result.experiment.frame.plan, sensors)
+    drawn, panels = _plan_panels(result.experiment.stories, outline)
+    reach = 0.12 * float(np.ptp(outline))
+    for floor, axes in enumerate(panels):
+        axes.plot(*np.vstack([outline, outline[:1]]).T, color=style.GREY, lw=0.9)
+        centers = (
+            ("mass", frame.mass_center, frame.mass_center_std, "o", style.AFTER),
+            ("stiffness", frame.stiffness_center, frame.stiffness_center_std, "D", style.BEFORE),
+        )
+        for label, center, std, marker, colour in centers:
+            axes.plot(*center[floor], ls="none", marker=marker, ms=4.0, color=colour, label=f"center of {label}")
+            if np.all(np.isfinite(std[floor])):
+                width, height = 2.0 * ELLIPSE * std[floor]
+                place = float(center[floor, 0]), float(center[floor, 1])
+                axes.add_patch(Ellipse(place, width, height, fc="none", ec=colour, lw=0.9))
+        for sensor in (each for each in sensors if each.floor == floor + 1):
+            ends = np.array([sensor.position, sensor.position + reach * sensor.row[:2]])
+            axes.plot(*ends.T, color=style.MEASURED, lw=0.8, marker=".", markevery=[0], label="sensor")
+        axes.set_title(f"floor {floor + 1}", fontsize=7.5)
+    # One entry of the legend for all sensors.
+    handles, labels = panels[0].get_legend_handles_labels()
+    kept = dict(zip(labels, handles, strict=True))
+    drawn.legend(kept.values(), kept.keys(), loc="outside upper center", ncols=len(kept))
+    return drawn
+
+
+@figure(
+    "plan_shapes",
+    Identification,
+    title="Mode shapes from above",
+    alternative="Mode shapes of the identified frame from above; the numbers are in the tables.",
+    section="shapes",
+    applies=lambda result: result.experiment.frame.turns,
+    needs="floors that turn",
+)
+def identified_plan_shapes(result: Identification) -> Figure:
+    """Draw the floors from above in each mode of the identified frame, with the shares of x, y and rotation.
+
+    Grey: the floors at rest; lines: their motion in the mode, the highest floor darkest.
+    """
+    found, tested = result.parts[0].predictions[0], result.experiment.configurations[0]
+    modes = found.modes - 1
+    return moved_plans(tested.sensors, found.mode_shapes[modes], found.frequencies[modes], result.experiment.frame.plan)
+
+
+def moved_plans(sensors: Sequence[Sensor], shapes: Floats, frequencies: Floats, plan: Floats | None) -> Figure:
+    """Draw one panel a mode, the floors displaced by as much as a quarter of the plan."""
+    outline = _outline(plan, sensors)
+    drawn, panels = _plan_panels(len(shapes), outline)
+    stories = max(sensor.floor for sensor in sensors)
+    motions = np.linalg.pinv(Sensor.rows(sensors, stories)) @ shapes.T
+    shares = motion_shares(sensors, shapes)
+    x, y = outline.T
+    for mode, axes in enumerate(panels):
+        moved = motions[:, mode].reshape(stories, 3)
+        by = np.stack([moved[:, :1] - np.outer(moved[:, 2], y), moved[:, 1:2] + np.outer(moved[:, 2], x)], axis=2)
+        by *= 0.25 * float(np.ptp(outline)) / float(np.abs(by).max())
+        for floor, displaced in enumerate([np.zeros_like(outline), *by]):
+            corners = outline + displaced
+            colour, dark = (style.AFTER, floor / stories) if floor else (style.GREY, 1.0)
+            axes.plot(*np.vstack([corners, corners[:1]]).T, color=colour, alpha=dark, lw=1.0)
+        said = ", ".join(f"{name} {percent(share, 0)}" for name, share in zip(MOTIONS, shares[mode], strict=True))
+        axes.set_title(f"mode {mode + 1}: {frequencies[mode]:#.4g} Hz\n{said}", fontsize=7)
+    return drawn
+
+
+def _outline(plan: Floats | None, sensors: Sequence[Sensor]) -> Floats:
+    """Return the corners of the largest declared plan, or of the rectangle around the sensors, shape (4, 2), m."""
+    places = np.array([sensor.position for sensor in sensors])
+    if plan is None:
+        low, high = places.min(axis=0), places.max(axis=0)
+    else:
+        high = np.max(np.atleast_2d(plan), axis=0) / 2.0
+        low = -high
+    return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+
+
+def _plan_panels(count: int, outline: Floats) -> tuple[Figure, list[Axes]]:
+    """Make panels with equal scales in x and y, m."""
+    columns = style.even_columns(count, 3)
+    wide, high = np.ptp(outline, axis=0)
+    panel = style.PAGE_WIDTH / columns * float(np.clip(high / wide, 0.4, 1.5)) + 0.5
+    drawn = style.new_figure(style.PAGE_WIDTH, panel * -(-count // columns) + 0.5)
+    panels = style.panels(drawn, count, columns, sharex=True, sharey=True)
+    for axes in panels:
+        axes.set_aspect("equal")
+        axes.tick_params(labelsize=7)
+    drawn.supxlabel("x, m", fontsize=8.5)
+    drawn.supylabel("y, m", fontsize=8.5)
+    return drawn, panels

@@ -21,7 +21,7 @@ from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.records.prepare import Functions
 from cvxshear.records.result import band_of, over_amplitude, synthesized
 from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_frame import elevations
+from cvxshear.report.figures.drawn_frame import elevations, moved_plans
 from cvxshear.report.figures.style import figure
 from cvxshear.report.from_records import method_in_words
 from cvxshear.util import ranking
@@ -512,3 +512,20 @@ def _panel(axes: Axes, result: ModalResult, row: int, shape: Floats, stories: in
     std = f" ± {percents([frequency_std])[0]}" if np.isfinite(frequency_std) else ""
     title = f"{style.letters(result.name, 18)}\nmode {result.modes[row]}\n{result.frequencies[row]:#.4g} Hz{std}"
     axes.set_title(title, fontsize=7)
+
+
+@figure(
+    "plan_shapes",
+    ModalResult,
+    title="Mode shapes from above",
+    alternative="Mode shapes of the floors from above; the numbers are in the table above.",
+    section="shapes",
+    applies=lambda *results: len(results) == 1 and bool(results[0].sensors),
+    needs="one record of floors that turn",
+)
+def plan_shapes(result: ModalResult) -> Figure:
+    """Draw the floors from above in each mode, with the shares of x, y and rotation.
+
+    Grey: the floors at rest; lines: their motion in the mode, the highest floor darkest.
+    """
+    return moved_plans(result.sensors, result.mode_shapes, result.frequencies, None)
