@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -176,6 +177,18 @@ def _turning_table(frame: TurningFrame, title: str, units: quantities.Units, key
             blocks.Column(head, texts, name=name, values=tuple(values.tolist()), std=tuple(std.tolist()), unit=unit)
         )
     return blocks.Table(key, title, tuple(columns), top_first=True)
+
+
+def _narrow(table: blocks.Table) -> list[blocks.Table]:
+    """Divide the table of floors that turn into floors and stories, so that each is as wide as a page."""
+    first, *others = table.columns
+    of_stories = [each for each in others if each.name.startswith(("story_stiffness_", "stiffness_center"))]
+    if not of_stories:
+        return [table]
+    of_floors = [each for each in others if each not in of_stories]
+    floors = dataclasses.replace(table, columns=(dataclasses.replace(first, head="floor"), *of_floors))
+    stories = (dataclasses.replace(first, head="story", name="story"), *of_stories)
+    return [floors, dataclasses.replace(table, key=f"{table.key}-stories", title="Its stories", columns=stories)]
 
 
 def _turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
@@ -394,8 +407,9 @@ def part_section(
 ) -> blocks.Section:
     """Tabulate the frame that one or all configurations give, and its fit."""
     title = "All configurations together" if result.joint else part.name
+    frame = frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}")
     parts = [
-        frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}"),
+        *_narrow(frame),
         *_turning_words(part.frame),
         *_bounds(part),
         *_prices(part, place, units),
