@@ -72,6 +72,8 @@ class Segments:
         Hz.
     decaying : bool
         Whether the motion decays from blows or releases.
+    floors : int
+        Number of channels that are not the input; they come first.
     """
 
     spectra: Complexes
@@ -81,6 +83,7 @@ class Segments:
     length: int
     rate: float
     decaying: bool
+    floors: int
 
     @staticmethod
     def of(record: TimeRecord) -> Segments:
@@ -106,7 +109,7 @@ class Segments:
             weights = np.nan_to_num(power / (power + floor)) ** 2
         weights[:, :2] = 0.0
         groups = np.array_split(np.arange(len(times)), min(CLOCK_PARTS, len(times)))
-        return Segments(found, weights, np.array(times), groups, length, rate, decaying)
+        return Segments(found, weights, np.array(times), groups, length, rate, decaying, record.runs[0].responses.shape[1])
 
     @property
     def omega(self) -> Floats:
@@ -138,8 +141,9 @@ class Segments:
         times = np.array([self.times[group].mean() for group in self.groups])
         many = weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300)
         chance = 1.0 / np.sqrt(2.0 * max(many, 1.0))
+        floors = np.maximum(clock, others) < self.floors
         return ChannelRatios(
-            np.array(pairs), by_group, times, np.median(levels, axis=0), weights.sum(axis=1), chance, self
+            np.array(pairs), by_group, times, np.median(levels, axis=0), weights.sum(axis=1), chance, floors, self
         )
 
 
@@ -159,6 +163,8 @@ class ChannelRatios:
         Weights of the levels.
     chance : float
         Agreement that a channel without motion has at one delay by chance.
+    floors : array of bool, shape (others,)
+        Whether neither is the input, over which every floor has the resonances of the frame.
     segments : Segments
     """
 
@@ -168,6 +174,7 @@ class ChannelRatios:
     levels: Floats
     loudness: Floats
     chance: float
+    floors: Bools
     segments: Segments
 
     @cached_property
@@ -197,7 +204,9 @@ class ChannelRatios:
         ringing = np.arctan2(2.0 * ratios * omega / at, 1.0 - (omega / at) ** 2)
         curves = np.exp(2j * np.hstack([np.arctan(omega / CORNERS), ringing]))
         slow = (each @ curves).real
-        agreement = np.hstack([delayed[:, ~beyond].max(axis=1, keepdims=True), delayed[:, beyond], slow])
+        sound = delayed[:, ~beyond].max(axis=1, keepdims=True)
+        slow[~self.floors, len(CORNERS) :] = sound[~self.floors]
+        agreement = np.hstack([sound, delayed[:, beyond], slow])
         likely = PHASES * _log_likelihood(agreement / np.maximum(np.abs(each).sum(axis=1, keepdims=True), 1e-300)).mean(
             axis=0
         )
