@@ -286,8 +286,6 @@ def fitted(
     for _ in range(NOISE_ITERATION.fits):
         noise = estimated_noise(estimate.misfit, estimate.fit.at, estimate.free_directions)
         before = {item.key: estimate.misfit.noise.of(item.key) for item in misfit.unknown}
-        if accuracy.race.over:
-            return dataclasses.replace(estimate, noise=noise)
         if _same(estimate.misfit, noise):
             if estimate.fit.converged:
                 return dataclasses.replace(estimate, noise=noise)

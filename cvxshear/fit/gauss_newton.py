@@ -7,7 +7,7 @@ relative to its sensitivity. Their weight rises after a step that failed and fal
 """
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic
 
@@ -45,35 +45,6 @@ HOPELESS = 25.0
 LEAST_DAMPING = 1e-7
 
 
-@dataclass
-class Race:
-    """Whether a fit can still come near another fit of the same data.
-
-    Parameters
-    ----------
-    enough : float
-        Objective that is near enough. A step is expected to remove half of the rest above it.
-    patience : int, optional
-        Number of consecutive steps with less that end the fit.
-    lost : int
-        Number of such steps so far. A step that the linearized model promises less of counts for half of the patience.
-    """
-
-    enough: float
-    patience: int = 6
-    lost: int = 0
-
-    @property
-    def over(self) -> bool:
-        """Whether the fit ends."""
-        return self.lost >= self.patience
-
-    def count(self, objective: float, gain: float, promised: float) -> None:
-        """Count a step that began at this objective."""
-        half = 0.5 * (objective - self.enough)
-        self.lost = 0 if gain >= half else self.lost + (1 if promised >= half else self.patience // 2)
-
-
 @dataclass(frozen=True)
 class Accuracy:
     """Options of Gauss-Newton.
@@ -98,8 +69,6 @@ class Accuracy:
     most_refused : int, optional
         Number of step programs that the backend may leave unsolved. This many in a row damp a step to a thousandth,
         with a well-conditioned program; a backend that fails more often does not solve them.
-    race : Race, optional
-        Another fit of the same data that this one must come near; by default any fit is near enough.
     """
 
     step: float = 1e-6
@@ -112,7 +81,6 @@ class Accuracy:
     most_damping: float = 1e6
     no_gain: float = 1e-12
     most_refused: int = 6
-    race: Race = field(default_factory=lambda: Race(np.inf), compare=False)
 
 
 FULL = Accuracy()
@@ -247,7 +215,7 @@ def gauss_newton(
     if refused is not None and fit.reason is Ending.NO_BETTER_STEP:
         # The unsolved step could have lowered the misfit.
         raise refused
-    if accuracy.step <= FULL.step and fit.converged and not accuracy.race.over:
+    if accuracy.step <= FULL.step and fit.converged:
         fit = dataclasses.replace(fit, optimality=_certified(problem, fit, domain, backend.name))
     return fit
 
@@ -259,7 +227,7 @@ def _descended(
     feasible = made_feasible(theta, domain, backend)
     at = start if start is not None and feasible is theta else problem.evaluate(feasible)
     theta = feasible
-    damping, flat, failures, race = StepDamping(accuracy), 0, 0, accuracy.race
+    damping, flat, failures = StepDamping(accuracy), 0, 0
     refused: errors.NoSolutionError | None = None
     for step in range(1, accuracy.most_steps + 1):
         try:
@@ -282,9 +250,6 @@ def _descended(
         taken = halved(problem, theta, d, at, domain, 0 if damping.active else accuracy.halvings)
         promised = float(at.r @ at.r) - float(np.sum((at.r + at.J @ d) ** 2))
         gain = 0.0 if taken is None else at.objective - taken[1].objective
-        race.count(at.objective, gain, np.inf if damping.active else promised)
-        if race.over:
-            return Fit(*(taken or (theta, at)), Ending.FLAT, step), refused
         if taken is None:
             if damping.exhausted or (damping.active and promised < accuracy.no_gain * at.objective):
                 return Fit(theta, at, Ending.NO_BETTER_STEP, step), refused

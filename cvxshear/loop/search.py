@@ -20,7 +20,7 @@ import numpy as np
 
 from cvxshear.effects import LocatedEffect
 from cvxshear.fit.efficient import Estimate
-from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy, Race
+from cvxshear.fit.gauss_newton import FULL, HOPELESS, ROUGH, Accuracy
 from cvxshear.loop.fitter import FitProposal, Fitter, ModelClass
 from cvxshear.loop.hypotheses import OPEN
 from cvxshear.loop.linear import Linearised
@@ -342,25 +342,8 @@ class Search:
         self._fit(proposals, accuracy)
 
     def _fit(self, proposals: Sequence[FitProposal], accuracy: Accuracy = ROUGH) -> bool:
-        """Fit sets, those without an open class first; return whether any fit was kept.
-
-        If a set of causes explains the data, the others need not be fitted to the end if they stay far behind it.
-        """
-        kept = False
-        for proposal in sorted(proposals, key=lambda each: holds_open(each.effects)):
-            enough = np.inf if self._unsatisfied or proposal.misfit.open_noises else self._near_enough
-            by = dataclasses.replace(accuracy, race=Race(enough))
-            kept |= self._record(self.fitter.models([proposal], by))
-        return kept
-
-    @property
-    def _near_enough(self) -> float:
-        """Objective above which a set is less probable than `REPORTED`, relative to the best set.
-
-        Effects cost at least as much evidence, by the range of their values, as the shear model without them.
-        """
-        base = self.base
-        return base.estimate.fit.at.objective + 2.0 * (base.score - self.best.score + WITHIN)
+        """Fit sets; return whether any fit was kept."""
+        return self._record(self.fitter.models(proposals, accuracy))
 
     def _record(self, models: Iterable[ModelClass]) -> bool:
         """Keep the better fit of each set; return whether any fit was kept."""

@@ -109,7 +109,9 @@ class Segments:
             weights = np.nan_to_num(power / (power + floor)) ** 2
         weights[:, :2] = 0.0
         groups = np.array_split(np.arange(len(times)), min(CLOCK_PARTS, len(times)))
-        return Segments(found, weights, np.array(times), groups, length, rate, decaying, record.runs[0].responses.shape[1])
+        return Segments(
+            found, weights, np.array(times), groups, length, rate, decaying, record.runs[0].responses.shape[1]
+        )
 
     @property
     def omega(self) -> Floats:

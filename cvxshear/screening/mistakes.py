@@ -79,9 +79,9 @@ class Change:
         return self.frame.log_evidence
 
     @property
-    def plausible_to(self) -> float:
-        """Misfit up to which a shear frame explains the data."""
-        return nearest_frame.PLAUSIBLE * self.frames.count
+    def plausible(self) -> bool:
+        """Whether a shear frame explains the data."""
+        return self.frame.misfit < nearest_frame.PLAUSIBLE * self.frames.count
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,10 +181,10 @@ def of_modes(reading: MeasuredModes) -> tuple[NearestFrame, list[Change]]:
     for place in np.unique(np.argsort(misfits, axis=0, kind="stable")[: nearest_frame.SHORTLIST]):
         change = replace(changes[place], reading=replace(changes[place].reading, part=1.0))
         begin = references[np.argmin(misfits[place])]
-        rough.append(replace(change, frame=change.frames.nearest([begin], change.plausible_to)))
+        rough.append(replace(change, frame=change.frames.nearest([begin])))
     # A change that mends a mistake brings the data near to a frame, and nearer than as given, at the usual tolerance.
     usual = frames.nearest([given.theta]).log_evidence
-    nearer = [each for each in rough if each.frame.misfit < each.plausible_to and each.frame.log_evidence > usual]
+    nearer = [each for each in rough if each.plausible and each.frame.log_evidence > usual]
     best = ranking.ranked(nearer, lambda item: item.frame.log_evidence + item.log_prior)[: nearest_frame.SHORTLIST]
     return given, named(
         given.log_evidence, [replace(each, frame=each.frames.likeliest([each.frame.theta])) for each in best]

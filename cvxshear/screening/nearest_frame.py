@@ -167,11 +167,8 @@ class ShearFrames:
         """Twice the sum of the logarithms of all standard deviations, but for a constant that repairs do not change."""
         return sum(each.certainty_lost() for each in self.readings)
 
-    def nearest(self, starts: Iterable[Floats], enough: float = np.inf) -> NearestFrame:
-        """Return the best fit that begins at one of these logarithms, shape (2N,).
-
-        A fit that stays far above a misfit that is `enough` ends early.
-        """
+    def nearest(self, starts: Iterable[Floats]) -> NearestFrame:
+        """Return the best fit that begins at one of these logarithms, shape (2N,)."""
         size = len(self.expected)
         found = []
         for each in starts:
@@ -179,8 +176,7 @@ class ShearFrames:
                 begin = self.tuned(each)
                 within = NamedConstraints("reach", Constraints(lower=begin - FARTHEST_LOG, upper=begin + FARTHEST_LOG))
                 inside = domain.Domain((within,), np.ones(size), np.full(size, np.inf))
-                accuracy = dataclasses.replace(gauss_newton.ROUGH, race=gauss_newton.Race(enough))
-                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), accuracy)
+                fit = gauss_newton.gauss_newton(self, begin, inside, backends.get("auto"), gauss_newton.ROUGH)
             except errors.CvxshearError:
                 # No step from here can be solved in 64 bits.
                 found.append(NearestFrame(each))
