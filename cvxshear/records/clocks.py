@@ -448,8 +448,10 @@ def _left_out(fault: ChannelFault, name: str, where: str, rate: float) -> Findin
     """Report a channel that cannot be mended; the input stays."""
     numbers = {"channel": name, "out": name != "input", "probability": fault.probability}
     words = {"where": where, "time": fault.time, "left_out": "; left out" if numbers["out"] else ""}
-    if fault.kind in ("low-pass", "resonance"):
-        return finding(fault.kind, {**numbers, "corner": fault.size}, **words)
+    if fault.kind == "low-pass":
+        return finding("low-pass", {**numbers, "corner": fault.size}, **words)
+    if fault.kind == "resonance":
+        return finding("resonance", {**numbers, "corner": fault.size}, **words)
     if fault.kind == "gain step":
         return finding("gain step", {**numbers, "factor": fault.size, "time": fault.time}, **words)
     what = "loses" if fault.size < 0 else "repeats"
