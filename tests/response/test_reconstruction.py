@@ -407,7 +407,8 @@ def test_warnings_stand_before_the_numbers(softened):
     assert describe(found).sections[0].parts[0].text.startswith(found.fitted.experiment.name)
     # A permanent property is no warning.
     (always,) = describe(found).sections[-1].parts
-    assert (describe(found).sections[-1].title, always.texts) == ("What to bear in mind", found.remarks)
+    assert describe(found).sections[-1].title == "What to bear in mind"
+    assert [text.casefold() for text in always.texts] == [f"{each}.".casefold() for each in found.remarks]
 
 
 @pytest.mark.parametrize(("finer", "taken"), [(1, "straight lines"), (8, "band-limited")])
