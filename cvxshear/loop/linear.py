@@ -232,7 +232,8 @@ class Linearised:
         base, single = self.base, self._singles
         own, J = base.own(placed), base.fit.at.J
         free = self._free @ linalg.null_space(self._free[own])
-        reached, triangle = np.linalg.qr(J @ free)
+        within = J @ free
+        reached = linalg.orth(within)
         residual = base.fit.at.r - J[:, own] @ (base.theta[own] - [item.null for item in placed.effect.parameters])
         columns = self._columns[:, single.columns]
         beyond, left = (each - reached @ (reached.T @ each) for each in (columns, residual))
@@ -249,10 +250,9 @@ class Linearised:
             odds[best] = -np.inf
             unit = beyond[:, best] / np.sqrt(h[best])
             beyond, left = (each - np.multiply.outer(unit, unit @ each) for each in (beyond, left))
-        basis = np.hstack([reached, columns[:, taken]])
-        change = -np.linalg.lstsq(basis, residual, rcond=None)[0]
+        change = -np.linalg.lstsq(np.hstack([within, columns[:, taken]]), residual, rcond=None)[0]
         sizes = np.clip(change[len(free.T) :], single.lower[taken], single.upper[taken])
-        moved = np.linalg.solve(triangle, reached.T @ (residual + columns[:, taken] @ sizes))
+        moved = np.linalg.lstsq(within, residual + columns[:, taken] @ sizes, rcond=None)[0]
         causes = [self.candidates[at] for at in single.at[taken]]
         nulls = np.array([cause.effect.parameters[0].null for cause in causes])
         theta = np.delete(base.theta - free @ moved, np.arange(own.start, own.stop))
