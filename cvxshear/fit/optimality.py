@@ -51,7 +51,7 @@ class Residuals(Protocol):
         """Residuals, shape (d,)."""
 
     @property
-    def J(self) -> Floats:  # noqa: N802
+    def J(self) -> Floats:  # noqa: N802 - the Jacobian's name in the equations
         """Derivatives of the residuals, shape (d, P)."""
 
     @property

@@ -402,13 +402,13 @@ def test_warnings_stand_before_the_numbers(softened):
         found, recording=dataclasses.replace(found.recording, remarks=("floor 3 is reversed",))
     )
     first = [part.text for part in describe(unsure).sections[0].parts]
-    assert first[0].casefold().startswith("floor 3 is reversed")
+    assert first[0] == "Floor 3 is reversed."
     assert unsure.to_dict()["remarks"][0] == "floor 3 is reversed"
     assert describe(found).sections[0].parts[0].text.startswith(found.fitted.experiment.name)
     # A permanent property is no warning.
     (always,) = describe(found).sections[-1].parts
     assert describe(found).sections[-1].title == "What to bear in mind"
-    assert [text.casefold() for text in always.texts] == [f"{each}.".casefold() for each in found.remarks]
+    assert always.texts == tuple(f"{each[0].upper()}{each[1:]}." for each in found.remarks)
 
 
 @pytest.mark.parametrize(("finer", "taken"), [(1, "straight lines"), (8, "band-limited")])
