@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from cvxshear.io.record_tables import ChannelDeclaration
 from cvxshear.io.toml import files_of, is_record_file, load, write_measurement
 from cvxshear.measurement.experiment import MOST_STORIES, Experiment
 from cvxshear.records.identify import identify_modes
-from cvxshear.records.motion import DrivenRecord, DrivenRun, differentiated
+from cvxshear.records.motion import differentiated
 from cvxshear.records.record import INPUTS, Finding, FrfRecord, FrfRun, Record, Run, TimeRecord
 from cvxshear.records.result import IdentifiedRecord, ModalResult, merged, scale_unknown
 from cvxshear.util import checks, parallel
@@ -483,36 +482,3 @@ def _complex(columns: Columns, item: ChannelDeclaration, path: Path) -> Any:
     asked = item.place or path.name
     real, imaginary = f"{item.name}_re", f"{item.name}_im"
     return item.factor * (columns.column(real, asked) + 1j * columns.column(imaginary, asked))
-
-
-def read_motion(path: str | Path) -> DrivenRecord:
-    """Read the excitation from a record file, and the accelerations of its floors if it has such channels.
-
-    Parameters
-    ----------
-    path : str or Path
-        As for `read_record`; here a channel of the ground, or of the force, is enough.
-
-    Returns
-    -------
-    DrivenRecord
-
-    Raises
-    ------
-    InputError
-        The same errors as in `read_record`, and a record without an excitation.
-    """
-    tables = RecordTables(Path(path))
-    with record_tables.placed(tables.path):
-        driver = tables.driver if tables.kind == "time" else None
-        if driver is not None and not tables.responses:
-            pieces, rate = tables.pieces([driver])
-            added = None if tables.added_mass is None else np.array(tables.added_mass)
-            runs = []
-            for _, stretches in groupby(pieces, key=lambda each: each.run):
-                longest = max(stretches, key=lambda each: len(each.columns.values))
-                assert longest.excitation is not None
-                runs.append(DrivenRun(longest.excitation, longest.floor, name=longest.run))
-            return DrivenRecord(tuple(runs), rate, tables.input, added_mass=added, name=tables.name, state=tables.state)
-    found = read_record(path)
-    return DrivenRecord.of(found.record, found.added_mass, found.state)
