@@ -17,19 +17,20 @@ from cvxshear.screening import History
 from cvxshear.util.errors import InputError
 
 
-@figure(
-    "history",
-    History,
-    title="Frequencies, stiffnesses and damping over the tests",
-    alternative="Change of each frequency, story stiffness and damping ratio over the tests; the numbers are in the "
-    "table below.",
-    section="changes",
-)
+@figure("history", History, title="Frequencies, stiffnesses and damping over the tests", section="changes")
 def changes_over_time(result: History) -> Figure:
-    """Draw the change of frequencies, story stiffnesses and damping ratios over the tests.
+    """Change of each frequency, story stiffness and damping ratio over the tests; the numbers are in the table below.
 
     Dots: each test alone, relative to the mean over the tests, with one standard deviation. Lines: stiffnesses with
     the changes that were found.
+
+    Parameters
+    ----------
+    result : History
+
+    Returns
+    -------
+    Figure
     """
     tests = result.loop.experiment.configurations
     dated = all(each.date is not None for each in tests)

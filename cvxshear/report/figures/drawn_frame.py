@@ -96,22 +96,19 @@ def _findings_caption(result: LoopResult) -> str:
     )
 
 
-@figure(
-    "findings",
-    LoopResult,
-    title="What was found, and where",
-    caption=_findings_caption,
-    alternative=lambda result: (
-        f"The frame to scale, one drawing a state; {counted(len(result.effects), 'effect')} marked at the places where "
-        "they act. The sentences above and the table of effects say the same."
-    ),
-    section="verdict",
-)
+@figure("findings", LoopResult, title="What was found, and where", caption=_findings_caption, section="verdict")
 def findings(result: LoopResult) -> Figure:
-    """Draw the frame of each state to scale, with what was found at its place, its size, probability and rivals.
+    """Frame of each state to scale; what was found is marked where it acts, as in the table of effects.
 
-    The figure has one panel for each state with effects, and one for a state without effects. If no effect was added,
-    the figure shows the frame's masses and stiffnesses.
+    Parameters
+    ----------
+    result : LoopResult
+
+    Returns
+    -------
+    Figure
+        One panel for each state with effects, and one for a state without effects. If no effect was added, the
+        figure shows the frame's masses and stiffnesses.
     """
     if not result.effects:
         return _numbered_frames(result.experiment, [("", result.averaged)], sensors=True)
@@ -288,18 +285,24 @@ def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> No
     LoopResult,
     Identification,
     title="The identified frame",
-    alternative="The frame to scale with its identified masses and stiffnesses; the numbers are in the table above.",
     section="frame",
     applies=lambda result: not result.experiment.frame.turns,
     needs="one motion per floor",
 )
 def frame(result: LoopResult | Identification) -> Figure:
-    """Draw the identified frame: heights to scale, slabs by the masses, columns by the stiffnesses.
+    """Frame to scale with its identified masses and stiffnesses; the numbers are in the table above.
 
     The frame, heights to scale; a slab is the thicker the heavier its floor, a column the wider the stiffer its
     story.
 
-    If each configuration was identified separately, each one has its panel.
+    Parameters
+    ----------
+    result : LoopResult or Identification
+
+    Returns
+    -------
+    Figure
+        If each configuration was identified separately, each one has its panel.
     """
     if isinstance(result, LoopResult):
         frames = [("", result.averaged)]
@@ -309,18 +312,20 @@ def frame(result: LoopResult | Identification) -> Figure:
     return _numbered_frames(result.experiment, frames)
 
 
-@figure(
-    "planned",
-    Plan,
-    title="The floors to measure",
-    alternative="The frame as designed, to scale, with the floors to measure; the numbers are in the tables below.",
-    section="choice",
-)
+@figure("planned", Plan, title="The floors to measure", section="choice")
 def planned(result: Plan) -> Figure:
-    """Draw the frame as designed, with the expected deviations and the floors to measure.
+    """Frame as designed, to scale, with the floors to measure; the numbers are in the tables below.
 
     The frame as designed, heights to scale; a slab is the thicker the heavier its floor, a column the wider the
     stiffer its story. Triangles: floors with a sensor. Deviations are those that the tests will leave.
+
+    Parameters
+    ----------
+    result : Plan
+
+    Returns
+    -------
+    Figure
     """
     design, std = result.model.design, result.chosen
     frame = IdentifiedFrame(design.floor_mass, design.story_stiffness, std.floor_mass_std, std.story_stiffness_std)
@@ -385,16 +390,23 @@ ELLIPSE = float(np.sqrt(-2.0 * np.log(1.0 - SURE)))
     "plans",
     Identification,
     title="The floors from above",
-    alternative="Plans of the floors with their centers of mass and stiffness; the numbers are in the table above.",
     section="frame",
     applies=lambda result: result.experiment.frame.turns,
     needs="floors that turn",
 )
 def plans(result: Identification) -> Figure:
-    """Draw each floor from above with its mass center and the center of stiffness of the story below.
+    """Floors from above with their centers of mass and stiffness; the numbers are in the table above.
 
     Dots: mass centers; diamonds: centers of stiffness of the story below; ellipses of 95 %, from the deviations of x
     and y. Black: sensors and their directions. A center that the data leave open is not drawn.
+
+    Parameters
+    ----------
+    result : Identification
+
+    Returns
+    -------
+    Figure
     """
     frame, sensors = result.parts[0].frame, result.experiment.configurations[0].sensors
     assert isinstance(frame, TurningFrame)
@@ -422,25 +434,6 @@ def plans(result: Identification) -> Figure:
     kept = dict(zip(labels, handles, strict=True))
     drawn.legend(kept.values(), kept.keys(), loc="outside upper center", ncols=len(kept))
     return drawn
-
-
-@figure(
-    "plan_shapes",
-    Identification,
-    title="Mode shapes from above",
-    alternative="Mode shapes of the identified frame from above; the numbers are in the tables.",
-    section="shapes",
-    applies=lambda result: result.experiment.frame.turns,
-    needs="floors that turn",
-)
-def identified_plan_shapes(result: Identification) -> Figure:
-    """Draw the floors from above in each mode of the identified frame, with the shares of x, y and rotation.
-
-    Grey: the floors at rest; lines: their motion in the mode, the highest floor darkest.
-    """
-    found, tested = result.parts[0].predictions[0], result.experiment.configurations[0]
-    modes = found.modes - 1
-    return moved_plans(tested.sensors, found.mode_shapes[modes], found.frequencies[modes], result.experiment.frame.plan)
 
 
 def moved_plans(sensors: Sequence[Sensor], shapes: Floats, frequencies: Floats, plan: Floats | None) -> Figure:

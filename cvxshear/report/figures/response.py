@@ -69,7 +69,16 @@ def _floors(result: RecordPrediction) -> Ints:
     section="peaks",
 )
 def response_histories(result: RecordPrediction) -> Figure:
-    """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured."""
+    """Accelerations of the floors over time around the strongest, predicted with a 95 % band, and measured.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+
+    Returns
+    -------
+    Figure
+    """
     floors = _floors(result)
     model = result.after.damped.model
     sizes = [np.abs(item.acceleration) for item in result.after.responses]
@@ -108,16 +117,20 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     axes.grid(visible=True, axis="y")
 
 
-@figure(
-    "peaks",
-    RecordPrediction,
-    title="Peaks",
-    caption="Peaks over the height with error bars that hold 95\N{NO-BREAK SPACE}%; circles are measured.",
-    alternative="Peaks over the height; the numbers are in the table above.",
-    section="peaks",
-)
+@figure("peaks", RecordPrediction, title="Peaks", section="peaks")
 def response_peaks(result: RecordPrediction) -> Figure:
-    """Peaks of acceleration, drift and, where masses have a scale, shear over the height, with 95 % error bars."""
+    """Peaks over the height; the numbers are in the table above.
+
+    Peaks over the height with error bars that hold 95 %; circles are measured.
+
+    Parameters
+    ----------
+    result : RecordPrediction
+
+    Returns
+    -------
+    Figure
+    """
     shown = [each for each in PROFILES if each in result.peaks.values]
     n = len(result.after.damped.model.M)
     figure = style.new_figure(style.PAGE_WIDTH, min(1.6 + 0.32 * n, 6.0))
@@ -162,13 +175,19 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
         f"Peak drift of each story with bars that hold 95\N{NO-BREAK SPACE}%, the prediction that looks at no sensor, "
         f"and the limits; {_changes(result)}. Triangles mark the floors with sensors."
     ),
-    alternative=lambda result: (
-        f"Peak drift of each story over the height; {_changes(result)}. The numbers are in the table of the stories."
-    ),
     section="findings",
 )
 def story_drifts(result: Reconstruction) -> Figure:
-    """Draw the peak drift of each story with 95 % bars, the prediction, the limits and the sensors."""
+    """Peak drift of each story over the height; the numbers are in the table of the stories.
+
+    Parameters
+    ----------
+    result : Reconstruction
+
+    Returns
+    -------
+    Figure
+    """
     name = "story_drift_ratio" if "story_drift_ratio" in result.peaks.values else "story_drift"
     factor, unit = (100.0, "% of height") if name == "story_drift_ratio" else (1000.0, "mm")
     peaks, std = (factor * each[name] for each in (result.peaks.values, result.peaks.std))
@@ -215,7 +234,16 @@ def story_drifts(result: Reconstruction) -> Figure:
     section="frame",
 )
 def reconstructed_histories(result: Reconstruction) -> Figure:
-    """Drifts of the stories over time around the strongest motion, with 95 % bands."""
+    """Drifts of the stories over time around the strongest motion, with 95 % bands.
+
+    Parameters
+    ----------
+    result : Reconstruction
+
+    Returns
+    -------
+    Figure
+    """
     sizes = [np.abs(item.response.drift) for item in result.runs]
     run, window = _strongest(sizes, result.model.modes.frequencies[0], result.recording.sampling_rate)
     moved, std = result.runs[run].response, result.runs[run].std["story_drift"]
