@@ -116,6 +116,7 @@ def test_a_gain_in_one_state_where_other_states_tell():
 def test_what_is_looked_for_only_where_it_could_be_told():
     alone = experiment(configurations=1)
     assert one("load_scale").lacks(alone) == "added_mass"
+    assert one("force_scale").lacks(alone) == "a static test"
     two = experiment()
     unknown = dataclasses.replace(two, frame=Frame(stories=4))
     assert one("load_scale").lacks(unknown) == "total_mass or floor_masses"
