@@ -111,7 +111,11 @@ class FittedFrame:
     def delays(self) -> tuple[Floats, Floats]:
         """Delay of each sensor in samples, and its standard deviation, shapes (m,); 0 if it is not sure."""
         values, std = self._unknown(self.errors.delays, np.ones(len(self.errors.setting.floors)))
-        return np.where(self.probability("delay") >= SURE, values, 0.0), std
+        late = np.zeros(len(values))
+        for each in self.answers:
+            columns = [self.prior.changes[change].columns[self.errors.delays] for change in each.changed]
+            late += each.probability * np.any(np.hstack([values[:, None] * 0.0, *columns]), axis=1)
+        return np.where(late >= SURE, values, 0.0), std
 
     @property
     def gains(self) -> tuple[Floats, Floats]:

@@ -124,7 +124,7 @@ class FrameChange:
     Parameters
     ----------
     kind : str
-        "story", "dashpot", "gain", "delay", or "gains" or "masses" for all together.
+        "story", "dashpot", "gain", "delay" (the excitation's last), or "gains" or "masses" for all together.
     place : int
         Story or sensor, from 0.
     columns : ndarray, shape (P, k)
@@ -179,17 +179,21 @@ class FramePrior:
         experiment, unit = frame.fitted.experiment, np.eye(sum(varied.sizes) + others)
         story, changed = _expected(StoryChange(), experiment, experiment.stories)
         gain, off = _expected(SensorGain(), experiment, varied.gains)
-        damped, late = (_at_each(UNDECLARED_PROBABILITY, count) for count in (experiment.stories, varied.gains - 1))
+        damped, late = (_at_each(UNDECLARED_PROBABILITY, count) for count in (experiment.stories, varied.gains))
+        delays = range(len(unit) - varied.gains + 1, len(unit))
         changes = [
             FrameChange(kind, place, std * unit[:, [at]], float(np.log(p / (1.0 - p))))
             for kind, places, std, p in (
                 ("story", range(experiment.stories), story, changed),
                 ("dashpot", _range(varied.dashpots), 1.0, damped),
                 ("gain", _range(varied.sensor_gains), gain, off),
-                ("delay", range(len(unit) - varied.gains + 1, len(unit)), 1.0, late),
+                ("delay", delays, 1.0, late),
             )
             for place, at in enumerate(places)
         ]
+        # A late excitation is equivalent to sensors that are all early.
+        common = unit[:, delays].sum(axis=1, keepdims=True)
+        changes.append(FrameChange("delay", len(delays), common, float(np.log(late / (1.0 - late)))))
         laboratory, field = GAIN_STDS
         changes.append(FrameChange("gains", 0, np.sqrt(field**2 - laboratory**2) * unit[:, varied.sensor_gains], 0.0))
         if varied.heavier_floors.shape[1]:
