@@ -28,14 +28,10 @@ ROTATES = 0.05
 #: Largest root of the sum of squares of the sensors' weights in the motion of the center. If the center is so far
 #: beyond the sensors that noise grows by half, their mean (0.7 for two) is taken.
 LARGEST_WEIGHTS = 1.5
-#: Two sensors on one floor contradict each other above this ratio of the mean squares of their difference and their
-#: mean. Only motion in common with the other floors counts, if there are any.
+#: Two sensors on one floor contradict each other above this ratio of their motions (5 m from the center of floors that
+#: turn it reached 1.9 in 56 simulated records; the least ratio of units is 9.8), or of the mean squares of their
+#: difference and their mean. Only motion in common with the other floors counts, if there are any.
 CONTRADICTING = 4.0
-
-
-#: Two sensors on one floor have different units above this ratio of their common motion with the other floors.
-#: Sensors 5 m from the center of floors that turn reached 1.9 in 56 simulated records; the least ratio of units is 9.8.
-SAME_SCALE = 4.0
 
 
 def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
@@ -91,7 +87,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     if not groups:
         return None
     rate = record.sampling_rate
-    length = min(int(clocks.SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
+    length = min(int(prepare.SEGMENT * rate), *(run.samples for run in record.runs)) // 2 * 2
     lines = np.fft.rfftfreq(length, 1 / rate)
     mean, differences = np.zeros(len(lines)), np.zeros(len(lines))
     for run in record.runs:
@@ -152,7 +148,7 @@ def _rotation(record: Record, group: Ints) -> Finding:
     what = "what moves with the other floors is" if len(others) else "the motion is"
     least, most = names[int(np.argmin(shown))], names[int(np.argmax(shown))]
     ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
-    if ratio > SAME_SCALE:
+    if ratio > CONTRADICTING:
         raise InputError(
             f"{most} and {least} are on one floor and contradict each other: {what} {ratio:.1f} times as large in the "
             f"first; is one of them in another unit (g is {quantities.STANDARD_GRAVITY:.3g} m/s2), or is its cable cut?"
@@ -190,12 +186,10 @@ SPIKE_DEVIATIONS = 10.0
 OUT_OF_MOTION = 2.0
 #: Coefficients of the model for spikes: two for each mode of a dozen stories.
 AR_ORDER = 24
-#: Number of searches for spikes; each search finds one of several near spikes.
-SPIKE_PASSES = 8
 
 
 def channel_findings(record: Record) -> list[Finding]:
-    """Dead, stuck, clipped and held channels and spikes, each with its numbers."""
+    """Dead, stuck and clipped channels and spikes, each with its numbers."""
     if isinstance(record, FrfRecord):
         levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))
         return _dead(record, levels)
@@ -208,7 +202,7 @@ def channel_findings(record: Record) -> list[Finding]:
                 where = f"{run.name}: {channel}"
                 of_channel = [*_of_converter(run.responses[:, column], where, channel.name)]
                 of_channel += _stuck(run.responses, column, where, channel.name, record.sampling_rate)
-                # The corners of clipped, held and stuck values would be taken for spikes.
+                # The corners of clipped and stuck values would be taken for spikes.
                 if not of_channel and (count := int(spikes[:, column].sum())):
                     numbers = {"channel": channel.name, "samples": count}
                     first = int(np.argmax(spikes[:, column])) + 1
@@ -245,7 +239,7 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
     """
     cleaned, found = np.array(responses), np.zeros(responses.shape, dtype=bool)
     # One spike throws the errors around it off: the largest in reach is taken first, and those beside it after.
-    for _ in range(SPIKE_PASSES):
+    while True:
         off, scale = np.zeros(responses.shape), np.full(responses.shape, np.inf)
         for column, values in enumerate(cleaned.T):
             if values.std() > 0:
@@ -263,11 +257,10 @@ def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
                 now[:, hit] &= others.max(axis=1) < SPIKE_DEVIATIONS / 2
         for place, hit in np.argwhere(now).tolist():
             now[place, hit] = not _begins(cleaned, place, hit)
-        if not now.any():
-            break
+        if not np.any(now & ~found):
+            return found, cleaned
         found |= now
         cleaned[now] -= off[now]
-    return found, cleaned
 
 
 def _begins(values: Floats, place: int, hit: int) -> bool:
@@ -345,7 +338,7 @@ def _dead(record: Record, levels: Floats) -> list[Finding]:
 
 
 def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
-    """Find samples cut off at the extreme value, and samples repeated at a fixed pace by a channel of a lower rate."""
+    """Find samples cut off at the extreme value."""
     levels, times = np.unique(values, return_counts=True)
     for extreme, beside in ((-1, -2), (0, 1)) if len(levels) > 1 else ():
         level, count = levels[extreme], int(times[extreme])
@@ -355,12 +348,6 @@ def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
             first = int(np.argmax(values == level)) + 1
             yield finding("clipped channel", numbers, where=where, length=len(values), first=first)
             break
-    same = np.diff(values) == 0
-    for pace in (2, 3, 4, 5):
-        repeats = [np.mean(same[phase::pace]) for phase in range(pace)]
-        if sum(share > 0.95 for share in repeats) == pace - 1 and min(repeats) < 0.5:
-            yield finding("held samples", {"channel": name, "repeats": pace}, where=where)
-            return
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvxshear.records import prepare
-from cvxshear.records.clocks import FAULTY, SEGMENT
+from cvxshear.records.clocks import FAULTY
 from cvxshear.records.record import Channel, Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
@@ -211,14 +211,10 @@ def findings_of(hypotheses: Sequence[ChannelMistake], channels: Sequence[Channel
     options.append(f"{otherwise}the channels are as declared ({quantities.chance(sound)})")
     rest = max(1.0 - sound - sum(item.probability for item in rivals), 0.0)
     options.append(f"something else is wrong ({quantities.chance(rest)})")
-    # Where one is more probable than all others together the modes do tell, only not surely enough to change anything.
     said = (
-        f"by the lowest modes {options[0]}, or {quantities.listed(options[1:], 'or')}"
-        if rivals[0].probability > 0.5
-        else f"the lowest modes cannot tell what is wrong: {quantities.listed(options, 'or')}"
+        f"by the lowest modes {quantities.listed(options, 'or')}; look at the cables and units. The record is taken as "
+        f"declared: nothing reaches {100 * quantities.SURE:.0f} %"
     )
-    sure = 100 * quantities.SURE
-    said += f"; look at the cables and units. The record is taken as declared: nothing reaches {sure:.0f} %"
     numbers = {"channels": names, "probabilities": [item.probability for item in rivals], "corrected": False}
     return [Finding(rivals[0].kind, said, numbers)]
 
@@ -232,17 +228,13 @@ def _named(item: ChannelMistake, channels: Sequence[Channel]) -> list[str]:
 
 def _in_words(item: ChannelMistake, channels: Sequence[Channel]) -> str:
     named = quantities.listed([str(channels[place]) for place in item.places])
-    if item.kind == "sign" and len(channels) == 2:
-        return f"{quantities.listed(list(map(str, channels)), 'or')} is reversed"
-    if item.kind == "sign":
-        return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
     if item.kind == "unit":
-        channel = channels[item.places[0]]
-        unit = unit_in_truth(channel, item.factor)
-        if channel.unit is not None:
-            return f"{named} is in {unit or 'another unit'}, not in {channel.unit} as declared"
-        return f"{named} is in {unit if unit is not None else 'm/s2 and the others in g'}"
-    return f"{named} are in each other's place"
+        return f"{named} {_other_unit(channels[item.places[0]], item.factor)[1]}"
+    if item.kind == "swapped channels":
+        return f"{named} are in each other's place"
+    if len(channels) == 2:
+        named = quantities.listed(list(map(str, channels)), "or")
+    return f"{named} {'is' if len(item.places) == 1 else 'are'} reversed"
 
 
 def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, sound: float) -> Finding:
@@ -298,11 +290,6 @@ def with_the_base(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
     return (prepare.scaled(record, changes) if changes else record), findings
 
 
-def unit_of(gain: float) -> str | None:
-    """Name the unit of a channel from its ratio to a channel in m/s2; None for m/s2 and for an unknown ratio."""
-    return _nearest_unit(1.0 / gain)
-
-
 def _nearest_unit(size: float) -> str | None:
     """Name the unit of acceleration of this size in m/s2; None without a near unit."""
     off = {name: abs(np.log(size / each)) for name, each in quantities.IN_SI["acceleration"].items()}
@@ -310,20 +297,19 @@ def _nearest_unit(size: float) -> str | None:
     return nearest if off[nearest] < SAME_RATIO else None
 
 
-def unit_in_truth(channel: Channel, factor: float) -> str | None:
-    """Name the unit of a channel whose values need a factor: declared unit or m/s2, times factor; None if unknown."""
-    return _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+def _other_unit(channel: Channel, factor: float) -> tuple[str | None, str]:
+    """Name the unit of a channel whose values need a factor, None if unknown, and say what the channel looks like."""
+    unit = _nearest_unit(quantities.IN_SI["acceleration"].get(channel.unit or "m/s2", 1.0) * factor)
+    if channel.unit is not None:
+        return unit, f"is declared in {channel.unit} and looks like {unit or f'{factor:.3g} times that'}"
+    if unit is not None:
+        return unit, f"looks like {unit}, the others like m/s2"
+    return unit, f"looks like m/s2, the others like {_nearest_unit(1.0 / factor) or f'{1.0 / factor:.3g} times that'}"
 
 
 def in_unit(channel: Channel, factor: float, why: str) -> Finding:
     """Report a channel with another unit than the declared unit or, without a declaration, than the other channels."""
-    unit = unit_in_truth(channel, factor)
-    if channel.unit is not None:
-        looks = f"is declared in {channel.unit} and looks like " + (unit or f"{factor:.3g} times that")
-    elif unit is not None:
-        looks = f"looks like {unit}, the others like m/s2"
-    else:
-        looks = f"looks like m/s2, the others like {unit_of(factor) or f'{1 / factor:.3g} times that'}"
+    unit, looks = _other_unit(channel, factor)
     remedy = "" if unit is None else f'. Write unit = "{unit}" in the record file'
     numbers = {"channel": channel.name, "floor": channel.floor, "unit": unit, "factor": factor, "corrected": True}
     return finding("unit", numbers, looks=looks, where=channel, why=why, remedy=remedy)
@@ -340,7 +326,7 @@ def floor_over_base(record: TimeRecord) -> tuple[Floats, Floats] | None:
         run.excitation is None or prepare.impulsive(run) for run in record.runs
     ):
         return None
-    length = min(int(SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
+    length = min(int(prepare.SEGMENT * rate), min(run.samples for run in record.runs) // 4) // 2 * 2
     if length < 64:
         return None
     columns = len(record.channels) + 1

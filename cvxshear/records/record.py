@@ -210,6 +210,11 @@ class _Recorded(checks.ReadOnlyArrays):
             put(self, "band", (float(low), float(high)))
 
     @property
+    def window_decay(self) -> float:
+        """What the exponential window added to the decay rate of every mode, 1/s."""
+        return 0.0 if self.exponential_window is None else 1.0 / self.exponential_window
+
+    @property
     def most_modes(self) -> int:
         """Number of modes of the frame: one a story, or three where the floors turn."""
         return 3 * self.stories if self.turns else self.stories

@@ -34,7 +34,7 @@ RecordingSource = str | Path | TimeRecord | DrivenRecord
 
 #: Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights.
 SAID = (
-    "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
+    "dead channel", "stuck channel", "clipped channel", "direction", "sign", "unit",
     "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "resonance", "gain step",
 )  # fmt: skip
 

@@ -38,7 +38,7 @@ NAMED_BY = {
 }
 """Kinds of finding that name each fault."""
 
-ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"held samples", "drift"}
+ACCUSING = {kind for kinds in NAMED_BY.values() for kind in kinds} | {"drift"}
 INPUTS = ("base", "force", "none", "free_decay")
 
 
