@@ -475,7 +475,7 @@ def _frf_record(tables: RecordTables) -> FrfRecord:
             raise InputError(f"{source} and {axes[0][1]} have different frequency lines; a record has one axis")
     return FrfRecord(
         tuple(channels), **_common(tables), runs=tuple(made), frequencies=axes[0][0],
-        truncated=declared.get("truncated"),
+        truncated=declared.get("truncated", True),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Compute frequencies, shapes, scales and deviations from the chosen poles, on all or part of the data."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from cvxshear.measurement.configuration import Sensor
 from cvxshear.records import frf, picking, pole_sweep
-from cvxshear.records.clocks import Offsets, offsets, rms_phase, undone
+from cvxshear.records.clocks import Offsets, offsets, undone
 from cvxshear.records.record import Finding, FrfRecord, Record, finding
 from cvxshear.records.result import ModalResult
 from cvxshear.util import ranking
@@ -263,45 +263,17 @@ def _fit(impulse: pole_sweep.Impulse, eigenvalues: Complexes, rate: float) -> Fl
 NOTICEABLE = 0.01
 
 
-def settle_truncation(setting: Replication, values: picking.Values) -> list[Finding]:
-    """Decide, where the record does not say, which of the two a table of functions is; sets the source's flag.
-
-    The products of a real mode's shape entries are real. The hypothesis with more nearly real products is chosen; each
-    mode has the weight of its residues' dependence on the hypothesis.
-    """
+def leakage_findings(setting: Replication, full: Details) -> Iterator[Finding]:
+    """Report responses of a table of functions that had not decayed at the end of the window."""
     source, record = setting.source, setting.record
-    if not isinstance(record, FrfRecord) or not isinstance(source, frf.FrfSource):
-        return []
-    length = source.samples / source.sampling_rate
-    left = np.abs(np.exp(values.eigenvalues * length))
-    if left.max() < NOTICEABLE:
-        return []
-    truncated, why = record.truncated, "as declared"
-    if truncated is None:
-        angles = {}
-        for wrapped in (False, True):
-            source.wrapped = wrapped
-            angles[wrapped] = _phase_off(setting, values, left)
-        source.wrapped = wrapped = angles[True] < angles[False]
-        truncated = not wrapped
-        why = (
-            f"told from the residues' phases, {angles[wrapped]:.1f} degrees from real where the other reading leaves "
-            f"{angles[not wrapped]:.1f}"
-        )
-    kind = "those of responses cut off there" if truncated else "samples of the true functions"
-    mode = ranking.first_largest(left) + 1
-    numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": truncated}
-    return [finding("leakage", numbers, kind=kind, why=why)]
-
-
-def _phase_off(setting: Replication, values: picking.Values, left: Floats) -> float:
-    """Root mean square phase of the products, degrees, weighted by their size and by what is left at the end."""
-    products = details(setting, values, None).products
-    if products is None:
-        return 0.0
-    weight = np.abs(products) ** 2
-    weight = weight / weight.sum(axis=(1, 2), keepdims=True) * left[:, None, None] ** 2
-    return rms_phase(products, weight)
+    if isinstance(record, FrfRecord) and isinstance(source, frf.FrfSource):
+        length = source.samples / source.sampling_rate
+        left = np.abs(np.exp((full.eigenvalues - record.window_decay) * length))
+        mode = ranking.first_largest(left) + 1
+        if left.max() >= NOTICEABLE:
+            numbers = {"mode": mode, "left": float(left.max()), "length": length, "truncated": record.truncated}
+            kind = "those of responses cut off there" if record.truncated else "samples of the true functions"
+            yield finding("leakage", numbers, kind=kind, other=str(not record.truncated).lower())
 
 
 def assembled(setting: Replication, full: Details, covariance: Floats, *, method: str, uncertainty: str) -> ModalResult:

@@ -12,7 +12,7 @@ from cvxshear.records import diagnostics, estimate, picking, placement, pole_swe
 from cvxshear.records.examination import Examined, examined
 from cvxshear.records.record import Finding, FrfRecord, Record
 from cvxshear.records.result import ModalResult
-from cvxshear.util import checks, quantities
+from cvxshear.util import checks
 from cvxshear.util.decorators import usual_arithmetic
 from cvxshear.util.errors import InputError, NoSolutionError
 
@@ -48,8 +48,6 @@ class ModeSearch:
         Hz; the modes that are chosen by hand.
     turning : callable or None
         The share of rotation at a frequency, Hz.
-    order : sequence of int, optional
-        The channels from the ground up, where two are known to be in each other's place.
     """
 
     method: str
@@ -57,7 +55,6 @@ class ModeSearch:
     criteria: pole_sweep.Criteria
     picked: tuple[float, ...]
     turning: Callable[[float], float] | None
-    order: Sequence[int] | None = None
 
     def wanted(self, record: Record) -> int:
         """How many modes would be all."""
@@ -67,7 +64,7 @@ class ModeSearch:
         """Bring a record into the method's form and sweep the orders."""
         source = prepare.source_of(record, self.method, blocks=self.blocks)
         by_signs = None if record.turns else len(record.channels) == record.stories > 1
-        choose = picking.ModeChoice(self.wanted(record), record.stories, by_signs, self.picked, self.order)
+        choose = picking.ModeChoice(self.wanted(record), record.stories, by_signs, self.picked)
         options = {"band": record.band, "shift": record.window_decay, "turning": self.turning}
         return source, picking.sweep_orders(source, self.criteria, choose, **options)
 
@@ -96,31 +93,16 @@ class ModeSearch:
     def _suits(self, found: SourceAndSweep, record: Record) -> bool:
         return len(found[1].chosen) == self.wanted(record) and not _too_low(found)
 
-    def repaired(self, record: Record, accept_swapped: bool) -> tuple[Record, SourceAndSweep, list[Finding]]:
-        """Set signs and units right that the lowest modes show to be wrong; source and sweep of the record come second.
-
-        Raises
-        ------
-        InputError
-            Where two channels are in each other's place, and that was not accepted.
-        """
+    def repaired(self, record: Record) -> tuple[Record, SourceAndSweep, list[Finding]]:
+        """Set channels right that the lowest modes show to be wrong; source and sweep of the record come second."""
         found = self.settled(record)
         frequencies, lowest = picking.strongest(found[1], 2)
         if record.turns or len(record.channels) < 2 or len(lowest) < 2:
             return record, found, []
         hypotheses = placement.weighed(frequencies, lowest, record.floors, record.stories)
         findings = placement.findings_of(hypotheses, record.channels, lowest[0])
-        best = hypotheses[0]
-        if findings and findings[0].kind == "swapped channels" and best.probability >= quantities.SURE:
-            if not accept_swapped:
-                raise InputError(findings[0].message)
-            order = list(range(len(record.channels)))
-            low, high = best.places
-            order[low], order[high] = high, low
-            return record, dataclasses.replace(self, order=order).settled(record), findings
         if findings and findings[0].numbers["corrected"]:
-            factor = -1.0 if best.kind == "sign" else best.factor
-            record = prepare.scaled(record, {record.channels[place].name: factor for place in best.places})
+            record = hypotheses[0].mended(record)
             found = self.settled(record)
         return record, found, findings
 
@@ -136,7 +118,6 @@ class ModeSearch:
             sweep = sweep.without(doubts)
         while sweep.chosen:
             setting = estimate.Replication(record, parts, sweep)
-            of_leakage = estimate.settle_truncation(setting, picking.Values.of(sweep.chosen))
             full = estimate.details(setting, picking.Values.of(sweep.chosen), None)
             spread, how, lost = estimate.covariance(setting, full)
             result = estimate.assembled(setting, full, spread, method=self.method, uncertainty=how)
@@ -155,7 +136,11 @@ class ModeSearch:
             others = diagnostics.left_out(sweep.candidates, sweep.chosen)
             sweep = sweep.without(scattering([item for item in others if item.physical]))
             setting = dataclasses.replace(setting, sweep=sweep)
-        said = [*findings, *of_leakage, *diagnostics.modal_findings(result, setting, full, lost, self.turning)]
+        said = [
+            *findings,
+            *estimate.leakage_findings(setting, full),
+            *diagnostics.modal_findings(result, setting, full, lost, self.turning),
+        ]
         sizes = {"floors": len(record.channels), "stories": record.stories}
         left = diagnostics.left_out(sweep.candidates, sweep.chosen)
         if not record.turns:
@@ -175,7 +160,6 @@ def identify_modes(
     method: str | None = None,
     blocks: int = prepare.BLOCKS,
     criteria: pole_sweep.Criteria | None = None,
-    accept_swapped: bool = False,
     pick: Sequence[float] | None = None,
     functions: bool = False,
 ) -> ModalResult:
@@ -191,8 +175,6 @@ def identify_modes(
     blocks : int, optional
         Pieces of a continuous record for the jackknife.
     criteria : Criteria, optional
-    accept_swapped : bool, optional
-        Report channels that look swapped as a finding, not as an error.
     pick : sequence of float, optional
         Frequencies in Hz, as read off a stabilization diagram: the nearest stable poles, within 3 %, are the modes.
     functions : bool, optional
@@ -225,7 +207,7 @@ def identify_modes(
             search = ModeSearch(method, blocks, criteria or pole_sweep.Criteria(), picked, looked.turning)
             try:
                 while True:
-                    repaired = search.repaired(looked.record, accept_swapped)
+                    repaired = search.repaired(looked.record)
                     result = search.identified(*repaired)
                     slow = [item for item in result.findings if item.kind == "low-pass"]
                     if not slow:

@@ -145,15 +145,12 @@ class ModeChoice:
         numbers them 1, 2, ..., for floors that turn.
     picked : tuple of float
         Frequencies in Hz whose nearest stable poles are the modes, whatever else would choose them.
-    order : sequence of int, optional
-        The channels from the ground up, where two are known to be in each other's place.
     """
 
     count: int
     stories: int
     by_signs: bool | None
     picked: tuple[float, ...] = ()
-    order: Sequence[int] | None = None
 
     def __call__(self, poles: list[pole_sweep.Poles], stable: list[list[int]], found: list[PoleCandidate]) -> Sweep:
         """Choose the modes among the candidates, which are ascending in frequency."""
@@ -161,12 +158,12 @@ class ModeChoice:
             return Sweep(poles, stable, tuple(found), tuple(_by_hand(found, self.picked)), self)
         usable = [dataclasses.replace(item, number=0) for item in found if item.physical]
         if self.by_signs:
-            chosen = _by_signs(usable, self.count, self.order)
+            chosen = _by_signs(usable, self.count)
         else:
             loudest = sorted(usable, key=lambda item: -item.energy)[: self.count]
             chosen = sorted(loudest, key=lambda item: item.frequency)
             if self.by_signs is not None:
-                chosen = _as_low(chosen, self.stories, self.order)
+                chosen = _as_low(chosen, self.stories)
         numbered = {item.members: item for item in chosen}
         found = [numbered.get(item.members, dataclasses.replace(item, number=0)) for item in found]
         return Sweep(poles, stable, tuple(found), tuple(chosen), self)
@@ -303,7 +300,7 @@ def _by_hand(found: list[PoleCandidate], picked: Sequence[float]) -> list[PoleCa
     return sorted(chosen, key=lambda item: item.frequency)
 
 
-def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
+def _by_signs(usable: list[PoleCandidate], count: int) -> list[PoleCandidate]:
     """Choose candidates, one for each number of sign changes at most, ascending, and number them.
 
     A mode that the record does not hold is left out rather than replaced by one of the wrong shape. Entries near zero
@@ -312,7 +309,7 @@ def _by_signs(usable: list[PoleCandidate], count: int, order: Sequence[int] | No
     """
     if not usable:
         return []
-    ranked = [_ranked_by_signs(usable, shapes, count) for shapes in _real(usable, order)]
+    ranked = [_ranked_by_signs(usable, shapes, count) for shapes in _real(usable)]
     return list(max(ranked, key=itemgetter(0))[1])
 
 
@@ -337,14 +334,14 @@ def _ranked_by_signs(usable: list[PoleCandidate], shapes: Floats, count: int) ->
     return best[count]
 
 
-def _as_low(chosen: list[PoleCandidate], stories: int, order: Sequence[int] | None = None) -> list[PoleCandidate]:
+def _as_low(chosen: list[PoleCandidate], stories: int) -> list[PoleCandidate]:
     """Give the candidates the lowest numbers that they can have where some floors are not measured.
 
     At some of the floors mode r changes sign r - 1 times at most. If this needs more modes than the frame has, the
     weakest candidates are left out.
     """
     while chosen:
-        numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen, order)), key=lambda each: each[-1])
+        numbered = min(([*_lowest_numbers(shapes)] for shapes in _real(chosen)), key=lambda each: each[-1])
         if numbered[-1] <= stories:
             return [dataclasses.replace(item, number=each) for item, each in zip(chosen, numbered, strict=True)]
         weakest = min(chosen, key=lambda item: item.energy)
@@ -359,13 +356,13 @@ def _lowest_numbers(shapes: Floats) -> Iterator[int]:
         yield number
 
 
-def _real(items: list[PoleCandidate], order: Sequence[int] | None = None) -> Iterator[Floats]:
+def _real(items: list[PoleCandidate]) -> Iterator[Floats]:
     """Make shapes real: the turns of clock offsets taken back, and as they were recorded.
 
     A damper in one story turns phases too, and taken for a clock it turns the signs of other modes.
     """
-    straight, recorded = _straight(items), np.array([real_shape(item.shape) for item in items])
-    yield from (shapes if order is None else shapes[:, list(order)] for shapes in (straight, recorded))
+    yield _straight(items)
+    yield np.array([real_shape(item.shape) for item in items])
 
 
 def _straight(items: list[PoleCandidate]) -> Floats:

@@ -18,6 +18,7 @@ import numpy as np
 
 from cvxshear.records import prepare
 from cvxshear.records.clocks import FAULTY
+from cvxshear.records.prepare import AnyRecord
 from cvxshear.records.record import Channel, Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
@@ -60,7 +61,7 @@ class ChannelMistake:
     places : tuple of int
         Of the channels, in their order.
     factor : float
-        By which a channel in another unit is multiplied.
+        By which a channel is multiplied that is reversed or in another unit.
     probability : float
         After the modes have been seen.
     missed : float
@@ -76,13 +77,22 @@ class ChannelMistake:
     def undone(self, shapes: Floats) -> Floats:
         """Return the shapes as they are where the hypothesis is true, shape (m, n)."""
         result = np.array(shapes, dtype=np.float64)
-        if self.kind == "swapped channels":
-            result[:, list(self.places)] = result[:, list(self.places[::-1])]
-        elif self.kind == "sign":
-            result[:, list(self.places)] *= -1.0
-        elif self.kind == "unit":
-            result[:, list(self.places)] *= self.factor
+        result[:, list(self.places)] = self.factor * result[:, list(self.order)]
         return result
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """The channels that belong in the places."""
+        return self.places[::-1] if self.kind == "swapped channels" else self.places
+
+    def mended(self, record: AnyRecord) -> AnyRecord:
+        """Return the record as it is where the hypothesis is true."""
+        channels, responses = list(record.channels), [run.responses.copy() for run in record.runs]
+        for place, other in zip(self.places, self.order, strict=True):
+            channels[place] = dataclasses.replace(record.channels[other], floor=record.channels[place].floor)
+        for values, run in zip(responses, record.runs, strict=True):
+            values[:, list(self.places)] = self.factor * run.responses[:, list(self.order)]
+        return prepare.with_responses(record, responses, tuple(channels))
 
 
 def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> list[ChannelMistake]:
@@ -101,8 +111,8 @@ def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> 
     pairs = list(itertools.combinations(range(count), 2))
     # All channels but some reversed is the same as those reversed.
     prior = [(ChannelMistake("sound"), 1.0)]
-    prior += [(ChannelMistake("sign", (i,)), FAULTY) for i in range(count if count > 2 else 1)]
-    prior += [(ChannelMistake("sign", pair), FAULTY**2) for pair in (pairs if count > 4 else ())]
+    prior += [(ChannelMistake("sign", (i,), -1.0), FAULTY) for i in range(count if count > 2 else 1)]
+    prior += [(ChannelMistake("sign", pair, -1.0), FAULTY**2) for pair in (pairs if count > 4 else ())]
     prior += [(ChannelMistake("swapped channels", pair), FAULTY / (count - 1)) for pair in pairs]
     prior += [
         (ChannelMistake("unit", (i,), factor), OTHER_UNIT)
@@ -253,7 +263,7 @@ def _said(item: ChannelMistake, channels: Sequence[Channel], first: Floats, soun
     still = [channels[place] for place in item.places if abs(first[place]) < SHAPE_ERROR * np.abs(first).max()]
     dead = "".join(f", unless {channel} carries no motion at all: is its cable cut?" for channel in still)
     return finding(
-        "swapped channels", {**numbers, "corrected": False}, low=low, high=high, shape=shape, odds=odds, dead=dead,
+        "swapped channels", {**numbers, "corrected": True}, low=low, high=high, shape=shape, odds=odds, dead=dead,
     )  # fmt: skip
 
 

@@ -386,8 +386,7 @@ class FrfRecord(_Recorded):
         Hz, ascending by one step, starting at zero or at a whole multiple of the step.
     truncated : bool, optional
         Whether the functions were computed from responses cut off at the end of the window before they had decayed
-        (leakage), rather than being samples of the true functions. None: decided by the phases of the residues if it
-        matters.
+        (leakage), rather than being samples of the true functions.
 
     Raises
     ------
@@ -397,7 +396,7 @@ class FrfRecord(_Recorded):
 
     runs: tuple[FrfRun, ...] = ()
     frequencies: Floats = field(default_factory=lambda: np.zeros(0))
-    truncated: bool | None = None
+    truncated: bool = True
 
     def __post_init__(self) -> None:
         self._check_common()

@@ -408,7 +408,7 @@ class SensorRecord:
         most = max(stories, *(each.floor for each in self.channels))
         record = TimeRecord(self.channels, stories=most, runs=runs, sampling_rate=self.sampling_rate, input=self.input)
         try:
-            findings = identify_modes(record, accept_swapped=True).findings
+            findings = identify_modes(record).findings
         except (NoSolutionError, InputError):
             # A motion without identifiable modes, such as a short one, is checked without modes.
             findings = examination.examined(record).findings
@@ -419,6 +419,7 @@ class SensorRecord:
         factors, late, out = np.ones(len(self.channels) + 1), np.zeros((len(self.channels) + 1, 2)), set()
         measured, said = [run.measured.copy() for run in self.runs], list(self.remarks)
         of_clocks: dict[int, str] = {}
+        channels = list(self.channels)
         for finding in findings:
             numbers, message = finding.numbers, finding.message
             columns = self._columns(numbers.get("channels", [numbers.get("channel")]))
@@ -430,6 +431,9 @@ class SensorRecord:
                     measured[place][piece][spiked, column] = np.nan
             elif finding.kind in ("sign", "unit") and numbers["corrected"]:
                 factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
+            elif finding.kind == "swapped channels" and numbers["corrected"]:
+                for column, other in itertools.permutations(columns):
+                    channels[column] = dataclasses.replace(self.channels[column], floor=self.channels[other].floor)
             elif finding.kind == "clock offset" and abs(numbers["seconds"]) * self.sampling_rate < LEAST_DELAY:
                 continue
             elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
@@ -449,7 +453,7 @@ class SensorRecord:
         right = self.replaced(((factors[:-1] * values)[:, kept] for values in measured), factors[-1])
         return dataclasses.replace(
             right,
-            channels=tuple(self.channels[column] for column in kept),
+            channels=tuple(channels[column] for column in kept),
             remarks=tuple(said),
             late=late[kept],
             late_remarks=tuple(of_clocks.get(column, of_clocks.get(-1, "")) for column in kept),

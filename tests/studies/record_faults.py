@@ -232,7 +232,7 @@ def judged(case: Case, sound: TimeRecord | None = None) -> tuple[str, str]:
     fault is missed and the modes are those of the sound record.
     """
     try:
-        result = identify_modes(case.record, accept_swapped=True)
+        result = identify_modes(case.record)
         findings = result.findings
     except CvxshearError as error:
         named = any(f'"{name}"' in str(error) for name in case.channels)
