@@ -1,4 +1,4 @@
-"""Findings about a record from its modes: clocks, signs, swaps, resolution, reciprocity, amplitude."""
+"""Findings about a record from its modes: clocks, driving points, reciprocity, amplitude, missing and other modes."""
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from cvxshear.records import clocks, estimate, examination, picking
-from cvxshear.records.record import Finding, FrfRecord, Record, TimeRecord, finding
+from cvxshear.records.record import Finding, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, SENSOR_STD, ModalResult
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.errors import InputError
@@ -85,7 +85,6 @@ def modal_findings(
     """Everything the modes say about the record they came from; `turning` is the share of rotation at a frequency."""
     record = setting.record
     yield from clock_findings(record, result, full)
-    yield from resolution_findings(record, result)
     yield from reciprocity_findings(full, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
@@ -142,18 +141,6 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
             reference=names[full.clocks.reference],
             which="" if len(names) > 2 else "; which of the two is off no third clock tells",
         )  # fmt: skip
-
-
-def resolution_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
-    """Report a record too short for the damping that is claimed of it."""
-    if isinstance(record, FrfRecord):
-        resolution = record.step
-    else:
-        resolution = record.sampling_rate / max(run.samples for run in record.runs)
-    for mode, frequency, damping in zip(result.modes, result.frequencies, result.damping_ratios, strict=True):
-        width = 2 * damping * frequency
-        if resolution > width:
-            yield finding("resolution", {"mode": int(mode), "resolution": resolution, "bandwidth": float(width)})
 
 
 #: Damping ratio; the least that frames without cladding have. A machine's tone has less.

@@ -188,47 +188,34 @@ OUT_OF_MOTION = 2.0
 AR_ORDER = 24
 
 
-def channel_findings(record: Record) -> list[Finding]:
-    """Dead, stuck and clipped channels and spikes, each with its numbers."""
+def channels_mended(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
+    """Name dead, stuck and clipped channels and spikes; replace each spike by what the samples around it say."""
     if isinstance(record, FrfRecord):
         levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))
-        return _dead(record, levels)
+        return record, _dead(record, levels)
     levels = np.sqrt(np.mean([np.var(run.responses, axis=0) for run in record.runs], axis=0))
-    found = _dead(record, levels)
+    found, mended = _dead(record, levels), []
     for run in record.runs:
-        spikes = np.zeros(run.responses.shape, dtype=bool) if prepare.impulsive(run) else spikes_in(run.responses)[0]
-        for column, channel in enumerate(record.channels):
-            if levels[column] > DEAD * np.median(levels):
-                where = f"{run.name}: {channel}"
-                of_channel = [*_of_converter(run.responses[:, column], where, channel.name)]
-                of_channel += _stuck(run.responses, column, where, channel.name, record.sampling_rate)
-                # The corners of clipped and stuck values would be taken for spikes.
-                if not of_channel and (count := int(spikes[:, column].sum())):
-                    numbers = {"channel": channel.name, "samples": count}
-                    first = int(np.argmax(spikes[:, column])) + 1
-                    said = finding(
-                        "spikes", numbers, where=where, spikes=quantities.counted(count, "spike"), first=first
-                    )
-                    of_channel.append(said)
-                found += of_channel
-        if run.excitation is not None:
-            found += _of_converter(run.excitation, f"{run.name}: input channel", "input")
-    return found
-
-
-def without_spikes(record: TimeRecord, findings: list[Finding]) -> TimeRecord:
-    """Replace each spike by what the samples on both sides of it say."""
-    hit = {finding.numbers["channel"] for finding in findings if finding.kind == "spikes"}
-    columns = [column for column, channel in enumerate(record.channels) if channel.name in hit]
-    if not columns:
-        return record
-    runs = []
-    for run in record.runs:
-        responses = run.responses.copy()
+        responses, spikes = run.responses.copy(), np.zeros(run.responses.shape, dtype=bool)
+        cleaned = responses
         if not prepare.impulsive(run):
-            responses[:, columns] = spikes_in(run.responses)[1][:, columns]
-        runs.append(dataclasses.replace(run, responses=responses))
-    return dataclasses.replace(record, runs=tuple(runs))
+            spikes, cleaned = spikes_in(responses)
+        for column in np.flatnonzero(levels > DEAD * np.median(levels)).tolist():
+            channel = record.channels[column]
+            where = f"{run.name}: {channel}"
+            of_channel = [*_clipped(responses[:, column], where, channel.name)]
+            of_channel += _stuck(responses, column, where, channel.name, record.sampling_rate)
+            # The corners of clipped and stuck values would be taken for spikes.
+            if not of_channel and (count := int(spikes[:, column].sum())):
+                numbers, first = {"channel": channel.name, "samples": count}, int(np.argmax(spikes[:, column])) + 1
+                counted = quantities.counted(count, "spike")
+                of_channel.append(finding("spikes", numbers, where=where, spikes=counted, first=first))
+                responses[:, column] = cleaned[:, column]
+            found += of_channel
+        if run.excitation is not None:
+            found += _clipped(run.excitation, f"{run.name}: input channel", "input")
+        mended.append(responses)
+    return prepare.with_responses(record, mended), found
 
 
 def spikes_in(responses: Floats) -> tuple[Bools, Floats]:
@@ -337,7 +324,7 @@ def _dead(record: Record, levels: Floats) -> list[Finding]:
     return found
 
 
-def _of_converter(values: Floats, where: str, name: str) -> Iterator[Finding]:
+def _clipped(values: Floats, where: str, name: str) -> Iterator[Finding]:
     """Find samples cut off at the extreme value."""
     levels, times = np.unique(values, return_counts=True)
     for extreme, beside in ((-1, -2), (0, 1)) if len(levels) > 1 else ():
@@ -384,12 +371,12 @@ def examined(record: Record) -> Examined:
     InputError
         Where no channel is left, or two on one floor contradict each other.
     """
-    findings = channel_findings(record)
+    record, findings = channels_mended(record)
     record = prepare.without(record, findings)
     if isinstance(record, FrfRecord):
         record, of_floors = one_a_floor(record)
         return Examined(record, (*findings, *of_floors))
-    steady, of_clocks = clocks.with_right_channels(without_spikes(record, findings))
+    steady, of_clocks = clocks.with_right_channels(record)
     findings += of_clocks
     if steady.turns:
         return Examined(steady, tuple(findings))

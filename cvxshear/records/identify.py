@@ -65,8 +65,9 @@ class ModeSearch:
         source = prepare.source_of(record, self.method, blocks=self.blocks)
         by_signs = None if record.turns else len(record.channels) == record.stories > 1
         choose = picking.ModeChoice(self.wanted(record), record.stories, by_signs, self.picked)
-        options = {"band": record.band, "shift": record.window_decay, "turning": self.turning}
-        return source, picking.sweep_orders(source, self.criteria, choose, **options)
+        return source, picking.sweep_orders(
+            source, self.criteria, choose, band=record.band, shift=record.window_decay, turning=self.turning
+        )
 
     def settled(self, record: Record) -> SourceAndSweep:
         """Find the sampling rate that suits the modes, and source and sweep at it."""

@@ -87,12 +87,13 @@ class ChannelMistake:
 
     def mended(self, record: AnyRecord) -> AnyRecord:
         """Return the record as it is where the hypothesis is true."""
-        channels, responses = list(record.channels), [run.responses.copy() for run in record.runs]
-        for place, other in zip(self.places, self.order, strict=True):
-            channels[place] = dataclasses.replace(record.channels[other], floor=record.channels[place].floor)
-        for values, run in zip(responses, record.runs, strict=True):
-            values[:, list(self.places)] = self.factor * run.responses[:, list(self.order)]
-        return prepare.with_responses(record, responses, tuple(channels))
+        order, factors = np.arange(len(record.channels)), np.ones(len(record.channels))
+        order[list(self.places)], factors[list(self.places)] = self.order, self.factor
+        channels = tuple(
+            dataclasses.replace(record.channels[other], floor=channel.floor)
+            for other, channel in zip(order.tolist(), record.channels, strict=True)
+        )
+        return prepare.with_responses(record, [run.responses[:, order] * factors for run in record.runs], channels)
 
 
 def weighed(frequencies: Floats, shapes: Floats, floors: Ints, stories: int) -> list[ChannelMistake]:

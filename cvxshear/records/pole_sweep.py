@@ -303,14 +303,8 @@ class Criteria:
     def __post_init__(self) -> None:
         if self.highest_order is not None:
             checks.whole(self.highest_order, "highest_order", least=4, most=400)
-        for name in (
-            "frequency_change",
-            "damping_change",
-            "highest_damping",
-            "largest_shape_std",
-            "largest_frequency_std",
-        ):
-            checks.number(getattr(self, name), name, above=0.0)
+        for field in dataclasses.fields(self)[1:]:
+            checks.number(getattr(self, field.name), field.name, above=0.0)
 
     def orders(self, count: int) -> range:
         """Return the orders of a sweep for a number of modes."""

@@ -359,7 +359,7 @@ def measured_functions(record: Record, highest: float) -> Functions | None:
         lines = record.step * np.arange(len(spectra[0].force_force), dtype=np.float64)
     elif struck(record):
         spectra, samples = frf.hit_spectra(without_offset(record))
-        lines = np.fft.rfftfreq(samples, 1.0 / rate)
+        lines = np.asarray(np.fft.rfftfreq(samples, 1.0 / rate), dtype=np.float64)
     elif record.input in ("force", "base"):
         record = detrended(record)
         shortest = min(run.samples for run in record.runs)
@@ -369,7 +369,7 @@ def measured_functions(record: Record, highest: float) -> Functions | None:
             assert run.excitation is not None
             cross, power = welch(np.column_stack([run.excitation, run.responses]), 0, rate, segment)
             spectra.append(frf.Spectra(cross[:, 1:], power[:, 0], power[:, 1:], run.floor))
-        lines = np.fft.rfftfreq(segment, 1.0 / rate)
+        lines = np.asarray(np.fft.rfftfreq(segment, 1.0 / rate), dtype=np.float64)
     else:
         return None
     floors = np.unique([item.floor for item in spectra]).astype(np.int64)

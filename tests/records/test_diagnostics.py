@@ -13,7 +13,7 @@ from cvxshear import InputError
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, from_arrays, identify_modes
 from cvxshear.records.clocks import offsets
 from cvxshear.records.diagnostics import reciprocity_findings
-from cvxshear.records.examination import channel_findings
+from cvxshear.records.examination import examined
 from cvxshear.records.prepare import in_step, struck
 from cvxshear.records.record import Finding
 from cvxshear.records.result import SENSOR_STD
@@ -151,7 +151,7 @@ def test_a_clipped_channel(record):
     def one(values):
         values[:, 1] = np.clip(values[:, 1], -0.5 * values[:, 1].max(), 0.5 * values[:, 1].max())
 
-    [said] = [finding.to_dict() for finding in channel_findings(changed(record, one))]
+    [said] = [finding.to_dict() for finding in examined(changed(record, one)).findings]
     assert (said["kind"], said["numbers"]["channel"]) == ("clipped channel", "floor2")
     assert said["numbers"]["share"] == pytest.approx(0.1, abs=0.1)
 
@@ -170,7 +170,7 @@ def test_a_rounded_peak_is_no_clip(frequency, noise):
             values = np.column_stack([np.clip(moved, -limit, limit), np.roll(moved, 7)])
             channels = (Channel("a1", 1), Channel("a2", 2))
             series = TimeRecord(channels, runs=(Run(values),), sampling_rate=512.0, input="free_decay")
-            clips[share] += any(item.kind == "clipped channel" for item in channel_findings(series))
+            clips[share] += any(item.kind == "clipped channel" for item in examined(series).findings)
     assert clips == {1.0: 0, 0.7: 20}
 
 
@@ -220,12 +220,6 @@ def test_another_mode_than_all_may_be_of_a_story_that_was_not_declared():
     assert min(np.abs(frame.modes()[0] - other.numbers["frequency"])) < 0.05
     assert "one more than 3 stories can have" in other.message
     assert other.message.endswith("or the frame has more")
-
-
-def test_resolution_coarser_than_the_line():
-    finding = found(identify_modes(frf_record(0.001)), "resolution")[0]
-    assert finding.numbers["resolution"] == pytest.approx(1 / 32)
-    assert finding.numbers["bandwidth"] == pytest.approx(0.002 * TWO_STORY_FREQUENCIES[0], rel=0.05)
 
 
 def test_frequency_that_depends_on_amplitude():
