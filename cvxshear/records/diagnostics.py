@@ -4,8 +4,9 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+import scipy
 
-from cvxshear.records import clocks, estimate, examination, picking
+from cvxshear.records import clocks, estimate, examination, frf, picking
 from cvxshear.records.record import Finding, Record, TimeRecord, finding
 from cvxshear.records.result import OVERLOOKED_KIND, SENSOR_STD, ModalResult
 from cvxshear.util import odds, quantities, ranking
@@ -88,9 +89,7 @@ def modal_findings(
     yield from reciprocity_findings(full, setting)
     yield from driving_point_findings(full, setting)
     yield from amplitude_findings(setting, result)
-    if result.modes[0] == 1 and result.damping_ratios[0] < UNDAMPED:
-        numbers = {"mode": 1, "frequency": float(result.frequencies[0]), "damping": float(result.damping_ratios[0])}
-        yield finding("doubtful mode", numbers)
+    yield from _first_mode_findings(record, result)
     yield from _mode_findings(record, result, setting)
     shares = [] if turning is None else [turning(frequency) for frequency in result.frequencies.tolist()]
     for mode, share in zip(result.modes.tolist(), shares, strict=False):
@@ -193,6 +192,21 @@ def driving_point_findings(full: estimate.Details, setting: estimate.Replication
         else:
             said, change = "and at no other floor with a sensor are they right", "check input_floor and the channels"
         yield finding("scale", {"floor": floor, "positive_at": right}, as_if=said, change=change)
+
+
+def _first_mode_findings(record: Record, result: ModalResult) -> Iterator[Finding]:
+    """Doubt a mode 1 with almost no damping, or above nearly all of the measured input."""
+    lowest, damping = float(result.frequencies[0]), float(result.damping_ratios[0])
+    if result.modes[0] != 1:
+        return
+    if damping < UNDAMPED:
+        yield finding("doubtful mode", {"mode": 1, "frequency": lowest, "damping": damping})
+    if isinstance(record, TimeRecord) and record.input in ("base", "force"):
+        inputs = [run.excitation for run in record.runs if run.excitation is not None]
+        spectra = [scipy.signal.periodogram(each, record.sampling_rate) for each in inputs]
+        above, whole = (sum(power[lines >= least].sum() for lines, power in spectra) for least in (lowest, 0.0))
+        if above < frf.WEAKEST_FORCE * whole:
+            yield finding("doubtful mode/input", {"mode": 1, "frequency": lowest, "excited": float(above / whole)})
 
 
 def _mode_findings(record: Record, result: ModalResult, setting: estimate.Replication) -> Iterator[Finding]:

@@ -135,3 +135,16 @@ def test_a_tone_is_doubted_as_the_first_mode():
     found = identify_modes(record)
     np.testing.assert_allclose(found.frequencies[0], 21.6, rtol=1e-3)
     assert any(each.numbers.get("damping", 1.0) < 1e-3 for each in found.findings if each.kind == "doubtful mode")
+
+
+@pytest.mark.parametrize(("highest", "doubted"), [(5.0, True), (40.0, False)])
+def test_a_first_mode_above_the_excited_band_is_doubted(highest, doubted):
+    """A floor of 10 Hz under noise of the base up to 5 or 40 Hz."""
+    random, rate = np.random.default_rng(4), 100.0
+    base = signal.sosfilt(signal.butter(6, highest, fs=rate, output="sos"), random.standard_normal(12_000))
+    wind = signal.lfilter(*signal.iirpeak(10.0, 30, fs=rate), random.standard_normal(12_000))
+    roof = base + signal.lfilter(*signal.iirpeak(10.0, 30, fs=rate), base) + 0.3 * wind
+    record = TimeRecord((Channel("roof", 1),), runs=(Run(roof[:, None], base),), sampling_rate=rate, input="base")
+    found = [each.numbers for each in identify_modes(record).findings if each.kind == "doubtful mode"]
+    assert bool(found) is doubted
+    assert all(numbers["excited"] < 0.01 for numbers in found)
