@@ -505,15 +505,12 @@ class Offsets:
         channels in order of floor, then the input where its clock is seen.
     unexplained : array, shape (clocks,)
         Root mean square angle to the clock that the offsets count from, degrees, that the offset leaves over the modes.
-    before : array, shape (clocks,)
-        The same angle without the offset.
     reference : int
         The clock that the offsets count from.
     """
 
     seconds: Floats
     unexplained: Floats
-    before: Floats
     reference: int
 
 
@@ -567,9 +564,8 @@ def offsets(
         reference = ranking.first_largest(-np.sum(np.abs(seconds[:, None] - seconds[None, :]), axis=1))
     seconds = seconds - seconds[reference]
     between = phasors * np.conj(phasors[:, [reference]])
-    before = [rms_phase(column) for column in between.T]
     left = [rms_phase(column * np.exp(1j * omega * each)) for column, each in zip(between.T, seconds, strict=True)]
-    return Offsets(seconds, np.array(left), np.array(before), reference)
+    return Offsets(seconds, np.array(left), reference)
 
 
 def undone(eigenvalues: Complexes, shapes: Complexes, seconds: Floats) -> Complexes:

@@ -104,13 +104,10 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
 
     Dampers turn the phases of modes, too. The phases of the whole band must agree better with the delay than without.
     """
-    highest = 2 * np.pi * float(full.frequencies.max())
     names = list(result.clock_offsets)
     segments = clocks.Segments.of(record) if isinstance(record, TimeRecord) else None
-    for (name, (late, std)), left, before in zip(
-        result.clock_offsets.items(), full.clocks.unexplained, full.clocks.before, strict=False
-    ):
-        turn = float(np.degrees(highest * abs(late)))
+    for (name, (late, std)), left in zip(result.clock_offsets.items(), full.clocks.unexplained, strict=False):
+        turn = float(360.0 * full.frequencies.max() * abs(late))
         if len(full.frequencies) < 2 or turn < LEAST_TURN or std <= 0.0:
             continue
         # The deviation holds the phases that the straight line leaves. Delays are equally probable up to the longest.
@@ -133,9 +130,8 @@ def clock_findings(record: Record, result: ModalResult, full: estimate.Details) 
                 numbers = {"channel": name, "corner": corner, "probability": probability, "out": True}
                 yield finding("low-pass/modes", numbers, where=record.channels[place])
                 continue
-        degrees = {"turn_degrees": turn, "before_degrees": before, "left_degrees": left}
         yield finding(
-            "clock offset/modes", {"channel": name, "seconds": late, "std": std, **degrees}, by=abs(late),
+            "clock offset/modes", {"channel": name, "seconds": late, "std": std, "left_degrees": left}, by=abs(late),
             late="late" if late > 0 else "early", spread=quantities.significant(std * 1e3, 2),
             reference=names[full.clocks.reference],
             which="" if len(names) > 2 else "; which of the two is off no third clock tells",

@@ -157,7 +157,7 @@ def details(
     if setting.record.turns:
         # Modes in x alone and in y alone link no clocks; the whole band has set them right before.
         none = 0.0 * late.seconds
-        late = Offsets(none, none, none, late.reference)
+        late = Offsets(none, none, late.reference)
     straight = undone(values.eigenvalues, values.shapes, late.seconds)
     shapes = np.array([picking.main_axis(shape) for shape in straight])
     real = np.array([picking.real_shape(shape) for shape in straight])

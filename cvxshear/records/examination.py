@@ -129,8 +129,8 @@ def _rotation(record: Record, group: Ints) -> Finding:
     names = [record.channels[int(column)] for column in group]
     others = np.flatnonzero(record.floors != names[0].floor)
     weights, placed = center_weights(record.channels, group)
-    count = len(group)
-    whole, common = np.zeros((2, count, count))
+    count, center, turned = len(group), 0.0, 0.0
+    common = np.zeros((count, count))
     for run in record.runs:
         values = moving = run.responses[:, group]
         if isinstance(run, Run):
@@ -138,13 +138,12 @@ def _rotation(record: Record, group: Ints) -> Finding:
             if len(others):
                 rest = run.responses[:, others] - run.responses[:, others].mean(axis=0)
                 moving = rest @ np.linalg.lstsq(rest, values, rcond=None)[0]
-        whole += (values.conj().T @ values).real / len(values)
         common += (moving.conj().T @ moving).real / len(values)
+        middle = values @ weights
+        center += float(np.mean(np.abs(middle) ** 2))
+        turned += float(np.sum(np.abs(values - middle[:, None]) ** 2)) / len(values)
     shown, together = np.diag(common), float(common.mean())
-    # Mean squares of the sensors' differences from their mean, and from the center's motion.
     against = float(np.trace(common)) - count * together
-    center = float(weights @ whole @ weights)
-    turned = float(np.trace(whole) - 2 * np.sum(whole @ weights)) + count * center
     what = "what moves with the other floors is" if len(others) else "the motion is"
     least, most = names[int(np.argmin(shown))], names[int(np.argmax(shown))]
     ratio = float(np.sqrt(shown.max() / max(shown.min(), 1e-300)))
