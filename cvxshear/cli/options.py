@@ -7,7 +7,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -301,7 +301,7 @@ class ResultOptions:
             from cvxshear.report.figures import figures_of, save
 
             entry, path = _split(text, figures_of(type(results[0])))
-            yield lambda entry=entry, path=path: save(entry.draw(*results), path)
+            yield partial(lambda entry, path: save(entry.draw(*results), path), entry, path)
         if (table := self.csv) is not None:
             yield lambda: write_csv(table, terminal.sheets_of(*results))
         if (book := self.xlsx) is not None:

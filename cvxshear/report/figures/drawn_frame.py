@@ -21,7 +21,6 @@ from cvxshear.measurement.declaration import MOTIONS
 from cvxshear.measurement.experiment import Experiment
 from cvxshear.planning import Plan, predicted
 from cvxshear.report.figures import style
-from cvxshear.report.figures.style import LINE, MOST_PANELS, figure
 from cvxshear.report.headline import NAMED, verdict_of
 from cvxshear.report.identified import in_one_unit
 from cvxshear.util.quantities import AUTOMATIC, SURE, chance, counted, percent
@@ -96,7 +95,7 @@ def _findings_caption(result: LoopResult) -> str:
     )
 
 
-@figure("findings", LoopResult, title="What was found, and where", caption=_findings_caption, section="verdict")
+@style.figure("findings", LoopResult, title="What was found, and where", caption=_findings_caption, section="verdict")
 def findings(result: LoopResult) -> Figure:
     """Frame of each state to scale; what was found is marked where it acts, as in the table of effects.
 
@@ -116,7 +115,7 @@ def findings(result: LoopResult) -> Figure:
     rows, columns = style.grid_of(len(states), 2)
     marks = [_marks(result, state, first=not place) for place, state in enumerate(states)]
     lines = max(sum(mark.lines for mark in each) for each in marks)
-    height = float(np.clip(max(result.experiment.stories * 0.36, lines * LINE), 1.9, 6.5))
+    height = float(np.clip(max(result.experiment.stories * 0.36, lines * style.LINE), 1.9, 6.5))
     drawn = style.new_figure(style.PAGE_WIDTH if columns > 1 else 5.4, rows * (height + 0.7))
     every = style.panels(drawn, len(states), columns, sharey=True)
     for place, (axes, state, each) in enumerate(zip(every, states, marks, strict=True)):
@@ -137,7 +136,7 @@ def _shown_states(result: LoopResult) -> list[str | None]:
     # Effects are sorted by probability; their rivals follow.
     found, states = list(dict.fromkeys(concerned)), result.experiment.states
     free = [state for state in (result.experiment.frame.reference, *states) if state is not None and state not in found]
-    shown = {*found[: MOST_PANELS - bool(free)], *free[:1]}
+    shown = {*found[: style.MOST_PANELS - bool(free)], *free[:1]}
     return [state for state in states if state in shown]
 
 
@@ -209,7 +208,7 @@ def _state(axes: Axes, result: LoopResult, state: str | None, marks: Sequence[_M
     base = np.concatenate([[0.0], z])
     middles = np.array([np.mean(_extent(mark.placed, z)) for mark in marks])
     order = np.argsort(middles, kind="stable")
-    room = max((mark.lines for mark in marks), default=1) * LINE * total / height
+    room = max((mark.lines for mark in marks), default=1) * style.LINE * total / height
     levels = style.spread(middles[order], room, room / 2, total - room / 2)
     for mark, middle, level in zip([marks[each] for each in order], middles[order], levels, strict=True):
         for low, high in mark.joined:
@@ -280,7 +279,7 @@ def _tie(axes: Axes, low: float, high: float, at: _Columns, *, sure: bool) -> No
 # The identified frame with its numbers.
 
 
-@figure(
+@style.figure(
     "frame",
     LoopResult,
     Identification,
@@ -312,7 +311,7 @@ def frame(result: LoopResult | Identification) -> Figure:
     return _numbered_frames(result.experiment, frames)
 
 
-@figure("planned", Plan, title="The floors to measure", section="choice")
+@style.figure("planned", Plan, title="The floors to measure", section="choice")
 def planned(result: Plan) -> Figure:
     """Frame as designed, to scale, with the floors to measure; the numbers are in the tables below.
 
@@ -339,7 +338,7 @@ def _numbered_frames(
 ) -> Figure:
     """Draw frames with their numbers and titles."""
     rows, columns = style.grid_of(len(frames), 2)
-    height = float(np.clip(experiment.stories * 2 * LINE, 2.2, 8.0))
+    height = float(np.clip(experiment.stories * 2 * style.LINE, 2.2, 8.0))
     drawn = style.new_figure(style.PAGE_WIDTH * columns, rows * (height + 0.75))
     for axes, (title, found) in zip(style.panels(drawn, len(frames), columns), frames, strict=True):
         _numbered(axes, experiment, found, title, height, sensors=sensors)
@@ -354,7 +353,7 @@ def _numbered(
     _structure(axes, found, z, at)
     if sensors:
         _sensors(axes, experiment, None, z, at)
-    _numbers(axes, found, z, at, float(z[-1]) * LINE / inches)
+    _numbers(axes, found, z, at, float(z[-1]) * style.LINE / inches)
     axes.set_ylabel(label)
     for x, text, std, align in (
         (at.left - LABEL_DISTANCE, "story stiffness", found.story_stiffness_std, "right"),
@@ -386,7 +385,7 @@ def _numbers(axes: Axes, found: IdentifiedFrame, z: Floats, at: _Columns, gap: f
 ELLIPSE = float(np.sqrt(-2.0 * np.log(1.0 - SURE)))
 
 
-@figure(
+@style.figure(
     "plans",
     Identification,
     title="The floors from above",

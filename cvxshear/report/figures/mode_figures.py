@@ -21,9 +21,7 @@ from cvxshear.records import ModalResult
 from cvxshear.records.picking import Sweep, scaled_to_one
 from cvxshear.records.prepare import Functions
 from cvxshear.records.result import band_of, over_amplitude, synthesized
-from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_frame import elevations, moved_plans
-from cvxshear.report.figures.style import figure
+from cvxshear.report.figures import drawn_frame, style
 from cvxshear.report.from_records import method_in_words
 from cvxshear.util import ranking
 from cvxshear.util.quantities import percents
@@ -127,7 +125,7 @@ def _mac(experiment: Experiment, name: str, modelled: Floats) -> Floats:
 SHEAR: dict[str, Any] = {"color": style.BEFORE, "ls": "--", "marker": "D", "mfc": "white", "ms": 3.6, "lw": 1.0}
 
 
-@figure("shapes", LoopResult, title="Mode shapes", section="shapes")
+@style.figure("shapes", LoopResult, title="Mode shapes", section="shapes")
 def shapes(result: LoopResult) -> Figure:
     """Measured mode shapes with error bars beside those of the shear model and of the final model.
 
@@ -145,7 +143,7 @@ def shapes(result: LoopResult) -> Figure:
     """
     before, after = mode_shapes(result.before.estimate), mode_shapes(result.estimate)
     counts = [len(each.frequencies) for each in result.experiment.configurations]
-    z, label = elevations(result.experiment)
+    z, label = drawn_frame.elevations(result.experiment)
     figure, groups = _shape_panels(counts, label, "sway (largest measured entry = 1)", z)
     for axes, first, last in zip(itertools.chain(*groups), before, after, strict=True):
         lines = [(last.modelled, {"color": style.AFTER, "lw": 1.6})]
@@ -159,7 +157,9 @@ def shapes(result: LoopResult) -> Figure:
     return figure
 
 
-def _shape_panels(counts: Sequence[int], label: str, sway: str, levels: Floats) -> tuple[Figure, list[list[Axes]]]:
+def _shape_panels(
+    counts: Sequence[int], label: str, sway: str, levels: Floats | Ints
+) -> tuple[Figure, list[list[Axes]]]:
     """Make a panel for each mode of each group up to the highest level, with the labels of the axes."""
     # A panel of a shape is narrow: one more fits into a row.
     columns = style.even_columns(max(counts), style.MOST_PANELS + 1)
@@ -217,7 +217,7 @@ def _mac_caption(result: LoopResult | Identification) -> str:
     return f"{first} mode of the model. {said}"
 
 
-@figure(
+@style.figure(
     "mac",
     LoopResult,
     Identification,
@@ -289,7 +289,7 @@ POLES: dict[str, dict[str, Any]] = {
 }
 
 
-@figure(
+@style.figure(
     "stabilization",
     ModalResult,
     title="Stabilization diagram",
@@ -358,7 +358,7 @@ def _labels(axes: Axes, result: ModalResult, top: int, inches: float) -> None:
         axes.text(x, 1.12 * top, f"{mode}: {frequency:#.4g} Hz", rotation=90, ha="center", va="bottom", fontsize=7)
 
 
-@figure(
+@style.figure(
     "amplitude",
     ModalResult,
     title="Modes over the amplitude of the motion",
@@ -403,7 +403,7 @@ FUNCTIONS = {
 }
 
 
-@figure(
+@style.figure(
     "functions",
     ModalResult,
     title="Measured and synthesized functions",
@@ -478,7 +478,7 @@ def _named(seen: Functions) -> str:
     return FUNCTIONS[seen.quantity]
 
 
-@figure(
+@style.figure(
     "shapes",
     ModalResult,
     title="Mode shapes",
@@ -528,7 +528,7 @@ def _seen_from_above(*results: Any) -> bool:
     return len(results) == 1 and bool(sensors)
 
 
-@figure(
+@style.figure(
     "plan_shapes",
     ModalResult,
     Identification,
@@ -551,7 +551,9 @@ def plan_shapes(result: ModalResult | Identification) -> Figure:
     Figure
     """
     if isinstance(result, ModalResult):
-        return moved_plans(result.sensors, result.mode_shapes, result.frequencies, None)
+        return drawn_frame.moved_plans(result.sensors, result.mode_shapes, result.frequencies, None)
     found, tested = result.parts[0].predictions[0], result.experiment.configurations[0]
     modes = found.modes - 1
-    return moved_plans(tested.sensors, found.mode_shapes[modes], found.frequencies[modes], result.experiment.frame.plan)
+    return drawn_frame.moved_plans(
+        tested.sensors, found.mode_shapes[modes], found.frequencies[modes], result.experiment.frame.plan
+    )

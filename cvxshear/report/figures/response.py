@@ -13,10 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from cvxshear.loop import LoopResult
 from cvxshear.records import ModalResult
 from cvxshear.records.picking import scaled_to_one
-from cvxshear.report.figures import style
-from cvxshear.report.figures.drawn_frame import elevations
-from cvxshear.report.figures.mode_figures import mode_shapes
-from cvxshear.report.figures.style import figure
+from cvxshear.report.figures import drawn_frame, mode_figures, style
 from cvxshear.response import Reconstruction, RecordPrediction
 from cvxshear.response.compare import seen
 from cvxshear.response.predicted import RESPONSES
@@ -56,7 +53,7 @@ def _floors(result: RecordPrediction) -> Ints:
     return _spread(places, ranking.first_largest(peaks) + 1)
 
 
-@figure(
+@style.figure(
     "history",
     RecordPrediction,
     title="Accelerations over time",
@@ -117,7 +114,7 @@ def _band(axes: Axes, time: Floats, value: Floats, half: Floats, **look: Any) ->
     axes.grid(visible=True, axis="y")
 
 
-@figure("peaks", RecordPrediction, title="Peaks", section="peaks")
+@style.figure("peaks", RecordPrediction, title="Peaks", section="peaks")
 def response_peaks(result: RecordPrediction) -> Figure:
     """Peaks over the height; the numbers are in the table above.
 
@@ -167,7 +164,7 @@ def _measured_peaks(axes: Axes, result: RecordPrediction) -> None:
         axes.plot(top, result.motion.floors, color=style.MEASURED, marker="o", mfc="white", ls="none", label="measured")
 
 
-@figure(
+@style.figure(
     "drifts",
     Reconstruction,
     title="Drift of every story",
@@ -221,7 +218,7 @@ def story_drifts(result: Reconstruction) -> Figure:
     return figure
 
 
-@figure(
+@style.figure(
     "histories",
     Reconstruction,
     title="Drifts over time",
@@ -308,8 +305,10 @@ def animations(*results: Any) -> Iterator[Json]:
 @animations.register
 def _swaying(result: LoopResult) -> Iterator[Json]:
     """Move the modes of the final model, each as the first test that measured it shows it."""
-    found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_shapes(result.estimate))}
-    yield _modes(found, elevations(result.experiment)[0], "The modes of the final model, with measured frequencies.")
+    found = {each.mode: (each.frequency, each.modelled) for each in reversed(mode_figures.mode_shapes(result.estimate))}
+    yield _modes(
+        found, drawn_frame.elevations(result.experiment)[0], "The modes of the final model, with measured frequencies."
+    )
 
 
 @animations.register
