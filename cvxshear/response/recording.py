@@ -19,8 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.modes import RecordTables
-from cvxshear.io.record_tables import ChannelDeclaration, placed
+from cvxshear.io.record_tables import ChannelDeclaration, RecordFile, placed
 from cvxshear.records import data_frames, examination, prepare
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DRIVEN, DrivenRecord, band_limited, trend
@@ -300,7 +299,7 @@ def _refuse_other_quantity(quantity: str, name: str) -> None:
 
 def _of_file(path: Path, stories: int) -> Recording:
     """Read the recording that a record file declares."""
-    tables = RecordTables(path)
+    tables = RecordFile(path)
     with placed(path):
         checks.choice(tables.kind, ("time",), "record: kind, for a reconstruction,")
         for item in tables.responses:

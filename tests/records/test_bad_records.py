@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cvxshear.io.modes import modes_from_file, read_record
+from cvxshear.io.modes import modes_from_file
+from cvxshear.io.record_tables import read_record
 from cvxshear.records import Channel, FrfRecord, FrfRun, Run, TimeRecord, identify_modes
 from cvxshear.records.simulate import PAPER_FRAME, base_record
 from cvxshear.util.errors import CvxshearError, InputError, NoSolutionError, UnsuitableError
@@ -123,7 +124,7 @@ def changed(place, values):
         ),
         (changed(([200, 201], 0), lambda good: good[[201, 200], 0]), "", ('line 202: column "t"',)),
         (lambda good: good, "sampling_rate = 25.0", ("sampling_rate = 25", "ticks at 20")),
-        (lambda good: good[:3], "", ("test.csv holds 3 samples",)),
+        (lambda good: good[:3], "", ("test.csv has 3 samples",)),
         (lambda good: good[:100], "", ("at least 128 are needed",)),
         (lambda good: good[:, :4], "", ('has no column "a3"; it has t, ground, a1, a2', "line 19 of record.toml")),
     ],
