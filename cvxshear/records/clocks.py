@@ -442,14 +442,14 @@ def with_right_channels(record: TimeRecord) -> tuple[TimeRecord, list[Finding]]:
 
 
 #: What the size of a fault that cannot be mended is called.
-SIZES = {"low-pass": "corner", "resonance": "corner", "gain step": "factor", "lost samples": "samples"}
+FAULT_SIZES = {"low-pass": "corner", "resonance": "corner", "gain step": "factor", "lost samples": "samples"}
 
 
 def _said(fault: ChannelFault, name: str, where: str, reference: str, rate: float) -> Finding:
     """Report a fault by the phases of the whole band: its channel, but not the input, is left out, or set right."""
     if fault.late is None:
         numbers = {"channel": name, "out": name != "input", "probability": fault.probability, "time": fault.time}
-        numbers[SIZES[fault.kind]] = round(abs(fault.size) * rate) if fault.kind == "lost samples" else fault.size
+        numbers[FAULT_SIZES[fault.kind]] = round(abs(fault.size) * rate) if fault.kind == "lost samples" else fault.size
         what, left_out = "loses" if fault.size < 0 else "repeats", "; left out" if numbers["out"] else ""
         return finding(fault.kind, numbers, where=where, what=what, left_out=left_out)
     start = fault.late[0]

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
@@ -69,7 +68,7 @@ SURROGATES = 20
 FEW_PIECES = 6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Replication:
     """Common data of the replicates of one identification.
 
@@ -111,7 +110,7 @@ class Replication:
         return self.parts.values(self.sweep.chosen, keep)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Details(pole_sweep.DampedModes):
     """The modes of one set of data.
 

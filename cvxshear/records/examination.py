@@ -15,7 +15,6 @@ import scipy
 
 from cvxshear.records import clocks, placement, prepare
 from cvxshear.records.data_frames import stretches
-from cvxshear.records.prepare import AnyRecord
 from cvxshear.records.record import Channel, Finding, FrfRecord, Record, Run, TimeRecord, finding
 from cvxshear.util import quantities
 from cvxshear.util.errors import InputError
@@ -34,7 +33,7 @@ LARGEST_WEIGHTS = 1.5
 CONTRADICTING = 4.0
 
 
-def one_a_floor(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
+def one_a_floor(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[Finding]]:
     """Bring the record to one channel a floor, the motion of the floor's center in the direction of test.
 
     A sensor at `direction` degrees from the direction of test shows the floor's motion times the cosine; one more than
@@ -105,7 +104,7 @@ def turning(record: TimeRecord) -> Callable[[float], float] | None:
     return share
 
 
-def along(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
+def along(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[Finding]]:
     """Turn sensors into the direction of test, and leave out those that stand across it."""
     angles = [channel.direction or 0.0 for channel in record.channels]
     if not any(angles):
@@ -187,7 +186,7 @@ OUT_OF_MOTION = 2.0
 AR_ORDER = 24
 
 
-def channels_mended(record: AnyRecord) -> tuple[AnyRecord, list[Finding]]:
+def channels_mended(record: prepare.AnyRecord) -> tuple[prepare.AnyRecord, list[Finding]]:
     """Name dead, stuck and clipped channels and spikes; replace each spike by what the samples around it say."""
     if isinstance(record, FrfRecord):
         levels = np.sqrt(np.mean([np.mean(np.abs(run.responses) ** 2, axis=0) for run in record.runs], axis=0))

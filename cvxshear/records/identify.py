@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -33,7 +32,7 @@ LOWEST_SHARE = 0.1
 SourceAndSweep = tuple[pole_sweep.Source, picking.Sweep]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class ModeSearch:
     """What is looked for in a record, and how.
 

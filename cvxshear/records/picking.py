@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from operator import itemgetter
 
 import numpy as np
@@ -37,7 +36,7 @@ PICKABLE = 0.03
 Doubts = dict[tuple[tuple[int, int], ...], tuple[str, bool]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class PoleCandidate:
     """A cluster of stable poles, judged.
 
@@ -77,7 +76,7 @@ class PoleCandidate:
         return abs(self.eigenvalue) / (2 * np.pi)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Values:
     """Eigenvalues and shapes of the chosen modes, from all the data or a part.
 
@@ -96,7 +95,7 @@ class Values:
         return Values(np.array([item.eigenvalue for item in items]), np.array([item.shape for item in items]))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Sweep:
     """The order sweep of one record, with what was made of it.
 
@@ -128,7 +127,7 @@ class Sweep:
         return self.choose(self.poles, self.stable, candidates)
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ModeChoice:
     """Which candidates are the frame's modes.
 

@@ -12,13 +12,11 @@ Under base motion every floor moves with the base at low frequency, which tells 
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cvxshear.records import prepare
 from cvxshear.records.clocks import FAULTY
-from cvxshear.records.prepare import AnyRecord
 from cvxshear.records.record import Channel, Finding, TimeRecord, finding
 from cvxshear.util import odds, quantities, ranking
 from cvxshear.util.typing import Floats, Ints
@@ -50,7 +48,7 @@ WORST = 10.0
 DOUBTFUL = 0.3
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ChannelMistake:
     """A possible mistake in the channels.
 
@@ -85,7 +83,7 @@ class ChannelMistake:
         """The channels that belong in the places."""
         return self.places[::-1] if self.kind == "swapped channels" else self.places
 
-    def mended(self, record: AnyRecord) -> AnyRecord:
+    def mended(self, record: prepare.AnyRecord) -> prepare.AnyRecord:
         """Return the record as it is where the hypothesis is true."""
         order, factors = np.arange(len(record.channels)), np.ones(len(record.channels))
         order[list(self.places)], factors[list(self.places)] = self.order, self.factor

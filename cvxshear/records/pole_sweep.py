@@ -13,7 +13,6 @@ import itertools
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -79,7 +78,7 @@ class Source(ABC):
         return found / impulse.excited(eigenvalues, self.sampling_rate)[:, None, :], impulse.driven
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Impulse:
     """Impulse responses, or free decays.
 
@@ -140,7 +139,7 @@ class DampedModes:
         return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Poles(DampedModes):
     """Poles of one model order with positive imaginary part.
 
@@ -260,7 +259,7 @@ def normalized(shapes: Complexes) -> Complexes:
 LEAST_ORDERS, STATES = 30, 3
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Criteria:
     """Criteria of stable poles and physical clusters; the defaults are the same for every record.
 
