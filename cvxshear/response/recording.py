@@ -17,8 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from cvxshear.io.csv import Columns
-from cvxshear.io.modes import RecordTables
-from cvxshear.io.record_tables import ChannelDeclaration, placed
+from cvxshear.io.record_tables import ChannelDeclaration, RecordFile, placed
 from cvxshear.records import data_frames, examination, prepare
 from cvxshear.records.identify import identify_modes
 from cvxshear.records.motion import DrivenRecord, DrivenRun, of_channels, trend
@@ -32,7 +31,7 @@ RecordSource = str | Path | TimeRecord | DrivenRecord
 
 #: Kinds of findings that concern the sensors. The smoother handles spikes and straight lines by its weights.
 SAID = (
-    "dead channel", "stuck channel", "clipped channel", "held samples", "direction", "sign", "unit",
+    "dead channel", "stuck channel", "clipped channel", "direction", "sign", "unit",
     "swapped channels", "clock offset", "clock drift", "lost samples", "low-pass", "resonance", "gain step",
 )  # fmt: skip
 
@@ -101,7 +100,7 @@ def recording_of(source: RecordSource, stories: int = 0) -> DrivenRecord:
 
 def _of_file(path: Path) -> tuple[list[Channel], DrivenRecord]:
     """Read the motion that a record file declares, with one column for each channel."""
-    tables = RecordTables(path)
+    tables = RecordFile(path)
     with placed(path):
         checks.choice(tables.kind, ("time",), "record: kind, for a motion over time,")
         responses = [item for item in tables.responses if item.quantity == "acceleration"]
@@ -154,7 +153,7 @@ def _set_right(
     most = max(stories, *record.floors.tolist())
     shown = TimeRecord(tuple(channels), stories=most, runs=runs, sampling_rate=record.sampling_rate, input=record.input)
     try:
-        findings = identify_modes(shown, accept_swapped=True).findings
+        findings = identify_modes(shown).findings
     except (NoSolutionError, InputError):
         # A motion without identifiable modes, such as a short one, is checked without modes.
         findings = examination.examined(shown).findings
@@ -178,7 +177,7 @@ def corrected(
 ) -> tuple[Sequence[Channel], DrivenRecord]:
     """Correct the certain faults among the findings; the pieces are those that were checked."""
     factors, late, out = np.ones(len(channels) + 1), np.zeros((len(channels) + 1, 2)), set()
-    measured, said = [run.measured.copy() for run in record.runs], list(record.remarks)
+    measured, said, floors = [run.measured.copy() for run in record.runs], list(record.remarks), record.floors.copy()
     for finding in findings:
         numbers, message = finding.numbers, finding.message
         columns = _columns(channels, numbers.get("channels", [numbers.get("channel")]))
@@ -190,6 +189,8 @@ def corrected(
                 measured[place][piece][spiked, column] = np.nan
         elif finding.kind in ("sign", "unit") and numbers["corrected"]:
             factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
+        elif finding.kind == "swapped channels" and numbers["corrected"]:
+            floors[columns] = record.floors[columns[::-1]]
         elif finding.kind == "clock offset" and abs(numbers["seconds"]) * record.sampling_rate < LEAST_DELAY:
             continue
         elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
@@ -201,7 +202,7 @@ def corrected(
     # A delayed input is equivalent to sensors that are all early.
     right = on_time(record.replaced(responses=measured), late[:-1] - late[-1])
     right = right.replaced(
-        record.floors[kept],
+        floors[kept],
         responses=((factors[:-1] * run.measured)[:, kept] for run in right.runs),
         excitation=(factors[-1] * run.excitation for run in right.runs),
     )
