@@ -190,7 +190,7 @@ def corrected(
         elif finding.kind in ("sign", "unit") and numbers["corrected"]:
             factors[columns] *= -1.0 if finding.kind == "sign" else numbers["factor"]
         elif finding.kind == "swapped channels" and numbers["corrected"]:
-            floors[columns] = record.floors[columns[::-1]]
+            floors[columns] = np.unique(record.floors[columns]).sum() - record.floors[columns]
         elif finding.kind == "clock offset" and abs(numbers["seconds"]) * record.sampling_rate < LEAST_DELAY:
             continue
         elif finding.kind in ("clock offset", "clock drift") and numbers.get("corrected", True):
