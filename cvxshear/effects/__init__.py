@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from cvxshear.effects.base import Effect, LocatedEffect, Parameter, Place
+from cvxshear.effects.centers import EccentricMass, EccentricStiffness, OtherCenters
 from cvxshear.effects.composition import compose
 from cvxshear.effects.masses import (
     AddedMass,
@@ -32,7 +33,7 @@ from cvxshear.util.typing import Floats
 
 __all__ = [
     "AddedMass", "AttachedMass", "AxialColumns", "BaseRocking", "Bracing", "Effect", "Gravity", "GroundSpring",
-    "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling", "Parameter", "Place", "Scale",
+    "EccentricMass", "EccentricStiffness", "JointRelease", "JointRotation", "LoadScale", "LocatedEffect", "MassCoupling", "Parameter", "Place", "Scale",
     "SensorGain", "Spring", "State", "StateMass", "StateStiffness", "StoryChange", "TotalMass", "Wall", "catalogue",
     "compose", "heights_of", "named", "open_classes", "refuse_faulty", "refuse_repeated", "register",
 ]  # fmt: skip
@@ -43,14 +44,16 @@ _catalogue: dict[str, Effect] = {
         Gravity(), JointRotation(), AxialColumns(), BaseRocking(), Wall(), GroundSpring(), AddedMass(), MassCoupling(),
         SensorGain(), StoryChange(), TotalMass(), Spring(), StateStiffness(), StateMass(), LoadScale(), FloorMass(),
         JointRelease(), SoftFeet(), Bracing(), AttachedMass(), LoadMounting(), ShapeScale(), ForceScale(),
-        WrongPrior(), WrongExactPrior(),
+        WrongPrior(), WrongExactPrior(), EccentricMass(), EccentricStiffness(),
     )
 }  # fmt: skip
+
+_open_classes = (*OPEN_CLASSES, OtherCenters())
 
 
 def open_classes() -> tuple[Effect, ...]:
     """List the open classes: for each statement of the shear model, the violations that the catalogue lacks."""
-    return OPEN_CLASSES
+    return _open_classes
 
 
 def catalogue() -> tuple[Effect, ...]:
@@ -148,7 +151,7 @@ def _check_at(placed: LocatedEffect, experiment: Experiment) -> None:
     items, n = placed.effect.parameters, experiment.stories
     each = (experiment.frame.total_mass or 10.0 * n) / n
     frame = each * np.concatenate([1.0 + 0.2 * np.cos(np.arange(n)), 2000.0 * (1.0 + 0.2 * np.sin(np.arange(n)))])
-    scale = Scale(float(np.mean(frame[:n])), float(np.mean(frame[n:])), heights_of(experiment))
+    scale = Scale.of(experiment, np.mean(frame[:n]), np.mean(frame[n:]))
     sizes = placed.effect.expected_sizes(scale)
     if np.shape(sizes) != (len(items),):
         raise InputError(f"sizes() has the shape {np.shape(sizes)}, not ({len(items)},)")

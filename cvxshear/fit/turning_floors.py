@@ -18,6 +18,7 @@ from scipy import linalg
 
 from cvxshear import backends
 from cvxshear.backends import Backend
+from cvxshear.effects import State
 from cvxshear.fit.domain import null_space
 from cvxshear.fit.misfit import Misfit
 from cvxshear.fit.results import IdentifiedFrame, SingleIdentification, predictions, priced, quality
@@ -226,6 +227,25 @@ def _propagated(test: TurningTest, of_floors: HeldProgram, of_stories: HeldProgr
     return spread, np.hstack([from_floors, own_stories])
 
 
+def general_parameters(state: State) -> tuple[Floats, Floats]:
+    """Read the parameters of `THREE_MOTIONS` off a state without added mass.
+
+    Returns
+    -------
+    theta : ndarray, shape (10 N,)
+    slopes : ndarray, shape (10 N, P)
+        By the parameters of the fit.
+    """
+    n, system = state.experiment.stories, state.system
+    at = 3 * np.arange(n)
+    floors, d_floors = (
+        np.stack([M[..., at, at], M[..., at + 1, at + 2], -M[..., at, at + 2], M[..., at + 2, at + 2]], axis=-1)
+        for M in (system.M, system.dM)
+    )
+    slopes = np.hstack([d_floors.reshape(len(d_floors), -1), state.d_story_stiffness])
+    return np.concatenate([floors.ravel(), state.story_stiffness]), slopes.T
+
+
 def reported(
     experiment: Experiment, theta: Floats, spread: Floats, directions: Floats, unseen: tuple[str, ...]
 ) -> TurningFrame:
@@ -243,7 +263,7 @@ def reported(
         Motions that no sensor sees.
     """
     n, radius = experiment.stories, experiment.radius[:, None]
-    masses, stiffnesses = theta[experiment.of_floors], theta[experiment.of_stories]
+    masses, stiffnesses = theta[: 4 * n], theta[4 * n :]
     mass_blocks, story_blocks = (
         blocks(masses, THREE_MOTIONS.mass_basis),
         blocks(stiffnesses, THREE_MOTIONS.stiffness_basis),
@@ -265,7 +285,7 @@ def reported(
     slopes[:, 10:, 4:] = center_slopes(story_blocks, THREE_MOTIONS.stiffness_basis)[0]
 
     def changed(by: Floats) -> Floats:
-        floors, stories = by[: 4 * n].reshape(n, 4, -1), by[4 * n :].reshape(n, 6, -1)
+        floors, stories = by[: 4 * n].reshape(n, 4, by.shape[1]), by[4 * n :].reshape(n, 6, by.shape[1])
         return np.asarray(slopes @ np.concatenate([floors, stories], axis=1))
 
     std = np.linalg.norm(changed(spread), axis=2)

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from cvxshear import backends
-from cvxshear.data.base import numbered
+from cvxshear.data.base import paired
 from cvxshear.effects import LocatedEffect, compose
 from cvxshear.fit import other_frames
 from cvxshear.fit.efficient import Estimate, fitted_with
@@ -202,7 +202,8 @@ def _prediction_errors(estimate: Estimate, name: str, mask: Bools, fitter: Fitte
     configuration = next(each for each in estimate.experiment.configurations if each.name == name)
     state = compose(estimate.experiment, configuration, estimate.effects, rest.theta)
     found = modes(state.system.M, state.system.K)
-    which = numbered(configuration, found, state.system.M)[mask]
+    motions = estimate.experiment.motions.count
+    which = paired(configuration, found, state.observation, state.system.M, motions)[mask]
     gradient = mode_derivatives(found, state.system, which)[0] / (2 * found.eigenvalues[which])
     open_change = np.abs(gradient * np.abs(rest.theta)[:, None])[~rest.uncertainty.determined].sum(axis=0)
     variance = np.einsum("pm,pq,qm->m", gradient, rest.uncertainty.covariance(), gradient)

@@ -100,7 +100,7 @@ def hypotheses(
     return [
         item
         for effect in (each.bound(experiment) for each in effects)
-        if not effect.lacks(experiment)
+        if not effect.unavailable(experiment)
         for item in _of(effect, experiment)
         if (effect.name, item.placed.place) not in taken
     ]
@@ -205,10 +205,8 @@ def assumed_effects(experiment: Experiment, assume: Sequence[str | LocatedEffect
             result.append(each)
             continue
         effect = chosen([each])[0].bound(experiment)
-        if effect.lacks(experiment):
-            raise errors.InputError(
-                f"effect {each} cannot be assumed: the experiment does not declare {effect.lacks(experiment)}"
-            )
+        if lack := effect.unavailable(experiment):
+            raise errors.InputError(f"effect {each} cannot be assumed: the experiment does not declare {lack}")
         places = effect.places(experiment)
         places = [place for place in places if place == Place()] or places
         if len(places) > 1:
@@ -311,7 +309,8 @@ def _together_or_alone(
 def _without(experiment: Experiment, mode: int) -> list[tuple[str, tuple[int, ...]]]:
     """List the configurations that may have overlooked a mode, with the new modes, unless they name these modes."""
     found = []
-    for each in experiment.configurations:
+    # Modes of floors that turn are paired by their shapes.
+    for each in () if experiment.frame.turns else experiment.configurations:
         moved = tuple(_moved(each.modes, mode).tolist())
         named = any(tuple(other.modes.tolist()) == moved for other in each.other_modes)
         if not named and _may_be_overlooked(each, mode, experiment.stories):
@@ -347,8 +346,11 @@ def _renumbered(experiment: Experiment, changes: Changes) -> Experiment:
 
 
 def few_floors_seen(experiment: Experiment) -> bool:
-    """Whether no test measured more than half of the floors: very different frames may fit such data equally well."""
-    return not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
+    """Whether no test measured more than half of the floors: very different frames may fit such data equally well.
+
+    Sensors of floors that turn are at all of them.
+    """
+    return not experiment.frame.turns and not any(2 * each.measured.any(axis=0).sum() > experiment.stories for each in experiment.configurations)
 
 
 def dual_fits_as_well(experiment: Experiment) -> bool:

@@ -24,7 +24,7 @@ from cvxshear.measurement.declaration import (
     StaticTest,
     named_in,
 )
-from cvxshear.motions import ONE_MOTION, THREE_MOTIONS, Motions
+from cvxshear.motions import ONE_MOTION, SYMMETRIC_MOTIONS, THREE_MOTIONS, Motions
 from cvxshear.priors import Prior, check_prior
 from cvxshear.util import checks, decorators
 from cvxshear.util.checks import MOST_STORIES
@@ -62,6 +62,8 @@ class Experiment(Shown):
         What a report says of the test: title, client, author, date.
     limits : Limits, optional
         Drift ratios whose passing a reconstruction judges.
+    symmetric : bool, optional
+        Whether floors that turn are taken as symmetric about the reference point: the base model of the loop.
 
     Raises
     ------
@@ -78,6 +80,7 @@ class Experiment(Shown):
     damping: Damping = field(default_factory=Damping)
     report: Heading = field(default_factory=Heading)
     limits: Limits | None = None
+    symmetric: bool = False
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -274,7 +277,9 @@ class Experiment(Shown):
     @property
     def motions(self) -> Motions:
         """The motions of each floor, with the parameters of floors and stories."""
-        return THREE_MOTIONS if self.frame.turns else ONE_MOTION
+        if not self.frame.turns:
+            return ONE_MOTION
+        return SYMMETRIC_MOTIONS if self.symmetric else THREE_MOTIONS
 
     @decorators.cached_property
     def of_floors(self) -> slice:
@@ -312,8 +317,16 @@ class Experiment(Shown):
 
     def units(self, mass: float, stiffness: float) -> Floats:
         """Return the size of every parameter of a frame with a typical floor mass and story stiffness."""
-        sizes = zip((mass, stiffness), self.motions.lengths, strict=True)
-        return np.concatenate([(size * self.radius[:, None] ** powers).ravel() for size, powers in sizes])
+        return self.motions.units(mass, stiffness, self.radius)
+
+    @decorators.cached_property
+    def half_plan(self) -> Floats:
+        """Half the sides of each floor's plan, else the farthest sensors from the reference point, shape (N, 2), m."""
+        if self.frame.plan is not None:
+            return np.broadcast_to(self.frame.plan / 2.0, (self.stories, 2))
+        places = np.array([sensor.position for each in self.configurations for sensor in each.sensors])
+        farthest = np.max(np.abs(places), axis=0)
+        return np.broadcast_to(np.where(farthest > 0, farthest, self.radius[0]), (self.stories, 2))
 
     @property
     def noise_declared(self) -> bool:
