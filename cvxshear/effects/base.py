@@ -122,6 +122,8 @@ class Place(InJson):
     def label(self, subject: str) -> str:
         """Return a subject with its place, such as "ground spring at floor 3" or "spring between floors 2 and 6"."""
         where = self.describe()
+        if self.part is not None and self.floor is self.story is None:
+            return f"{subject} {where}"
         return f"{subject} {'at' if self.to is None else 'between'} {where}" if where else subject
 
 
@@ -329,11 +331,13 @@ class Effect(ABC):
 
     def unavailable(self, experiment: Experiment) -> str:
         """Return what the experiment lacks, its kind of floors first; empty if the effect can be looked for."""
-        if experiment.frame.turns and "three" not in self.floors_move:
-            return "floors that do not turn"
-        if not experiment.frame.turns and "one" not in self.floors_move:
-            return "floors that turn"
+        if not self.suits(experiment):
+            return "floors that do not turn" if experiment.frame.turns else "floors that turn"
         return self.lacks(experiment)
+
+    def suits(self, experiment: Experiment) -> bool:
+        """Whether the effect is written for such floors."""
+        return ("three" if experiment.frame.turns else "one") in self.floors_move
 
     def phrase(self, place: Place, values: Floats, std: Floats, scale: Scale, units: Sequence[str]) -> str:
         """Describe effect, place and size: a clause that can be a sentence of its own.

@@ -124,7 +124,7 @@ class OtherCenters(OpenClass):
         k[3::6] += skew * mean
         dk[:, 3::6] += skew * d_mean
         dk[rows, 3::6] += np.diag(mean)
-        state = state.having(story_stiffness=k, d_story_stiffness=dk)
+        state = _with_stories(state, k, dk)
         for axis, (moved, rows) in zip(MOVED, parts[2:4], strict=True):
             state = with_moved_stories(state, axis, moved, np.eye(n), rows)
         return state
@@ -165,6 +165,9 @@ def with_moved_stories(state: State, axis: str, values: Floats, pattern: Floats,
     slopes = turned @ dK @ S
     by_move = move.T @ left
     slopes[own] += pattern[:, :, None, None] * (by_move + np.swapaxes(by_move, 1, 2))
-    return state.having(
-        story_stiffness=entries_of(turned @ left), d_story_stiffness=entries_of(slopes).reshape(len(slopes), -1)
-    )
+    return _with_stories(state, entries_of(turned @ left), entries_of(slopes).reshape(len(slopes), -1))
+
+
+def _with_stories(state: State, k: Floats, dk: Floats) -> State:
+    """Return the same state with other stories, which changes in single states start from."""
+    return state.having(story_stiffness=k, d_story_stiffness=dk, column_stiffness=k, d_column_stiffness=dk)

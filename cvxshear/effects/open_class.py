@@ -212,12 +212,13 @@ class OtherChanges(OpenClass):
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         if state.experiment.frame.turns:
-            k, dk = state.story_stiffness.reshape(-1, 6).copy(), state.d_story_stiffness.copy()
-            diagonal = np.flatnonzero(np.tile(np.arange(6) < 3, len(k)))
-            dk[:, diagonal] *= 1.0 + values
-            dk[own, diagonal] += np.diag(k.ravel()[diagonal])
-            k[:, :3] *= 1.0 + values.reshape(-1, 3)
-            return state.having(story_stiffness=k.ravel(), d_story_stiffness=dk)
+            k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
+            diagonal = np.flatnonzero(np.tile(np.arange(6) < 3, len(state.heights)))
+            whole, d_whole = state.column_stiffness[diagonal], state.d_column_stiffness[:, diagonal]
+            k[diagonal] += values * whole
+            dk[:, diagonal] += values * d_whole
+            dk[own, diagonal] += np.diag(whole)
+            return state.having(story_stiffness=k, d_story_stiffness=dk)
         for at, change in enumerate(values):
             state = with_changed_story(state, at, float(change), own.start + at)
         return state

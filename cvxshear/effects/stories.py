@@ -90,15 +90,17 @@ def with_changed_side(state: State, at: int, part: str | None, change: float, pa
     """
     k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
     own = slice(6 * at, 6 * at + 6)
+    # Changes add up, so that an open class of changes can be replaced by its causes.
+    whole, d_whole = state.column_stiffness[own], state.d_column_stiffness[:, own]
     if part is None:
-        unit, d_unit = k[own].copy(), dk[:, own].copy()
+        unit, d_unit = whole, d_whole
     else:
         axis, signs = SIDES[part]
         edges = np.array(signs) * state.experiment.half_plan[at, 1 - axis]
         members = np.zeros((len(edges), 3))
         members[:, axis], members[:, 2] = 1.0, edges if axis else -edges
         shape = entries_of(members[:, :, None] * members[:, None, :]).reshape(-1, 6).mean(axis=0)
-        unit, d_unit = k[6 * at + axis] * shape, dk[:, 6 * at + axis, None] * shape
+        unit, d_unit = whole[axis] * shape, d_whole[:, axis, None] * shape
     k[own] += change * unit
     dk[:, own] += change * d_unit
     dk[parameter, own] += unit

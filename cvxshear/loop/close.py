@@ -54,7 +54,7 @@ def search_for_effects(
             f"the loop takes frames of up to {TALLEST_SEARCH} stories, not {experiment.stories:,}: join stories, or "
             "identify the frame without effects"
         )
-    wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects), experiment)
+    wanted, left_out = hypotheses.able_to_take_part(hypotheses.chosen(effects, experiment), experiment)
     assumed = hypotheses.assumed_effects(experiment, assume)
     searches = Searches(experiment, wanted, assumed, backends.get(backend))
     found = searches.run()

@@ -105,7 +105,8 @@ def _steps(final: Estimate, order: Sequence[LocatedEffect], fitter: Fitter, as_g
 
     The most probable effect comes first. All fits use the noise of the last one.
     """
-    what = "the shear model" if fitter is as_given else "the shear model, the modes numbered as given"
+    what = "the symmetric model" if fitter.experiment.symmetric else "the shear model"
+    what += "" if fitter is as_given else ", the modes numbered as given"
     if fitter.assumed:
         what += f" with {', '.join(placed.label for placed in fitter.assumed)} assumed"
     ways = [(what, order[:0], as_given)]
@@ -134,7 +135,7 @@ def _in_noise_of(final: Estimate, effects: Sequence[LocatedEffect], fitter: Fitt
     for start, accuracy in (*((each, FULL) for each in starts), (base, ROUGH)):
         proposal = fitter.proposal(start, wanted)
         misfit = proposal.misfit.replaced(noise=final.misfit.noise, noise_inflation=final.misfit.noise_inflation)
-        by = partial(fitted_with, misfit, proposal.starts[0], accuracy=accuracy)
+        by = partial(fitted_with, misfit, proposal.starts[-1], accuracy=accuracy)
         try:
             return with_stand_in(fitter.backend, by)[0]
         except (errors.NoModesError, errors.NoSolutionError) as error:

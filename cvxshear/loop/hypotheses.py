@@ -146,8 +146,8 @@ def _last(values: Sequence[T], default: T) -> T:
     return values[-1] if values else default
 
 
-def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
-    """List the effects to look for: names or objects; by default the whole catalogue and the open classes.
+def chosen(effects: Sequence[str | Effect] | None, experiment: Experiment) -> tuple[Effect, ...]:
+    """List the effects to look for: names or objects; by default all of the catalogue and the open classes that suit.
 
     The name "open" stands for all open classes.
 
@@ -158,7 +158,7 @@ def chosen(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
     """
     everything = (*catalogue(), *open_classes())
     if effects is None:
-        return everything
+        return tuple(effect for effect in everything if effect.suits(experiment))
     known = {effect.name: (effect,) for effect in everything} | {OPEN: open_classes()}
     return tuple(
         effect
@@ -204,7 +204,7 @@ def assumed_effects(experiment: Experiment, assume: Sequence[str | LocatedEffect
         if isinstance(each, LocatedEffect):
             result.append(each)
             continue
-        effect = chosen([each])[0].bound(experiment)
+        effect = chosen([each], experiment)[0].bound(experiment)
         if lack := effect.unavailable(experiment):
             raise errors.InputError(f"effect {each} cannot be assumed: the experiment does not declare {lack}")
         places = effect.places(experiment)

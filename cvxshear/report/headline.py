@@ -166,9 +166,10 @@ def _doubt(result: LoopResult) -> str:
 
 
 def _model(result: LoopResult) -> str:
+    model = "the symmetric model" if result.experiment.symmetric else "the shear model"
     if not result.assumed:
-        return "the shear model"
-    return f"the shear model with {listed([placed.label for placed in result.assumed])}"
+        return model
+    return f"{model} with {listed([placed.label for placed in result.assumed])}"
 
 
 def _effects(result: LoopResult) -> str:

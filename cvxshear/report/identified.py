@@ -179,7 +179,7 @@ def _turning_table(frame: TurningFrame, title: str, units: quantities.Units, key
     return blocks.Table(key, title, tuple(columns), top_first=True)
 
 
-def _narrow(table: blocks.Table) -> list[blocks.Table]:
+def narrow(table: blocks.Table) -> list[blocks.Table]:
     """Divide the table of floors that turn into floors and stories, so that each is as wide as a page."""
     first, *others = table.columns
     of_stories = [each for each in others if each.name.startswith(("story_stiffness_", "stiffness_center"))]
@@ -191,7 +191,7 @@ def _narrow(table: blocks.Table) -> list[blocks.Table]:
     return [floors, dataclasses.replace(table, key=f"{table.key}-stories", title="Its stories", columns=stories)]
 
 
-def _turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
+def turning_words(frame: results.IdentifiedFrame) -> Iterator[blocks.Sentence]:
     """State what data of floors that turn leave open, and what tells it."""
     if not isinstance(frame, TurningFrame):
         return
@@ -409,8 +409,8 @@ def part_section(
     title = "All configurations together" if result.joint else part.name
     frame = frame_table(part.frame, "Identified frame (masses without added mass)", units, key=f"identified-{place}")
     parts = [
-        *_narrow(frame),
-        *_turning_words(part.frame),
+        *narrow(frame),
+        *turning_words(part.frame),
         *_bounds(part),
         *_prices(part, place, units),
         *how_it_ended(part),
