@@ -91,12 +91,12 @@ def _coordinate(place: Place, values: Floats, std: Floats) -> str:
 class OtherCenters(OpenClass):
     """Every center of mass and of stiffness at its own place, and principal axes of its own for every story.
 
-    Expected size: 0.12 radii of gyration for every center, and an entry xy of as many parts of the mean stiffness.
+    Expected size: 0.12 radii of gyration for every center, and an entry xy of 0.12 of the mean stiffness.
     """
 
     name = "other_centers"
     summary = "Every floor and every story has its own center, and every story its own axes."
-    formula = "M_i and K_s about any center; K_xy = o (k_x + k_y) / (2 r) for every story"
+    formula = "M_i and K_s about any center; K_xy = o (k_x + k_y) / 2 for every story"
     source = "a symmetric positive matrix of three motions has a center and an angle of its axes"
     stage = "center"
     floors_move = ("three",)
@@ -109,8 +109,12 @@ class OtherCenters(OpenClass):
         return [
             *(Parameter(f"floor {i} {axis}", "m") for axis in MOVED for i in levels),
             *(Parameter(f"story {i} {axis}", "m") for axis in MOVED for i in levels),
-            *(Parameter(f"story {i}, between x and y", "m") for i in levels),
+            *(Parameter(f"story {i} between x and y", "") for i in levels),
         ]
+
+    def sizes(self, scale: Scale) -> Floats:
+        stories = len(scale.heights)
+        return self.usual * np.repeat([scale.mean_radius, 1.0], [4 * stories, stories])
 
     def apply(self, state: State, place: Place, values: Floats, own: slice) -> State:
         n = len(state.heights)
@@ -119,8 +123,8 @@ class OtherCenters(OpenClass):
         for axis, (moved, rows) in zip(MOVED, parts[:2], strict=True):
             state = with_moved_masses(state, axis, moved, np.eye(n), rows)
         k, dk = state.story_stiffness.copy(), state.d_story_stiffness.copy()
-        (skew, rows), radius = parts[-1], state.experiment.radius
-        mean, d_mean = (0.5 * (each[..., 0::6] + each[..., 1::6]) / radius for each in (k, dk))
+        skew, rows = parts[-1]
+        mean, d_mean = (0.5 * (each[..., 0::6] + each[..., 1::6]) for each in (k, dk))
         k[3::6] += skew * mean
         dk[:, 3::6] += skew * d_mean
         dk[rows, 3::6] += np.diag(mean)

@@ -26,6 +26,7 @@ from cvxshear.measurement.experiment import Experiment
 from cvxshear.motions import THREE_MOTIONS, blocks, center, center_slopes, products
 from cvxshear.programs import ActiveConstraint, LeastSquares, Solution
 from cvxshear.programs.turning import Rows, TurningTest, turning_tests
+from cvxshear.util.quantities import NEGLIGIBLE_STD
 from cvxshear.util.typing import Floats
 
 
@@ -69,7 +70,19 @@ class TurningFrame(IdentifiedFrame):
 
     @property
     def columns(self) -> Iterator[tuple[str, str, Floats, Floats]]:
-        """Name, unit, values and deviations of each quantity with one number for each floor or story, shape (N,)."""
+        """Name, unit, values and deviations of each quantity with one number for each floor or story, shape (N,).
+
+        Coordinates and coupled entries that are zero but for rounding are zero.
+        """
+        mass, stiffness = np.nanmax(self.floor_mass), np.nanmax(self.story_stiffness)
+        radius = float(np.nan_to_num(np.sqrt(np.nanmax(self.inertia) / mass), nan=1.0))
+        sizes = {"kg": mass, "m": radius, "kg m2": mass * radius**2}
+        sizes |= {"N/m": stiffness, "N": stiffness * radius, "N m": stiffness * radius**2}
+        for name, unit, *columns in self._columns():
+            values, std = (np.where(np.abs(each) < NEGLIGIBLE_STD * sizes[unit], 0.0, each) for each in columns)
+            yield name, unit, values, std
+
+    def _columns(self) -> Iterator[tuple[str, str, Floats, Floats]]:
         yield "floor_mass", "kg", self.floor_mass, self.floor_mass_std
         for place, axis in enumerate("xy"):
             yield f"mass_center_{axis}", "m", self.mass_center[:, place], self.mass_center_std[:, place]

@@ -99,7 +99,7 @@ class FitProposal:
     effects : tuple of LocatedEffect
         Effects in the order of their parameters, with the assumed ones.
     starts : tuple of ndarray, shape (P,)
-        Starting points: the first one that fits better than the last one is used.
+        Starting points: the best one is used, the last one if no other fits better than `objective`.
     misfit : Misfit
         Misfit with the data and noise of the fit.
     objective : float
@@ -270,15 +270,16 @@ def with_stand_in(
 
 def _start(proposal: FitProposal) -> tuple[Floats, Evaluation | None]:
     """Choose the starting point; also return the residuals there if they were computed."""
-    *guesses, plain = proposal.starts
+    *guesses, best = proposal.starts
+    objective, there = proposal.objective, None
     for guess in guesses:
         try:
             at = proposal.misfit.evaluate(guess)
         except errors.NoModesError:
             continue
-        if at.objective <= proposal.objective:
-            return guess, at
-    return plain, None
+        if at.objective <= objective:
+            best, objective, there = guess, at.objective, at
+    return best, there
 
 
 def log_evidence(estimate: Estimate, expectation: domain.EffectPrior) -> float:
